@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, LaunchChoices, SizeChoices
+from datagen.capture.choices import CaptureChoices
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
 from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
@@ -44,6 +45,7 @@ def commands() -> CommandGroup:
         "add": add,
         "import": import_file,
         "import-dataset": import_dataset,
+        "capture": capture,
         "peel": peel,
         "film": film,
         "export": export,
@@ -165,12 +167,41 @@ def import_dataset(
     from datagen.import_dataset.import_dataset import plan_import, write_import
 
     plan = plan_import(folder, choices)
-    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, choices, overwrite=overwrite)
+    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
     say_all(list(plan.imported.remarks))
     views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
     say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
     tell(str(dataset.root))
     next_command(shlex.join(["datagen", "look", str(dataset.root)]))
+
+
+def capture(
+    folder: Path,
+    /,
+    *,
+    out: Path | None = None,
+    overwrite: bool = False,
+    choices: CaptureChoices = CaptureChoices(),  # noqa: B008
+) -> None:
+    """Make a dataset from a folder of pictures and masks of glass.
+
+    Takes cameras from a transforms file or COLMAP's sparse/0, and otherwise finds them (`pip install
+    'hyaline-glass[capture]'`). The opaque room is made of planes and boxes, or of --room. An ellipsoid holds the place
+    of each object of glass until `model fit` finds its shape. If interrupted, the same command resumes.
+
+    Args:
+        folder: A folder with images/ and masks/OBJECT/, one mask for each picture, white where the object is seen.
+        out: Folder to write. Default: data/NAME.
+        overwrite: Replace an existing dataset.
+    """
+    from datagen.capture.capture import plan_capture
+    from datagen.import_dataset.import_dataset import write_import
+
+    plan = plan_capture(folder, choices)
+    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
+    say_all(list(plan.imported.remarks))
+    tell(str(dataset.root))
+    next_command(shlex.join(["datagen", "peel", str(dataset.root)]))
 
 
 def peel(
@@ -243,8 +274,8 @@ def export(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, cleargrasp, webdataset, quantities or
-            huggingface.
+        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, capture, cleargrasp, webdataset,
+            quantities or huggingface.
         out: Folder to write. Default: exports/NAME-FORMAT.
         points: For formats with a point cloud: number of points on the true surfaces, coloured from the training
             images.

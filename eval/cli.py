@@ -42,7 +42,8 @@ def report(
         out: Folder for index.html, results.json and pictures. Default: RUNS/report.
         table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
             table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of
-            light-path), variants (of paper) or claims. `model sweep` trains the runs of each. May be repeated.
+            light-path), variants (of paper) or claims, whose runs `model sweep` trains; or known (what is known of the
+            glass, against what is reached) or perceptual (FLIP, LPIPS). May be repeated.
         full: Also describe each run, and print quality by angle, by number of training views and by layers.
         published: Also print the paper's own numbers, and beside them what its authors' script gives for these runs.
         shown_views: Views of each split and run on the page: the worst, the median and the best first. Views beyond

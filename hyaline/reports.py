@@ -79,6 +79,7 @@ def report(
     Raises:
         HyalineError: no run, one that cannot be scored, or something else in `out`.
     """
+    from eval.analyses.fits import read_fits
     from eval.page.report import score_runs, write_page
     from eval.page.report_folder import check_report_folder, kept_in
     from eval.score.runs import open_run
@@ -94,7 +95,8 @@ def report(
     check_report_folder(place)
     kept, errors = kept_in(place), []
     opened = [open_run(folder, DATA_ROOT, dataset) for folder, dataset in zip(folders, datasets, strict=True)]
-    scored = score_runs(opened, errors, kept, made_by={"command": "hyaline.report"})
+    fits = read_fits(Path(root), errors, besides=place) if runs is None else []
+    scored = score_runs(opened, errors, kept, fits, made_by={"command": "hyaline.report"})
     for error in errors[:-1] if scored is None else errors:
         say(f"error: {error}")
     if scored is None:

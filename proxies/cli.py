@@ -1,6 +1,7 @@
 """The command line of `proxies`: parse, configure, call one function."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -93,6 +94,7 @@ def check(
     kind: str = "ellipsoid",
     amount: float | None = None,
     name: str | None = None,
+    shapes: bool = False,
 ) -> None:
     """Verify the proxies on disk: closed, outward, enclosing the object, with texels for every face.
 
@@ -100,7 +102,9 @@ def check(
         dataset: A dataset's folder, or its name under data/. Default: every dataset there.
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly or noise (checked for the object's faces and uv only).
         amount: With --kind noise: its amount. Default: 0.01.
-        name: Name of a mixture, instead of --kind.
+        name: Name of a mixture or of fitted shapes, instead of --kind.
+        shapes: Also print how far each surface is from the true one: Chamfer distance (mean of both directions), mean
+            distance, median error of normals, and of the thickness of walls.
     """
     from proxies.make import read_reports
 
@@ -109,6 +113,8 @@ def check(
     for opened in _datasets(dataset):
         reports = read_reports(opened, geometry)
         _print_table(opened, geometry, reports)
+        if shapes:
+            _print_shapes(opened, geometry, [report.object for report in reports if report.kind != TRUTH])
         problems += [
             f"{opened.root}: the {report.kind} of {report.object} {report.problem}"
             for report in reports
@@ -142,6 +148,44 @@ def _datasets(given: str | None) -> "list[Dataset]":
 
 
 def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport, ...]") -> None:
+    is_mixed = any(report.kind != geometry for report in reports)
+    numbers = ("triangles", "volume / hull", "mean distance", "max distance", "inside")
+    rows = [
+        (
+            report.object,
+            *([report.kind] if is_mixed else []),
+            str(report.triangles),
+            f"{report.statistics.volume_ratio:.3f}",
+            _millimetres(report.statistics.mean_distance),
+            _millimetres(report.statistics.max_distance),
+            "-" if report.inside_share is None else f"{100 * report.inside_share:.4g} %",
+        )
+        for report in reports
+    ]
+    title = f"{geometry} proxies of {dataset.root}"
+    _print(title, ["object", *(["kind"] if is_mixed else [])], numbers, rows)
+
+
+def _print_shapes(dataset: "Dataset", geometry: str, objects: Sequence[str]) -> None:
+    from datagen.data.geometries import read_meshes
+    from datagen.data.shape_errors import shape_errors
+
+    rows = []
+    for item, mesh, truth in zip(dataset.objects, read_meshes(dataset, geometry), read_meshes(dataset, TRUTH)):
+        if item.name in objects:
+            found = shape_errors(mesh, truth)
+            walls = map(_millimetres, (found.wall, found.thickness, found.true_thickness))
+            distances = map(_millimetres, (found.chamfer, found.mean_distance))
+            rows.append((item.name, *distances, f"{found.normal_deg:.1f}°", *walls))
+    numbers = ("Chamfer", "mean distance", "normals", "wall error", "thickness", "true thickness")
+    _print(f"{geometry} surfaces of {dataset.root} against the true ones", ["object"], numbers, rows)
+
+
+def _millimetres(metres: float | None) -> str:
+    return "-" if metres is None else f"{1000 * metres:.2f} mm"
+
+
+def _print(title: str, texts: Sequence[str], numbers: Sequence[str], rows: Sequence[tuple[str, ...]]) -> None:
     from rich.box import SIMPLE_HEAD
     from rich.console import Console
     from rich.table import Table
@@ -150,24 +194,13 @@ def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport,
     from datagen.disk.names import printable
 
     # Names may hold square brackets, which rich would take for mark-up.
-    table = Table(title=Text(printable(f"{geometry} proxies of {dataset.root}")), box=SIMPLE_HEAD, title_justify="left")
-    table.add_column("object", no_wrap=True)
-    is_mixed = any(report.kind != geometry for report in reports)
-    if is_mixed:
-        table.add_column("kind", no_wrap=True)
-    for name in ("triangles", "volume / hull", "mean distance", "max distance", "inside"):
+    table = Table(title=Text(printable(title)), box=SIMPLE_HEAD, title_justify="left")
+    for name in texts:
+        table.add_column(name, no_wrap=True)
+    for name in numbers:
         table.add_column(name, justify="right", no_wrap=True)
-    for report in reports:
-        numbers = report.statistics
-        table.add_row(
-            report.object,
-            *([report.kind] if is_mixed else []),
-            str(report.triangles),
-            f"{numbers.volume_ratio:.3f}",
-            f"{1000 * numbers.mean_distance:.2f} mm",
-            f"{1000 * numbers.max_distance:.2f} mm",
-            "-" if report.inside_share is None else f"{100 * report.inside_share:.4g} %",
-        )
+    for row in rows:
+        table.add_row(*row)
     console = Console()
     # In a pipe there is no width to fit; cut-off names would be of no use there.
     console = console if console.is_terminal else Console(width=160)

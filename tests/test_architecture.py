@@ -34,7 +34,7 @@ HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
     "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/importers/surfaces.py"},
-    "torch": {"model", "hyaline/tensors.py"},
+    "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
     "skimage": {"eval", "model/fit/hull.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
@@ -44,6 +44,7 @@ HOMES = {
     },
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
+    "pycolmap": {"datagen/capture/structure.py"},
     "submitit": {"datagen/build/launch.py"},
     "viser": {"model/view/server.py", "model/view/stage.py", "model/view/view.py"},
 }
@@ -54,6 +55,7 @@ FLOORS = {
         "cli",
         "look",
         "export",
+        "capture",
         "import_dataset",
         "build",
         "quantities",
@@ -75,7 +77,13 @@ FLOORS = {
 
 
 PERIPHERY = (
-    *("datagen.export", "datagen.import_dataset", "datagen.scene.importers", "datagen.scene.procedural"),
+    *(
+        "datagen.export",
+        "datagen.capture",
+        "datagen.import_dataset",
+        "datagen.scene.importers",
+        "datagen.scene.procedural",
+    ),
     *("eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
     *("model.view", "model.web"),
 )

@@ -17,6 +17,7 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
       images/SPLIT/0000.mask.png         instead of the EXR, where pictures were imported with masks: 255 on glass
+      images/SPLIT/0000.objects.png      and with one for each object of glass: 8-bit object ids, 0 elsewhere
       images/SPLIT/0000.depth.npy        and with depth: float32, metres along the axis to the first surface, 0: none
       records/SPLIT/0000.json            sealed, written last: a view exists only when its record verifies
       layers/straight/                   peeled layers of the true geometry (format: datagen/data/layers.py)
@@ -271,6 +272,15 @@ class View:
         return read_npy(self._read(".depth.npy"), where=str(self.dataset.root / self._file(".depth.npy")))
 
     @property
+    def imported_object_ids(self) -> UInt8[np.ndarray, "h w"] | None:
+        """Id of the object of glass that a pixel sees, by the masks that were imported, 0 elsewhere; None without."""
+        if ".objects.png" not in self.dataset.endings:
+            return None
+        return np.asarray(
+            decode_png(self._read(".objects.png"), where=str(self.dataset.root / self._file(".objects.png")))
+        )
+
+    @property
     def mask_sha256(self) -> str | None:
         """SHA-256 of the file of `imported_mask`, verified."""
         return sha256(self._read(".mask.png")) if ".mask.png" in self.dataset.endings else None
@@ -278,11 +288,11 @@ class View:
     def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:
         """Pixels whose centre ray meets glass before anything opaque, by the true geometry.
 
-        Where that has no layers, by the mask that was imported with the picture.
+        Where that has no layers, or stand-ins for meshes, by the mask that was imported with the picture.
         """
         if what != "glass":
             raise HyalineError(f"mask: is {what!r}; expected 'glass' (`object_ids` tells other objects)")
-        if not has_layers(self.dataset) and (given := self.imported_mask) is not None:
+        if (given := self.imported_mask) is not None and takes_imported_masks(self.dataset):
             return given
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
 
@@ -309,9 +319,15 @@ def check_has_meshes(dataset: Dataset) -> None:
         )
 
 
+def takes_imported_masks(dataset: Dataset) -> bool:
+    """True when imported masks tell the pixels that see glass: there are no layers, or those are of stand-ins."""
+    given = dataset.imported
+    return given is not None and given.has_masks and (given.has_objects or not has_layers(dataset))
+
+
 def has_glass_mask(dataset: Dataset) -> bool:
     """True when layers of the true geometry, or imported masks, tell the pixels that see glass."""
-    return has_layers(dataset) or (dataset.imported is not None and dataset.imported.has_masks)
+    return has_layers(dataset) or takes_imported_masks(dataset)
 
 
 def open_dataset(root: Path) -> Dataset:

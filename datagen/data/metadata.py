@@ -76,13 +76,15 @@ class Imported:
     """
 
     layout: str
-    """Layout of the source folder: refref, openmaterial, blender or nerfstudio."""
+    """Layout of the source folder: refref, openmaterial, blender, nerfstudio or capture."""
     source: str
     """Name of the source folder."""
     source_sha256: str
     """Hash of the pictures and everything else that was read."""
     has_masks: bool
     has_depth: bool
+    has_objects: bool = False
+    """There is a mask for each object of glass."""
     remarks: tuple[str, ...] = ()
     """Decisions and omissions, a line each."""
 
@@ -90,7 +92,7 @@ class Imported:
     def endings(self) -> tuple[str, ...]:
         """Endings of the files of a view."""
         masks, depth = (".mask.png",) * self.has_masks, (".depth.npy",) * self.has_depth
-        return (".png", *masks, *depth)
+        return (".png", *masks, *depth, *(".objects.png",) * self.has_objects)
 
 
 RENDERED = (".png", ".exr")

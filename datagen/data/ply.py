@@ -116,6 +116,21 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     return mesh, uv_names is not None
 
 
+def read_ply_points(path: Path) -> np.ndarray:
+    """The positions in a PLY file of points, float64 (point, 3)."""
+    data = read_regular(path, at_most=MAX_PLY_BYTES)
+    _check_header(data, where=path)
+    import trimesh
+
+    try:
+        points = np.asarray(trimesh.load(io.BytesIO(data), file_type="ply").vertices, np.float64)  # pyright: ignore[reportAttributeAccessIssue]
+    except Exception as error:
+        raise HyalineError(f"{path}: not a PLY of points ({type(error).__name__}: {error}); export it again") from error
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise HyalineError(f"{path}: has points that are not three finite numbers; export it again")
+    return points
+
+
 def _check_header(data: bytes, *, where: Path) -> None:
     """Raises unless the header's counts fit the file; trimesh would allocate memory for any count."""
     header, end, _ = data[:MAX_HEADER_BYTES].partition(b"end_header")

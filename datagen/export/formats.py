@@ -22,6 +22,7 @@ FORMATS: Group[Callable[[Source], Plan]] = Group(
         "3dgs": "datagen.export.blender:plan_3dgs",
         "colmap": "datagen.export.colmap:plan_colmap",
         "nerfbaselines": "datagen.export.colmap:plan_nerfbaselines",
+        "capture": "datagen.export.capture:plan_capture",
         "refref": "datagen.export.refref:plan_refref",
         "cleargrasp": "datagen.export.cleargrasp:plan_cleargrasp",
         "webdataset": "datagen.export.samples:plan_webdataset",

@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -44,13 +44,14 @@ PRESET = "imported"
 class Plan:
     """What an import will write, before any picture is decoded."""
 
-    foreign: ForeignDataset
-    views: dict[Split, tuple[ForeignView, ...]]
+    files: Callable[[Split, int], dict[str, bytes]]
+    """The files of a view by their endings."""
     cameras: dict[Split, Cameras]
     config: DatasetConfig
     scene: Scene | None
     """None without meshes."""
     imported: Imported
+    stated_license: str | None
 
 
 def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
@@ -73,8 +74,33 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     scene, about_scene = find_scene(name, surfaces, cameras, choices) if surfaces else (None, [])
     if scene is not None:
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    config = imported_config(name, size, views)
+    used = [view for split in SPLITS for view in views[split]]
+    told = (*foreign.remarks, *lines, *about_scene)
+    imported = Imported(
+        layout=foreign.layout,
+        source=folder.resolve().name,
+        source_sha256=digest_of(
+            [*foreign.files, *choices.mesh], f"{choices.downscale} {choices.background} {choices.scale}"
+        ),
+        has_masks=all(view.mask is not None for view in used),
+        has_depth=all(view.depth is not None for view in used),
+        remarks=told,
+    )
+
+    def files(split: Split, index: int) -> dict[str, bytes]:
+        view, kinds = views[split][index], imported
+        return view_files(view, whole, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
+
+    return Plan(
+        files=files, cameras=cameras, config=config, scene=scene, imported=imported, stated_license=foreign.license
+    )
+
+
+def imported_config(name: str, size: Resolution, views: Mapping[Split, Sequence[ForeignView]]) -> DatasetConfig:
+    """The configuration of a dataset of these views."""
     few = {split: SplitConfig(views=len(views[split]), spp=None) for split in SPLITS}
-    config = DatasetConfig(
+    return DatasetConfig(
         scene=name,
         preset=PRESET,
         resolution=size,
@@ -82,17 +108,6 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
         interpolating=few["interpolating"],
         extrapolating=few["extrapolating"],
     )
-    used = [view for split in SPLITS for view in views[split]]
-    told = (*foreign.remarks, *lines, *about_scene)
-    imported = Imported(
-        layout=foreign.layout,
-        source=folder.resolve().name,
-        source_sha256=_digest([*foreign.files, *choices.mesh], choices),
-        has_masks=all(view.mask is not None for view in used),
-        has_depth=all(view.depth is not None for view in used),
-        remarks=told,
-    )
-    return Plan(foreign=foreign, views=views, cameras=cameras, config=config, scene=scene, imported=imported)
 
 
 def read_foreign_dataset(root: Path) -> ForeignDataset:
@@ -111,7 +126,7 @@ def read_foreign_dataset(root: Path) -> ForeignDataset:
     )
 
 
-def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overwrite: bool) -> Dataset:
+def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
     """Writes what is missing of an import."""
     with holding(root, DATASET):
         dataset = open_or_start(
@@ -121,19 +136,12 @@ def write_import(plan: Plan, root: Path, choices: DatasetImportChoices, *, overw
             plan.cameras,
             overwrite=overwrite,
             imported=plan.imported,
-            stated_license=plan.foreign.license or unknown_license(plan.imported.source),
+            stated_license=plan.stated_license or unknown_license(plan.imported.source),
         )
         missing = [view for view in _views(dataset) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)
         for view in track(missing, label="import", total=total, done=total - len(missing)):
-            files = view_files(
-                plan.views[view.split][view.index],
-                plan.foreign.lens.size,
-                choices,
-                has_mask=plan.imported.has_masks,
-                has_depth=plan.imported.has_depth,
-            )
-            commit_imported_view(dataset, view.split, view.index, files)
+            commit_imported_view(dataset, view.split, view.index, plan.files(view.split, view.index))
     return dataset
 
 
@@ -150,9 +158,9 @@ def _placed(pose: np.ndarray, linear: np.ndarray) -> np.ndarray:
     return placed
 
 
-def _digest(files: list[Path], choices: DatasetImportChoices) -> str:
-    """Names the content of files in their order, and what decides how pictures are taken over."""
-    digest = hashlib.sha256(f"{choices.downscale} {choices.background} {choices.scale}".encode())
+def digest_of(files: Sequence[Path], choices: str) -> str:
+    """Names the content of files in their order, and what decides how they are taken over."""
+    digest = hashlib.sha256(choices.encode())
     for file in files:
         digest.update(sha256_file(file).encode())
     return digest.hexdigest()

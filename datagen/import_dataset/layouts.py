@@ -104,9 +104,9 @@ def read_folder(root: Path) -> ForeignDataset | None:
         views = _split(found["train"], _views(root, found["train"], layout))
     else:
         return None
-    lens = found["train"].shared_lens(partial(_picture_size, root))
+    lens = found["train"].shared_lens(partial(frame_size, root))
     for item in found.values():
-        refuse_other_lens(item.shared_lens(partial(_picture_size, root)), lens, where=item.where)
+        refuse_other_lens(item.shared_lens(partial(frame_size, root)), lens, where=item.where)
     return ForeignDataset(
         root=root,
         layout=layout,
@@ -125,7 +125,7 @@ def _layout_of(root: Path, train: Transforms) -> Layout:
     return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
 
-def _find(root: Path, frame: Frame, key: str) -> Path:
+def find_named(root: Path, frame: Frame, key: str) -> Path:
     """The file that a frame names, with or without its ending."""
     where = f"{frame.where}.{key}"
     name = frame.text(key).removeprefix("./")
@@ -136,9 +136,13 @@ def _find(root: Path, frame: Frame, key: str) -> Path:
     raise HyalineError(f"{where}: names {shown(name)}, which is not in {root}; download the whole scene")
 
 
-def _picture_size(root: Path, frame: Frame) -> tuple[int, int]:
+def frame_size(root: Path, frame: Frame) -> tuple[int, int]:
     """Width and height of a frame's picture, by its header."""
-    path = _find(root, frame, "file_path")
+    return picture_size(find_named(root, frame, "file_path"))
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height of a picture, by its header."""
     try:
         with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
             return picture.size
@@ -150,7 +154,7 @@ def _picture_size(root: Path, frame: Frame) -> tuple[int, int]:
 
 def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
     """The mask of `train/images/000.png` is `train/mask/000.png`."""
-    picture = _find(root, frame, "file_path").relative_to(root)
+    picture = find_named(root, frame, "file_path").relative_to(root)
     mask = root / picture.parts[0] / "mask" / picture.name
     if not mask.is_file():
         return None
@@ -165,10 +169,10 @@ def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, .
         if layout == "openmaterial":
             mask = _openmaterial_mask(root, frame)
         elif "mask_file_path" in frame:
-            mask = _find(root, frame, "mask_file_path")
+            mask = find_named(root, frame, "mask_file_path")
         if "depth_file_path" in frame and _is_metric(frame, layout):
-            depth = _find(root, frame, "depth_file_path")
-        picture = _find(root, frame, "file_path")
+            depth = find_named(root, frame, "depth_file_path")
+        picture = find_named(root, frame, "file_path")
         views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=file.pose(frame)))
     return tuple(views)
 

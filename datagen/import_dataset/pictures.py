@@ -1,6 +1,8 @@
 """Pictures, masks and depth of other projects, as the files of a dataset's view."""
 
 import io
+from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -49,20 +51,26 @@ def view_files(
 
 def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoices) -> UInt8[np.ndarray, "h w 3"]:
     """The picture over its background, and as small as asked for."""
-    picture = _opened(view.picture.as_posix(), read_regular(view.picture, at_most=MAX_FILE_BYTES), size)
-    if picture.mode not in EIGHT_BITS:
-        raise HyalineError(f"{view.picture}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
-    image = _over(np.asarray(picture.convert("RGBA")), BACKGROUND[choices.background])
+    image = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
     if choices.downscale == 1:
         return image
     linear = _blocks(linear_from_srgb(image.astype(np.float64) / 255), choices.downscale).mean(axis=(1, 3))
     return to_8bit(srgb_from_linear(linear))
 
 
+def on_background(
+    picture: Image.Image, path: Path, background: Literal["white", "black"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """An 8-bit picture in sRGB over its background."""
+    if picture.mode not in EIGHT_BITS:
+        raise HyalineError(f"{path}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
+    return _over(np.asarray(picture.convert("RGBA")), BACKGROUND[background])
+
+
 def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: those that are not black, as RefRef's own reader takes them."""
     assert view.mask is not None
-    picture = _opened(view.mask.as_posix(), read_regular(view.mask, at_most=MAX_FILE_BYTES), size)
+    picture = opened(view.mask, (size.width, size.height))
     return np.asarray(picture.convert("L")) > 127
 
 
@@ -70,23 +78,24 @@ def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
     """Depth in the folder's units: of a NumPy file, or of a PNG in thousandths."""
     assert view.depth is not None
     where = str(view.depth)
-    data = read_regular(view.depth, at_most=MAX_NPY_BYTES)
     if view.depth.suffix == ".npy":
-        depth = read_npy(data, where=where)
+        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where)
     else:
-        depth = np.asarray(_opened(where, data, size)).astype(np.float64) * MILLIMETRE
+        depth = np.asarray(opened(view.depth, (size.width, size.height))).astype(np.float64) * MILLIMETRE
     if depth.shape != size.shape or depth.min() < 0:
         raise HyalineError(f"{where}: is of shape {depth.shape}; expected {size} distances, none below 0")
     return depth.astype(np.float32)
 
 
-def _opened(where: str, data: bytes, size: Resolution) -> Image.Image:
-    """The picture of a file; nothing of one of another size is decoded."""
+def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
+    """The picture of a file; nothing is decoded of one that has not the width and height it should have."""
+    data = read_regular(path, at_most=MAX_FILE_BYTES)
     try:
         with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
-            if picture.size != (size.width, size.height):
+            if size is not None and picture.size != size:
                 raise HyalineError(
-                    f"{where}: is {picture.width} x {picture.height} pixels; expected {size}, as the others"
+                    f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}, as the "
+                    "others"
                 )
             picture.load()
             return picture
@@ -94,7 +103,7 @@ def _opened(where: str, data: bytes, size: Resolution) -> Image.Image:
         raise
     # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
-        raise HyalineError(f"{where}: not a picture that can be read ({type(error).__name__}: {error})") from error
+        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__}: {error})") from error
 
 
 def _over(rgba: UInt8[np.ndarray, "h w 4"], background: float) -> UInt8[np.ndarray, "h w 3"]:

@@ -76,7 +76,7 @@ def _make_scene(
     mapper = Mapper(metres=choices.scale, thin="open", remarks=remarks)
     objects: list[SceneObject] = []
     without_uv: set[str] = set()
-    parts = [(surface, part) for surface in surfaces for part in _read(surface, remarks)]
+    parts = [(surface, part) for surface in surfaces for part in read_surface(surface, remarks)]
     allow_triangles(sum(len(part.faces) for _, part in parts))
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
@@ -105,7 +105,8 @@ def _make_scene(
     return scene
 
 
-def _read(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
+def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
+    """The objects in the file of a mesh."""
     ending, known = ending_of(surface.file), sorted(set(READERS.names()) - {"xml"})
     if ending not in known:
         endings = ", ".join(f".{name}" for name in known)

@@ -4,6 +4,7 @@ matplotlib is imported only when a picture is drawn.
 """
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datagen.data.config import Split
@@ -17,6 +18,7 @@ from datagen.terminal.command import say, track
 from eval.analyses.coverage import Budget, Coverage, PixelCoverage, budget_grid, cover_view, find_budgets, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
 from eval.analyses.edits import EditScores, edit_grids, edit_json, score_edits
+from eval.analyses.fits import Fit, Measured, fit_data, measure_fit
 from eval.analyses.variants import (
     VariantScores,
     angle_grid,
@@ -48,14 +50,17 @@ class Further:
     """By the run's name, over seeds where there are several."""
     variants: tuple[VariantScores, ...]
     edits: tuple[EditScores, ...]
+    fits: tuple[tuple[Fit, tuple[Measured, ...]], ...]
+    """What `model fit` found, and how its objects compare with the truth."""
 
 
-def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Sequence[Fit] = ()) -> Further:
     """All analyses of a scored scene.
 
     Args:
         kept: cache of results.
         errors: problems of runs are added here; the other runs are analysed.
+        fits: of any scene.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
@@ -87,6 +92,14 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Furth
         figures |= {f"edit_{name}_{file_name(edit.edited.name)}.png": _edit_sheet(scene, edit) for edit in edits}
     if by_name:
         data["variants"] = by_name
+    measured = []
+    for fit in (fit for fit in fits if fit.dataset == scene.dataset.seal):
+        try:
+            measured.append((fit, measure_fit(scene.dataset, fit, kept)))
+        except HyalineError as error:
+            errors.append(error)
+    if measured:
+        data["fits"] = fit_data(measured)
     return Further(
         title=scene.title,
         grids=tuple(grids),
@@ -95,6 +108,7 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> Furth
         curves=pooled,
         variants=tuple(variants),
         edits=edits,
+        fits=tuple(measured),
     )
 
 

@@ -14,6 +14,8 @@ from datagen.disk.records import Json, to_json
 from datagen.pages.html import Markup, Part, anchor, document, join, prose, section, tag
 from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
+from eval.analyses.fits import digest_of_meshes
+from eval.page.fit_page import fit_anchor, fit_page
 from eval.page.further import Further, shown_of_run, shown_of_scene
 from eval.page.report_folder import Drawing
 from eval.page.run_page import (
@@ -91,6 +93,11 @@ def _draw_page(
     }
     every = [item for of_scene in compared.values() for items in of_scene.values() for item in items]
     overviews = {scene.title: _side_by_side(scene, compared[scene.title], gallery) for scene in scenes}
+    fits = [
+        fit_page(scene, fit, measured, [item for items in compared[scene.title].values() for item in items], gallery)
+        for scene, more in pairs
+        for fit, measured in more.fits
+    ]
     store_views(gallery, every, min(most_views, USUAL_VIEWS))
     edits = {scene.title: [draw_edit(gallery, scene, edit) for edit in more.edits] for scene, more in pairs}
     stored = store_views(gallery, every, most_views)
@@ -121,6 +128,7 @@ def _draw_page(
         gallery.store(),
         overview,
         *analyses,
+        *fits,
         *runs,
         left_out,
         navigation=_navigation(parts),
@@ -136,7 +144,12 @@ def page_drawing(scenes: list[SceneScores], further: list[Further], results: str
     runs = [
         [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
     ]
-    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(runs), most_views]
+    fits = [
+        [fit.digest, digest_of_meshes(scene.dataset, fit)]
+        for scene, more in zip(scenes, further)
+        for fit, _ in more.fits
+    ]
+    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(runs), to_json(fits), most_views]
     return Drawing(draw=partial(report_page, scenes, further, most_views=most_views), about=["page", about])
 
 
@@ -178,7 +191,7 @@ def _compared(scores: RunScores, further: Further) -> list[Compared]:
 
 
 def _navigation(parts: Sequence[_ScenePart]) -> Markup:
-    """The overview, then each scene with its runs below it."""
+    """The overview, then each scene with its fits and runs below it."""
 
     def item(place: str, name: str, *below: Markup) -> Markup:
         return tag("li", tag("a", name, href=f"#{place}-page"), tag("ul", *below) if below else None)
@@ -186,7 +199,8 @@ def _navigation(parts: Sequence[_ScenePart]) -> Markup:
     items = [item("overview", "Overview")]
     for part in parts:
         runs = [item(run_anchor(part.scene, scores.run), scores.run.name) for scores in part.scene.runs]
-        items.append(item(_scene_anchor(part.scene), part.scene.title, *runs))
+        fits = [item(fit_anchor(part.scene, fit), fit.folder.name) for fit, _ in part.further.fits]
+        items.append(item(_scene_anchor(part.scene), part.scene.title, *fits, *runs))
     return tag("nav", tag("ul", *items), aria_label="Parts of the report")
 
 

@@ -17,6 +17,7 @@ from datagen.disk.storage import sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
+from eval.analyses.fits import FIT, Fit, read_fits
 from eval.analyses.variants import score_variants
 from eval.page.further import Further, analyse, figures_of
 from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
@@ -65,7 +66,8 @@ def make_report(
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     kept = kept_in(out)
-    if found := score_runs(runs, errors, kept, made_by=_made_by(only)):
+    fits = read_fits(runs_root, errors, besides=out)
+    if found := score_runs(runs, errors, kept, fits, made_by=_made_by(only)):
         _print_scores(found, output_format, is_full=is_full, is_published=is_published)
         write_page(found, out, kept, most_views=most_views, are_all=only is None)
     for error in errors[:-1]:
@@ -85,18 +87,21 @@ class Scored:
     """The content of results.json."""
 
 
-def score_runs(runs: list[Run], errors: list[HyalineError], kept: Kept, *, made_by: dict[str, Json]) -> Scored | None:
+def score_runs(
+    runs: list[Run], errors: list[HyalineError], kept: Kept, fits: Sequence[Fit] = (), *, made_by: dict[str, Json]
+) -> Scored | None:
     """Scores and analyses runs; None if no run can be scored.
 
     Args:
         errors: takes why a run could not be scored or analysed.
         kept: results of earlier reports.
+        fits: what `model fit` found; those of the runs' datasets are analysed, too.
         made_by: the command that asked for it, for results.json.
     """
     scenes = _score_scenes(runs, errors, kept)
     if not scenes:
         return None
-    further = [analyse(scene, errors, kept) for scene in scenes]
+    further = [analyse(scene, errors, kept, fits) for scene in scenes]
     more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
     results = results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
     return Scored(scenes=scenes, further=further, results=results)
@@ -138,7 +143,11 @@ def make_tables(
     kept = kept_in(out)
     scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
-        hint = f"; make them with `{_sweep_command(tables[0], only)}`" if tables[0] in TABLES.built_in else ""
+        hint = (
+            f"; make them with `{_sweep_command(tables[0], only)}`"
+            if tables[0] in TABLES.built_in and asked[tables[0]].is_swept
+            else ""
+        )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
     for table in asked.values():
         for grid in table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)):
@@ -177,7 +186,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
                 run = open_run(folder, data_root, dataset if is_own else None)
                 if dataset is None or run.dataset.seal == dataset.seal:
                     runs.append(run)
-            elif is_own:
+            elif is_own and not (folder / FIT).is_file():
                 say(f"{folder}: no predictions yet; skipped")
         except HyalineError as error:
             if is_own:

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeGuard
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
@@ -17,7 +16,7 @@ from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
-from eval.score.runs import Run, read_prediction
+from eval.score.runs import Run, is_number, read_costs, read_prediction
 from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores
 from eval.tables.grids import Column, Grid, format_number, psnr_text
 from eval.tables.looks import html_table
@@ -279,7 +278,7 @@ def read_training(folder: Path) -> Training:
     """A run's curves and costs from its files; empty without them, as for foreign methods."""
     path = folder / "metrics.jsonl"
     curves: dict[str, list[tuple[float, float]]] = {}
-    costs = _read_costs(folder / "costs.json")
+    costs = read_costs(folder)
     costs_data = json.dumps(costs, sort_keys=True).encode() if costs else b""
     if not path.is_file():
         return Training(curves={}, costs=costs, digest=sha256(costs_data) if costs else "")
@@ -297,7 +296,7 @@ def read_training(folder: Path) -> Training:
         step = record.pop("step", None)
         if isinstance(step, (int, float)):
             for key, value in record.items():
-                if _is_number(value):
+                if is_number(value):
                     curves.setdefault(key, []).append((float(step), float(value)))
     return Training(
         curves={key: _thinned(points) for key, points in curves.items()},
@@ -305,21 +304,6 @@ def read_training(folder: Path) -> Training:
         digest=sha256(data + costs_data),
         is_damaged=is_damaged,
     )
-
-
-def _read_costs(path: Path) -> dict[str, float]:
-    """The numbers of a file; empty if it is missing or cannot be read."""
-    if not path.is_file():
-        return {}
-    try:
-        found = parse_json(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
-    except HyalineError:
-        return {}
-    return {key: float(value) for key, value in found.items() if _is_number(value) and float(value) >= 0}
-
-
-def _is_number(value: object) -> TypeGuard[float]:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
 
 
 def describe_costs(training: Training) -> list[tuple[str, str]]:

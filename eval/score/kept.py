@@ -66,7 +66,7 @@ def code_digest() -> str:
     for package in PACKAGES:
         for path in sorted(path for path in (root / package).rglob("*") if path.suffix in (".py", ".css", ".js")):
             digest.update(path.relative_to(root).as_posix().encode() + b"\0" + path.read_bytes())
-    for package in ("scikit_image", "colour_science", "matplotlib"):
+    for package in ("scikit_image", "colour_science", "matplotlib", "flip_evaluator", "lpips"):
         # The folder's name contains the version; `importlib.metadata` would parse all packages.
         found = sorted(path.name for path in Path(np.__file__).parents[1].glob(f"{package}-*.dist-info"))
         digest.update(repr(found).encode())

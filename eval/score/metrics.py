@@ -3,16 +3,28 @@
 A split's score is the mean over its pictures of these values (`mean_of`), not the value of the pooled error.
 """
 
+import functools
+import importlib
+import importlib.util
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import ModuleType
 from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from datagen.terminal.command import say
+
 PEAK = 255
 SSIM_WINDOW = 11
 """Side of the Gaussian window in pixels; SSIM is undefined for smaller pictures."""
+LPIPS_SIDE = 31
+"""Least side of a picture in pixels that is left something of by AlexNet's pooling."""
+ALEXNET = "alexnet-owt-7be5be79.pth"
+"""torchvision's file of weights."""
 
 
 def psnr(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float:
@@ -69,6 +81,69 @@ def delta_e_2000(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h 
 
     lab = [colour.XYZ_to_Lab(colour.sRGB_to_XYZ(image / PEAK)) for image in (target, pred)]
     return np.asarray(colour.delta_E(lab[0], lab[1], method="CIE 2000"))
+
+
+def perceptual_metrics() -> tuple[str, ...]:
+    """Those of `flip` and `lpips` that this installation computes."""
+    found = {"flip": _flip_package(), "lpips": _lpips_distance()}
+    return tuple(name for name, part in found.items() if part is not None)
+
+
+def flip(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float | None:
+    """LDR-FLIP, the difference seen when flipping between both pictures, 0 to 1; None without flip-evaluator.
+
+    The mean over pixels at 67 pixels per degree, the package's default: a 0.7 m wide 4K display seen from 0.7 m.
+    Source: Andersson et al. 2020, computed by NVIDIA's own package.
+    """
+    package = _flip_package()
+    if package is None:
+        return None
+    images = [(image / PEAK).astype(np.float32) for image in (target, pred)]
+    error, _, _ = package.evaluate(*images, "LDR", applyMagma=False, computeMeanError=False)
+    return float(error.mean(dtype=np.float64))
+
+
+def lpips(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float | None:
+    """LPIPS 0.1, the distance of AlexNet's features, 0 for equal pictures; None without its package and weights.
+
+    Both sides are at least 31 pixels. Source: Zhang et al. 2018, computed by its authors' package.
+    """
+    distance = _lpips_distance()
+    if distance is None or min(target.shape[:2]) < LPIPS_SIDE:
+        return None
+    return distance(*(image * np.float32(2 / PEAK) - 1 for image in (pred, target)))
+
+
+@functools.cache
+def _lpips_distance() -> Callable[[np.ndarray, np.ndarray], float] | None:
+    """The distance of two pictures in -1 to 1; None unless everything is installed, since nothing is downloaded."""
+    if not all(map(importlib.util.find_spec, ("lpips", "torchvision", "torch"))):
+        return None
+    import torch
+
+    if not (Path(torch.hub.get_dir()) / "checkpoints" / ALEXNET).is_file():
+        return None
+    try:
+        package = importlib.import_module("lpips")
+    except (ImportError, OSError, RuntimeError) as error:  # torchvision raises the latter two beside another torch.
+        say(f"no LPIPS: the package lpips cannot be imported ({error})")
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # lpips 0.1.4 calls torchvision as versions before 0.13 wanted it.
+        network = package.LPIPS(net="alex", verbose=False)
+
+    def distance(*images: np.ndarray) -> float:
+        with torch.inference_mode():
+            return float(network(*(torch.from_numpy(image).permute(2, 0, 1)[None] for image in images)))
+
+    return distance
+
+
+@functools.cache
+def _flip_package() -> ModuleType | None:
+    """NVIDIA's package; None if it is not installed."""
+    name = "flip_evaluator"
+    return None if importlib.util.find_spec(name) is None else importlib.import_module(name)
 
 
 def mean_of(values: Sequence[float | None]) -> float | None:

@@ -21,7 +21,7 @@ import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 import numpy as np
 from jaxtyping import UInt8
@@ -34,7 +34,7 @@ from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, printable, real_path
-from datagen.disk.records import Json, from_json, load_json, read_regular, shown
+from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, parse_json, read_regular, shown
 from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
 from eval.score.png import check_png
@@ -280,3 +280,19 @@ def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) 
     if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
         raise HyalineError(f"{path}: {key} is {shown(value)}; expected {'an integer' if kind is int else 'text'}")
     return printable(value) if isinstance(value, str) else value
+
+
+def read_costs(folder: Path) -> dict[str, float]:
+    """Seconds and bytes that `model train --costs` counted, by name; empty if the file is missing or damaged."""
+    path = folder / "costs.json"
+    if not path.is_file():
+        return {}
+    try:
+        found = parse_json(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
+    except HyalineError:
+        return {}
+    return {key: float(value) for key, value in found.items() if is_number(value) and float(value) >= 0}
+
+
+def is_number(value: object) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

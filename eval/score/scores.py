@@ -9,12 +9,23 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, has_glass_mask, has_layers
+from datagen.data.dataset import Dataset, has_glass_mask, has_layers, takes_imported_masks
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import NumericsError
 from datagen.disk.records import Json
 from eval.score.kept import Kept, layers_digest, number_from_json, number_json, picture_digests
-from eval.score.metrics import SSIM_WINDOW, delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+from eval.score.metrics import (
+    SSIM_WINDOW,
+    delta_e_2000,
+    flip,
+    lpips,
+    masked_psnr,
+    mean_of,
+    perceptual_metrics,
+    psnr,
+    psnr_uint8_wrap,
+    ssim,
+)
 from eval.score.runs import (
     Run,
     has_split,
@@ -52,6 +63,8 @@ METRICS = (
     Metric(key="ssim", title="SSIM ↑", decimals=3),
     Metric(key="delta_e", title="ΔE2000 ↓", decimals=2),
     Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2, is_printed=False),
+    Metric(key="flip", title="FLIP ↓", decimals=4, is_printed=False),
+    Metric(key="lpips", title="LPIPS ↓", decimals=4, is_printed=False),
     Metric(
         key="psnr_uint8_wrap_db",
         title="PSNR wrapped (authors' script)",
@@ -174,7 +187,7 @@ def read_truth(dataset: Dataset, split: Split) -> Truth:
     """Pictures, glass masks and noise ceiling of a split."""
     digest: list[Json] = [*picture_digests(dataset, split)]
     digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
-    if has_glass_mask(dataset) and not has_layers(dataset):
+    if takes_imported_masks(dataset):
         digest += [view.mask_sha256 for view in dataset.views(split)]
     return Truth(
         dataset=dataset,
@@ -199,7 +212,7 @@ def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:
     splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
     for split in predicted:
         truth = truths[split]
-        about: Json = [truth.digest, list(digests[split])]
+        about: Json = [truth.digest, list(digests[split]), list(perceptual_metrics())]
         data = kept.get("scores", about, lambda truth=truth: scores_json(_score_split(run, truth)))
         splits[split] = scores_from_json(data)
     return RunScores(run=run, splits=splits, digests=digests)
@@ -244,5 +257,7 @@ def score_picture(
         "ssim": ssim(pred, target) if min(target.shape[:2]) >= SSIM_WINDOW else None,
         "delta_e": float(delta_e.mean()),
         "delta_e_p95": float(np.percentile(delta_e, 95)),
+        "flip": flip(pred, target),
+        "lpips": lpips(pred, target),
         "psnr_uint8_wrap_db": psnr_uint8_wrap(pred, target),
     }

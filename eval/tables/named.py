@@ -23,6 +23,8 @@ class Table:
     """The table, from the scores of each dataset's runs. Calling the second argument scores their edits, too."""
     picture: Callable[[SceneScores], bytes | None] = lambda _: None
     """A PNG beside the table; None: there is none."""
+    is_swept: bool = True
+    """True if `model sweep` trains its runs."""
 
 
 TABLES: Group[Table] = Group(
@@ -38,6 +40,8 @@ TABLES: Group[Table] = Group(
         "ablation": "eval.papers.tables:ABLATION",
         "variants": "eval.papers.tables:VARIANTS",
         "claims": "eval.papers.claims:CLAIMS_TABLE",
+        "known": "eval.papers.known:KNOWN",
+        "perceptual": "eval.papers.known:PERCEPTUAL",
     },
     guide="docs/adding-a-table.md",
     kind="eval.tables.named:Table",

@@ -9,7 +9,7 @@ again     the textures once more, from all pixels with the glass that was found,
 
 import dataclasses
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
 
@@ -19,30 +19,27 @@ from scipy import ndimage
 
 from datagen.build.build import peel_dataset
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
-from datagen.data.geometries import read_meshes, write_proxies
+from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh, is_there
-from datagen.data.paths import FITTED, TRUTH, geometry_root
+from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import PROXIES, holding
 from datagen.disk.records import Json
 from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene, material_json
+from datagen.scene.folder import load_scene
 from datagen.terminal.command import choose, say, track
 from model.fit import pictures, room
 from model.fit.fit_folder import FIT, FitFolder
+from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.outside import Hull, find_hull, find_outside
 from model.fit.search import (
-    NUMBERS,
-    Found,
     alternatives,
     count_cells,
     count_searches,
     find_roughness,
-    interval,
     refine,
     scan,
 )
-from model.fit.shapes import Glass, Revolution, from_state, to_state
 from model.fit.views import Sightings, known_meshes, rays_near, read_sightings
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -50,7 +47,7 @@ from model.settings.state import State
 
 Skipped = Literal["grid", "search", "again"]
 
-GRID_PIXELS, SEARCH_PIXELS = 2000, 5000
+GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Of each object, from all training views."""
 
 ROUNDS, LAST_ROUNDS = 4, 2
@@ -96,7 +93,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew
     check_has_meshes(dataset)
     unknown = _find_unknown(dataset, choices.unknown)
     root = geometry_root(dataset.root, geometry)
-    with holding(out, FIT), holding(root, PROXIES, within=dataset.root):
+    with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
@@ -111,8 +108,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew
             folder=folder,
         )
         found = work.run()
-        _write_geometry(dataset, geometry, meshes, found)
-        folder.finish(_summary(dataset, found))
+        write_geometry(dataset, geometry, meshes, found)
+        folder.finish(summary(dataset, found))
     if has_layers(dataset):
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=anew)
 
@@ -146,48 +143,6 @@ def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sigh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class FoundGlass:
-    """One object, and what is known of its numbers."""
-
-    glass: Revolution
-    hull: Revolution
-    """Its outside as masks show it, solid."""
-    unexplained: float
-    """Share of the mask's rays that miss the outside."""
-    numbers: dict[str, Found] = field(default_factory=dict)
-    history: tuple[dict[str, Json], ...] = ()
-    """The numbers after each round, and the mean penalty of the object's pixels."""
-    cells: tuple[tuple[float, ...], ...] = ()
-    """Wall, floor, corner and penalty of the cells of the grid, the best first; a wall of 0: solid."""
-
-    def state(self) -> dict[str, State]:
-        numbers = {name: dataclasses.asdict(found) for name, found in self.numbers.items()}
-        shapes = {"glass": to_state(self.glass), "hull": to_state(self.hull)}
-        return {
-            **shapes,
-            "unexplained": self.unexplained,
-            "numbers": numbers,
-            "history": list(self.history),
-            "cells": list(self.cells),
-        }
-
-    @classmethod
-    def of(cls, state: dict) -> "FoundGlass":
-        return cls(
-            glass=from_state(state["glass"]),
-            hull=from_state(state["hull"]),
-            unexplained=state["unexplained"],
-            numbers={name: Found(**values) for name, values in state["numbers"].items()},
-            history=tuple(state["history"]),
-            cells=tuple(state["cells"]),
-        )
-
-
-Objects = dict[int, FoundGlass]
-"""By object id."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class _Work:
     """The stages, in run order."""
 
@@ -211,13 +166,13 @@ class _Work:
             found = self._stage("search", what, found, lambda: self._search("search", textures, found, ROUNDS))
         if "again" not in skip:
             what = "again: learns textures with the glass that was found"
-            textures = self.folder.stage("textures", what, _digest(found), lambda: self._learn_again(found))
+            textures = self.folder.stage("textures", what, digest(found), lambda: self._learn_again(found))
             what = "again: searches once more"
             found = self._stage("again", what, found, lambda: self._search("again", textures, found, LAST_ROUNDS))
         return found
 
     def _stage(self, name: str, title: str, before: Objects, make: Callable[[], Objects]) -> Objects:
-        state = self.folder.stage(name, title, _digest(before), lambda: _states(make()))
+        state = self.folder.stage(name, title, digest(before), lambda: states(make()))
         return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
 
     def _learn_room(self) -> dict[str, State]:
@@ -271,13 +226,13 @@ class _Work:
             best, second = alternatives(cells)
             glass = find_roughness(best.glass, misses)
             drawn.put(object_id, glass)
-            words = f"  {self._name(object_id)}: {_in_words(best.glass)}"
+            words = f"  {self._name(object_id)}: {in_words(best.glass)}"
             if second is not best:
-                words += f"; with {second.loss / best.loss:.2f} times the loss: {_in_words(second.glass)}"
+                words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
             ordered = sorted(cells, key=lambda cell: cell.loss)
             listed = tuple((c.glass.wall or 0.0, c.glass.floor or 0.0, c.glass.corner or 0.0, c.loss) for c in ordered)
-            history = (_history("grid", glass, best.loss),)
+            history = (history_row("grid", glass, best.loss),)
             found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
         self._show_drawn("grid", drawn, found)
         return found
@@ -289,7 +244,7 @@ class _Work:
         for _ in track(self._rounds(stage, drawn, found, rounds), label=stage, total=total):
             pass
         for object_id, item in found.items():
-            say(f"  {self._name(object_id)}: {_in_words(item.glass)}")
+            say(f"  {self._name(object_id)}: {in_words(item.glass)}")
         self._show_drawn(stage, drawn, found)
         return found
 
@@ -306,7 +261,7 @@ class _Work:
                     item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                     yield
                 loss = float(misses(item.glass).mean())
-                history = (*item.history, _history(stage, item.glass, loss))
+                history = (*item.history, history_row(stage, item.glass, loss))
                 found[object_id] = dataclasses.replace(item, history=history)
 
     # What the stages share
@@ -369,67 +324,3 @@ class _Work:
 
     def _picture(self, view: int) -> pictures.Image8:
         return self.dataset.view("train", view).image
-
-
-def _states(found: Objects) -> dict[str, State]:
-    return {str(object_id): item.state() for object_id, item in found.items()}
-
-
-def _digest(found: Objects) -> str:
-    return fingerprint(_states(found)) if found else ""
-
-
-def _history(stage: str, glass: Glass, loss: float) -> dict[str, Json]:
-    numbers = {name: getattr(glass, name, None) for name in NUMBERS}
-    return {"stage": stage, **numbers, "absorption": list(glass.absorption), "loss": loss}
-
-
-def _in_words(glass: Revolution) -> str:
-    parts = [f"index {glass.ior:.3f}"]
-    if glass.wall is None:
-        parts.insert(0, "solid")
-    else:
-        assert glass.floor is not None
-        parts.insert(0, f"wall {1000 * glass.wall:.2f} mm, floor {1000 * glass.floor:.1f} mm")
-    if any(glass.absorption):
-        parts.append("absorption " + ", ".join(f"{value:.1f}" for value in glass.absorption) + " 1/m")
-    if glass.roughness is not None:
-        parts.append(f"roughness {glass.roughness:.2f}")
-    return ", ".join(parts)
-
-
-def _write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], found: Objects) -> None:
-    """Commits the meshes and materials that were found, beside the true ones of everything else."""
-    meshes = list(truths)
-    assignment = [TRUTH] * len(meshes)
-    materials: dict[str, Json] = {}
-    for object_id, item in found.items():
-        meshes[object_id - 1], assignment[object_id - 1] = item.glass.mesh(), FITTED
-        materials[dataset.objects[object_id - 1].name] = material_json(item.glass.material())
-    write_proxies(dataset, geometry, tuple(meshes), (None,) * len(meshes), tuple(assignment), materials)
-
-
-def _summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
-    """What fit.json holds of the objects."""
-    objects: list[Json] = []
-    for object_id, item in found.items():
-        glass = item.glass
-        objects.append(
-            {
-                "name": dataset.objects[object_id - 1].name,
-                "kind": glass.kind,
-                "axis": {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()},
-                "outline": glass.outline().tolist(),
-                "hull_outline": item.hull.outline().tolist(),
-                "unexplained": item.unexplained,
-                "numbers": {name: _interval(name, number) for name, number in item.numbers.items()},
-                "history": list(item.history),
-                "grid": [dict(zip(("wall", "floor", "corner", "loss"), cell, strict=True)) for cell in item.cells],
-            }
-        )
-    return {"objects": objects}
-
-
-def _interval(name: str, found: Found) -> Json:
-    low, high = interval(name, found)
-    return {"value": found.value, "low": low, "high": high}

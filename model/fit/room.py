@@ -1,6 +1,8 @@
 """The textures of the room, and drawing through glass that changes in front of them."""
 
+import contextlib
 import dataclasses
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import cast
 
@@ -32,6 +34,17 @@ BATCH = 1024
 BRANCHES, RAYS = 24, 9
 """While glass is drawn. With 8 branches a vessel is a tenth too dark, and a wrong wall makes up for it; with 4 rays a
 pixel's error is larger than that of a wall which is a tenth off."""
+
+
+@contextlib.contextmanager
+def one_thread() -> Iterator[None]:
+    """Lets torch use one thread: on so few pixels a second one costs more than it saves."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,6 +21,7 @@ from datagen.data.meshes import (
     welded,
     winding_number,
 )
+from datagen.data.shape_errors import nearest_points
 from datagen.terminal.command import say
 from proxies.meshing import meshlab
 from proxies.meshing.solid import Solid, outside_by, used_positions
@@ -147,35 +148,9 @@ def distances_to(clouds: list[Float64[np.ndarray, "_ 3"]], truths: tuple[Mesh, .
         except meshlab.MeshlabError as error:
             say(f"distances: pymeshlab failed ({error}); using NumPy instead")
     return [
-        point_distances(points, positions[faces]) for points, (positions, faces) in zip(clouds, surfaces, strict=True)
+        nearest_points(points, positions[faces]).distance
+        for points, (positions, faces) in zip(clouds, surfaces, strict=True)
     ]
-
-
-def point_distances(
-    points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]
-) -> Float64[np.ndarray, "point"]:
-    """Exact distances from points to triangles, without pymeshlab."""
-    from scipy.spatial import KDTree
-    from trimesh.triangles import closest_point
-
-    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
-    best = KDTree(corners.reshape(-1, 3)).query(points)[0]
-    centers = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
-    # One tree per triangle size; otherwise one large triangle would make every search large.
-    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
-    for size in np.unique(sizes)[::-1]:
-        index = np.flatnonzero(sizes == size)
-        tree, reach = KDTree(centers[index]), radii[index].max()
-        for start in range(0, len(points), 512):
-            rows = np.arange(start, min(start + 512, len(points)))
-            near = tree.query_ball_point(points[rows], best[rows] + reach)
-            row = np.repeat(rows, [len(found) for found in near])
-            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
-            if len(row):
-                distances = np.linalg.norm(closest_point(corners[face], points[row]) - points[row], axis=-1)
-                np.minimum.at(best, row, distances)
-    return best
 
 
 def _rounded(value: float) -> float:

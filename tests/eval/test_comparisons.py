@@ -15,12 +15,15 @@ from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.images import png_bytes
+from datagen.data.metadata import Imported
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.papers import claims
+from eval.papers.known import known_to
+from eval.score.runs import open_run
 from eval.score.seeds import spread
 from eval.tables.grids import MISSING
 from eval.tables.named import TABLES
@@ -374,6 +377,42 @@ def test_edited_scenes_decide_whether_zero_layers_help(
 
 
 # What is refused, and what the records must be
+
+
+def test_runs_are_told_apart_by_what_is_known_of_the_glass(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"light-path-seed{seed}", dataclasses.replace(LIGHT, seed=seed), 4 + seed, 6)
+        (tmp_path / "synthetic" / f"light-path-seed{seed}" / "costs.json").write_text(
+            f'{{"cpu_seconds": {60 + 60 * seed}}}'
+        )
+    for geometry, level in (("fitted", 8), ("fitted-hull", 16), ("fitted-materials", 7)):
+        write_run(dataset, tmp_path, geometry, dataclasses.replace(LIGHT, geometry=geometry), level, level)
+    write_run(dataset, tmp_path, "proxies", dataclasses.replace(LIGHT, geometry="box"), 9, 9)
+    changed = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, branches=4))
+    write_run(dataset, tmp_path, "changed", changed, 5, 5)
+    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
+    write_run(dataset, tmp_path, "a_field", "somebodys", 20, 20, geometry="none")
+    tables(dataset, tmp_path, "known")
+    rows = [row[:5] + row[6:] for row in rows_of(capsys.readouterr().out)[1:]]
+
+    def line(known: str, run: str, geometry: str, level: int) -> list[str]:
+        return [known, run, geometry, "1", f"{decibels(level):.2f}", MISSING]
+
+    mean, deviation = statistics.fmean([decibels(4), decibels(5)]), statistics.stdev([decibels(4), decibels(5)])
+    assert rows == [
+        ["told all", "light-path", "truth", "2", f"{mean:.2f}±{deviation:.2f}", "1.50±0.71"],
+        line("materials unknown", "fitted-materials", "fitted-materials", 7),
+        line("materials unknown", "paper", "truth", 10),
+        line("shapes from masks", "fitted-hull", "fitted-hull", 16),
+        line("shapes, materials from masks", "fitted", "fitted", 8),
+        line("pictures alone", "a_field", "none", 20),
+    ]
+    run = open_run(tmp_path / "synthetic" / "fitted", tmp_path)
+    source = Imported(layout="capture", source="photos", source_sha256="0", has_masks=True, has_depth=False)
+    imported = dataclasses.replace(dataset, imported=source)
+    assert known_to(dataclasses.replace(run, dataset=imported)) == "pictures alone"
 
 
 def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, tmp_path: Path) -> None:

@@ -1,13 +1,18 @@
 """Metrics against independent programs, closed forms and the mistakes they must not make."""
 
+import importlib.machinery
 import math
+import sys
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import peak_signal_noise_ratio
 
-from eval.score.metrics import delta_e_2000, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+from eval.score import metrics
+from eval.score.metrics import delta_e_2000, flip, lpips, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 
 
 def random_pair(seed: int, size: int = 48) -> tuple[np.ndarray, np.ndarray]:
@@ -84,6 +89,84 @@ def test_delta_e_equals_scikit_image() -> None:
     expected = deltaE_ciede2000(rgb2lab(target), rgb2lab(pred))
     # Their white points differ in the fifth digit.
     np.testing.assert_allclose(delta_e_2000(pred, target), expected, atol=0.02)
+
+
+def hunt_lab(level: tuple[int, int, int]) -> np.ndarray:
+    """CIE Lab of an sRGB colour as FLIP has it: chroma fades with lightness."""
+    lab = rgb2lab(np.array(level, np.uint8)[None])[0]
+    return lab * [1, 0.01 * lab[0], 0.01 * lab[0]]
+
+
+def flip_of_colours(one: tuple[int, int, int], other: tuple[int, int, int]) -> float:
+    """FLIP of two pictures of one colour each, which have no features: Andersson et al. 2020, section 4.1."""
+
+    def difference(a: np.ndarray, b: np.ndarray) -> float:
+        return (abs(a[0] - b[0]) + math.hypot(*(a - b)[1:])) ** 0.7
+
+    most = difference(hunt_lab((0, 255, 0)), hunt_lab((0, 0, 255)))
+    found = difference(hunt_lab(one), hunt_lab(other))
+    knee = 0.4 * most
+    return 0.95 * found / knee if found < knee else 0.95 + 0.05 * (found - knee) / (most - knee)
+
+
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [((0, 255, 0), (0, 0, 255)), ((0, 0, 0), (255, 255, 255)), ((128, 128, 128), (150, 150, 150)), ((9, 99, 200),) * 2],
+)
+def test_flip_of_even_pictures_is_that_of_the_paper(one: tuple[int, int, int], other: tuple[int, int, int]) -> None:
+    pytest.importorskip("flip_evaluator")
+    pred, target = (np.full((24, 24, 3), level, np.uint8) for level in (one, other))
+    # Of the margins, too: FLIP repeats the outermost pixels.
+    assert flip(pred, target) == pytest.approx(flip_of_colours(one, other), abs=1e-3)
+
+
+def test_flip_is_the_same_each_time_and_sees_features() -> None:
+    pytest.importorskip("flip_evaluator")
+    pred, target = random_pair(2)
+    found = flip(pred, target)
+    assert found is not None and 0.1 < found < 1
+    assert flip(pred, target) == found
+    line = target.copy()
+    line[:, 20] = 0
+    assert 0 < (flip(line, target) or 0) < 0.2
+
+
+def test_without_their_packages_and_weights_perceptual_scores_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stand-in for lpips, since its weights cannot be had here; with it nothing may be loaded without a file."""
+    made = []
+
+    class Distance:
+        def __init__(self, *, net: str, verbose: bool) -> None:
+            made.append((net, verbose))
+
+        def __call__(self, pred, target):
+            assert pred.shape == (1, 3, 48, 48) and pred.min() >= -1 and pred.max() <= 1
+            return (pred - target).abs().mean()
+
+    package, vision = ModuleType("lpips"), ModuleType("torchvision")
+    package.LPIPS = Distance
+    pred, target = random_pair(3)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(metrics, "_flip_package", lambda: None)
+    metrics._lpips_distance.cache_clear()
+    for name, module in (("lpips", package), ("torchvision", vision)):
+        module.__spec__ = importlib.machinery.ModuleSpec(name, None)
+        monkeypatch.setitem(sys.modules, name, module)
+    try:
+        assert lpips(pred, target) is None and flip(pred, target) is None
+        assert metrics.perceptual_metrics() == () and made == []
+        metrics._lpips_distance.cache_clear()
+        weights = tmp_path / "hub" / "checkpoints" / "alexnet-owt-7be5be79.pth"
+        weights.parent.mkdir(parents=True)
+        weights.touch()
+        expected = np.abs(pred.astype(float) - target).mean() / 127.5
+        assert lpips(pred, target) == pytest.approx(expected, rel=1e-5)
+        assert lpips(pred[:30], target[:30]) is None
+        assert metrics.perceptual_metrics() == ("lpips",) and made == [("alex", False)]
+    finally:
+        metrics._lpips_distance.cache_clear()
 
 
 @pytest.mark.parametrize(

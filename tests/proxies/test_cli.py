@@ -74,6 +74,20 @@ def test_a_second_run_keeps_the_files_and_overwrite_makes_the_same_bytes(
     assert [item["overwrite"] for item in peeled] == [False, False, True]
 
 
+def test_check_compares_surfaces_when_asked(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    call(monkeypatch, "make", "--assign", "pane=noise")
+    kept = capsys.readouterr().out
+    call(monkeypatch, "check", "--name", "mixed")
+    assert capsys.readouterr().out == kept
+    call(monkeypatch, "check", "--name", "mixed", "--shapes")
+    more = capsys.readouterr().out.removeprefix(kept)
+    (row,) = [line for line in more.splitlines() if " mm " in line]  # The floor is its own mesh.
+    name, chamfer, _, distance, *_ = row.split()
+    assert name == "pane" and 0 < float(chamfer) < 100 and 0 < float(distance) < 100 and "°" in row
+
+
 @pytest.mark.parametrize("file", ["proxies.json", "meshes/floor.ply"])
 def test_a_damaged_file_is_made_again(
     file: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any

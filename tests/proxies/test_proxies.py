@@ -335,17 +335,6 @@ def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
     assert numbers.mean_distance == pytest.approx(np.sqrt((beyond**2).sum(axis=-1) + 0.01).mean(), rel=2e-3)
 
 
-def test_distances_agree_with_a_loop_over_all_triangles() -> None:
-    from trimesh.triangles import closest_point
-
-    rng = np.random.default_rng(0)
-    # Triangles from a centimetre to ten metres, so that every class of sizes takes part.
-    corners = rng.normal(size=(60, 1, 3)) + rng.normal(size=(60, 3, 3)) * 10 ** rng.uniform(-2, 1, (60, 1, 1))
-    points = rng.normal(size=(300, 3)) * 3
-    slow = [np.linalg.norm(closest_point(corners, np.tile(p, (60, 1))) - p, axis=-1).min() for p in points]
-    np.testing.assert_allclose(measure.point_distances(points, corners), slow, rtol=1e-12)
-
-
 def test_surface_points_are_spread_by_area() -> None:
     mesh = box.fit_box(scipy_solid(shapes(0)[1]), padding=1e-5)
     points = measure.surface_points(mesh, 4000)

@@ -85,7 +85,7 @@ def listed_cameras(
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Model:
+class ColmapModel:
     """A camera model: its name, and how many numbers it has; the focal lengths come first, then the middle."""
 
     name: str
@@ -94,27 +94,29 @@ class _Model:
 
 
 MODELS = {
-    0: _Model(name="SIMPLE_PINHOLE", numbers=3),
-    1: _Model(name="PINHOLE", numbers=4, focals=2),
-    2: _Model(name="SIMPLE_RADIAL", numbers=4),
-    3: _Model(name="RADIAL", numbers=5),
-    4: _Model(name="OPENCV", numbers=8, focals=2),
-    6: _Model(name="FULL_OPENCV", numbers=12, focals=2),
+    0: ColmapModel(name="SIMPLE_PINHOLE", numbers=3),
+    1: ColmapModel(name="PINHOLE", numbers=4, focals=2),
+    2: ColmapModel(name="SIMPLE_RADIAL", numbers=4),
+    3: ColmapModel(name="RADIAL", numbers=5),
+    4: ColmapModel(name="OPENCV", numbers=8, focals=2),
+    6: ColmapModel(name="FULL_OPENCV", numbers=12, focals=2),
 }
 """By COLMAP's number. The others are of lenses that see wider than a plane shows."""
 IMAGE, POINT = struct.Struct("<I7dI"), 24
 CAMERA = struct.Struct("<IiQQ")
+TRACED = struct.Struct("<Q3d3BdQ")
+"""A point: number, place, colour, error, and how many images show it."""
 FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 """Where reconstructions lie in the folders of a capture."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Row:
-    """A camera as COLMAP lists it."""
+class ColmapCamera:
+    """A camera as COLMAP lists it: focal lengths, principal point, distortion."""
 
     width: int
     height: int
-    model: _Model
+    model: ColmapModel
     values: tuple[float, ...]
 
 
@@ -133,6 +135,11 @@ def has_colmap(root: Path) -> bool:
 
 def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
     """The cameras of a folder, in the order of their pictures' names."""
+    return tuple(_lens(row, remarks, where=where).camera(pose) for row, pose, where in colmap_images(root).values())
+
+
+def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray, "4 4"], str]]:
+    """By the names of the pictures, in order: camera, world_from_camera, and where it is read from."""
     found = _place(root)
     assert found is not None, "called only if has_colmap is true"
     folder, ending = found
@@ -140,14 +147,40 @@ def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
     lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
     if not 1 <= len(images) <= MAX_VIEWS:
         raise HyalineError(f"{paths[1]}: has {len(images):,} images; expected 1 to {MAX_VIEWS:,}")
-    cameras = []
+    read = {}
     for image in sorted(images, key=lambda image: image.name):
         where = f"{paths[1]}: {shown(image.name)}"
         if image.camera not in lenses:
             raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
-        lens = _lens(lenses[image.camera], remarks, where=where)
-        cameras.append(lens.camera(_world_from_camera(image, where=where)))
-    return tuple(cameras)
+        row = lenses[image.camera]
+        if not (row.values[0] > 0 and row.width > 0 and row.height > 0 and np.isfinite(row.values).all()):
+            raise HyalineError(
+                f"{where}: has a focal length of {row.values[0]:g} in pictures {row.width} pixels wide; expected more "
+                "than 0"
+            )
+        read[image.name] = row, _world_from_camera(image, where=where), where
+    return read
+
+
+def colmap_points(root: Path) -> Float[np.ndarray, "point 3"]:
+    """The points of a reconstruction; none without its file."""
+    found = _place(root)
+    assert found is not None, "called only if has_colmap is true"
+    path = found[0] / f"points3D.{found[1]}"
+    if not path.is_file():
+        return np.zeros((0, 3))
+    try:
+        if found[1] == "txt":
+            points = [[float(word) for word in words[1:4]] for words in _lines(path) if words]
+        else:
+            points, data, at = [], read_foreign(path), 8
+            for _ in range(struct.unpack_from("<Q", data)[0]):
+                _, *place, _, _, _, _, seen = TRACED.unpack_from(data, at)
+                points.append(place)
+                at += TRACED.size + 8 * seen
+        return np.array(points, np.float64).reshape(-1, 3)
+    except (struct.error, ValueError) as error:
+        raise HyalineError(f"{path}: is cut off or damaged ({error}); export it again") from None
 
 
 def _place(root: Path) -> tuple[Path, str] | None:
@@ -159,12 +192,8 @@ def _place(root: Path) -> tuple[Path, str] | None:
     return None
 
 
-def _lens(row: _Row, remarks: Remarks, *, where: str) -> Lens:
+def _lens(row: ColmapCamera, remarks: Remarks, *, where: str) -> Lens:
     numbers, focals = row.values, row.model.focals
-    if not (numbers[0] > 0 and row.width > 0 and row.height > 0 and np.isfinite(numbers).all()):
-        raise HyalineError(
-            f"{where}: has a focal length of {numbers[0]:g} in pictures {row.width} pixels wide; expected more than 0"
-        )
     if any(abs(value) > 1e-9 for value in numbers[focals + 2 :]):
         remarks.approximate("cameras", DISTORTED)
     if abs(numbers[focals - 1] / numbers[0] - 1) > TOLERANCE:
@@ -189,7 +218,7 @@ def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
 # Binary
 
 
-def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Image]]:
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
     try:
         return _binary_lenses(cameras), _binary_images(images)
     except (struct.error, ValueError) as error:
@@ -198,14 +227,14 @@ def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Im
         ) from None
 
 
-def _binary_lenses(path: Path) -> dict[int, _Row]:
+def _binary_lenses(path: Path) -> dict[int, ColmapCamera]:
     data = read_foreign(path)
     lenses, at = {}, 8
     for _ in range(_count(data, path)):
         camera, number, width, height = CAMERA.unpack_from(data, at)
         model = _model(MODELS.get(number), number, where=str(path))
         values = struct.unpack_from(f"<{model.numbers}d", data, at + CAMERA.size)
-        lenses[camera] = _Row(width=width, height=height, model=model, values=values)
+        lenses[camera] = ColmapCamera(width=width, height=height, model=model, values=values)
         at += CAMERA.size + 8 * model.numbers
     return lenses
 
@@ -235,9 +264,9 @@ def _count(data: bytes, path: Path) -> int:
 # Text
 
 
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Image]]:
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
     by_name = {model.name: model for model in MODELS.values()}
-    lenses: dict[int, _Row] = {}
+    lenses: dict[int, ColmapCamera] = {}
     listed: list[_Image] = []
     where = str(cameras)
     try:
@@ -247,7 +276,7 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, _Row], list[_Imag
                 values = tuple(map(float, words[4:]))
                 if len(values) != model.numbers:
                     raise ValueError(f"{len(values)} numbers of a {model.name}")
-                lens = _Row(width=int(words[2]), height=int(words[3]), model=model, values=values)
+                lens = ColmapCamera(width=int(words[2]), height=int(words[3]), model=model, values=values)
                 lenses[int(words[0])] = lens
         where = str(images)
         # Each image is two lines, the second of which lists its points, and may be empty.
@@ -266,7 +295,7 @@ def _lines(path: Path) -> list[list[str]]:
     return [line.split() for line in text.splitlines() if not line.startswith("#")]
 
 
-def _model(model: _Model | None, given: object, *, where: str) -> _Model:
+def _model(model: ColmapModel | None, given: object, *, where: str) -> ColmapModel:
     if model is None:
         known = ", ".join(model.name for model in MODELS.values())
         raise HyalineError(

@@ -36,7 +36,7 @@ SIDE = 8
 
 def take_over(folder: Path, root: Path, **choices: object) -> Dataset:
     chosen = DatasetImportChoices(**choices)  # type: ignore[arg-type]
-    return write_import(plan_import(folder, chosen), root, chosen, overwrite=False)
+    return write_import(plan_import(folder, chosen), root, overwrite=False)
 
 
 @pytest.fixture(scope="module")
@@ -433,5 +433,5 @@ def test_another_import_in_the_same_place_needs_to_be_told(blender: Path, tmp_pa
     with pytest.raises(HyalineError, match="imported from lego, of other files or with other choices; pass --overw"):
         take_over(blender, tmp_path / "out", downscale=2)
     chosen = DatasetImportChoices(downscale=2)
-    dataset = write_import(plan_import(blender, chosen), tmp_path / "out", chosen, overwrite=True)
+    dataset = write_import(plan_import(blender, chosen), tmp_path / "out", overwrite=True)
     assert dataset.config.resolution == square(SIDE // 2) and verify_dataset(dataset.root).problems == []

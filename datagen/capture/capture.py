@@ -1,0 +1,298 @@
+"""Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
+
+import dataclasses
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from datagen.capture.choices import CaptureChoices
+from datagen.capture.folder import Folder, Shot, read_capture
+from datagen.capture.lenses import redrawn, redrawn_mask, shared_lens
+from datagen.capture.outlines import Outline, find_outlines
+from datagen.capture.room import Part, find_up, fit_room
+from datagen.capture.structure import find_cameras, find_points
+from datagen.data.cameras import Cameras, Lens
+from datagen.data.config import SPLITS, Resolution, Split
+from datagen.data.depth_range import with_depth_range
+from datagen.data.images import png_bytes
+from datagen.data.metadata import Imported
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, load_json
+from datagen.disk.storage import dump_json
+from datagen.import_dataset.import_dataset import Plan, digest_of, imported_config, split_views
+from datagen.import_dataset.layouts import ForeignDataset, ForeignSurface, surface_name
+from datagen.import_dataset.pictures import on_background, opened
+from datagen.import_dataset.surfaces import UNKNOWN_LIGHT, read_surface
+from datagen.machine.confined import allow_triangles
+from datagen.scene.camera_list import CameraList
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.folder import save_scene
+from datagen.scene.foreign_files import scene_name
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.importers.confined_import import scene_from
+from datagen.scene.importers.importing import scene_object, unique_names
+from datagen.scene.importers.mapping import Mapper
+from datagen.scene.importers.overlaps import apart, nested
+from datagen.scene.importers.remarks import Remarks
+from datagen.scene.importers.staging import even_sky, z_up_from
+from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.mending import mend_scene
+from datagen.scene.modelling import ball, moved, transformed
+from datagen.scene.soundness import check_scene
+
+DISTANCE = 1.0
+"""Metres from the cameras to the glass where nothing tells the scale."""
+GREY = (0.5, 0.5, 0.5)
+"""Colour of the room in scene.json; renderers learn what it looks like."""
+MAX_SHARED = 0.02
+"""Share of an object's pixels that another may claim without a remark."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class World:
+    """From the cameras' world to ours: metres, z up."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    scale: float = 1.0
+    offset: Float[np.ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
+
+    def points(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
+        """Points in our world."""
+        return self.scale * points @ self.rotation.T + self.offset
+
+    def cameras(self, shots: list[Shot], lens: Lens) -> Cameras:
+        """The cameras of shots in our world, with the dataset's lens."""
+        poses = np.stack([shot.world_from_camera for shot in shots])
+        poses[:, :3, :3] = self.rotation @ poses[:, :3, :3]
+        poses[:, :3, 3] = self.points(poses[:, :3, 3])
+        return lens.cameras(poses)
+
+
+def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
+    """Finds everything in a folder but the looks of its pictures."""
+    folder = read_capture(root, find_cameras)
+    if not choices.room and not len(folder.points):
+        find_points(folder)
+        folder = read_capture(root, find_cameras)
+    shots = folder.shots
+    lens, about_lens = shared_lens([shot.lens for shot in shots], choices.longest)
+    ids = {shot.picture: _object_ids(shot, lens) for shot in shots}
+    about_masks = _check_masks(folder, list(ids.values()))
+    world, outlines, about_world = _place(folder, lens, [ids[shot.picture] for shot in shots], choices)
+    views, about_splits = split_views(_as_foreign(folder))
+    cameras: dict[Split, Cameras] = {
+        split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
+    }
+    parts: tuple[Part, ...] = ()
+    if not choices.room:
+        every = world.cameras(shots, lens).world_from_camera
+        room = fit_room(world.points(folder.points), outlines, every[:, :3, 3])
+        parts, about_world = room.parts, [*about_world, room.remark]
+        if room.support is not None:
+            outlines = tuple(outline.standing_on(room.support) for outline in outlines)
+    about_world += [_size_of(outline) for outline in outlines]
+    name = scene_name(root.resolve())
+    scene, about_scene = _find_scene(name, outlines, parts, cameras, world, choices)
+    place_of = {item.name: place for place, item in enumerate(scene.objects)}
+    object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
+    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    imported = Imported(
+        layout="capture",
+        source=root.resolve().name,
+        source_sha256=digest_of(_files(folder, choices), str(choices)),
+        has_masks=True,
+        has_depth=False,
+        has_objects=True,
+        remarks=(
+            *(f"cameras: {folder.cameras}", *folder.remarks, *about_lens, *about_masks, *about_splits),
+            *(*about_world, *about_scene),
+        ),
+    )
+
+    def files(split: Split, index: int) -> dict[str, bytes]:
+        shot = cast(Shot, views[split][index])
+        found = object_id[ids[shot.picture]]
+        return {
+            ".png": png_bytes(redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)),
+            ".mask.png": png_bytes(np.where(found > 0, 255, 0).astype(np.uint8)),
+            ".objects.png": png_bytes(found),
+        }
+
+    return Plan(
+        files=files,
+        cameras=cameras,
+        config=imported_config(name, Resolution(width=lens.width, height=lens.height), views),
+        scene=scene,
+        imported=imported,
+        stated_license=folder.license,
+    )
+
+
+def _as_foreign(folder: Folder) -> ForeignDataset:
+    """The folder, as far as its splits go."""
+    return ForeignDataset(
+        root=folder.root,
+        layout="capture",
+        lens=folder.shots[0].lens.pinhole,
+        views={**folder.views},
+        surfaces=(),
+        remarks=(),
+    )
+
+
+def _files(folder: Folder, choices: CaptureChoices) -> list[Path]:
+    """Every file whose content becomes a part of the dataset."""
+    parts = [path for shot in folder.shots for path in (shot.picture, *shot.masks)]
+    return [*parts, *([folder.points_file] if folder.points_file else []), *choices.room]
+
+
+# Masks
+
+
+def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
+    """1 + the place of the object that each pixel sees; where two claim it, the smaller one, which is in front."""
+    found = np.zeros((lens.height, lens.width), np.uint8)
+    masks = []
+    for path in shot.masks:
+        mask = np.asarray(opened(path, (shot.lens.width, shot.lens.height)).convert("L")) > 127
+        masks.append(redrawn_mask(mask, shot.lens, lens))
+    for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
+        found[masks[place]] = 1 + place
+    return found
+
+
+def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
+    counts = np.sum([np.bincount(found.reshape(-1), minlength=len(folder.objects) + 1) for found in ids], axis=0)
+    for name, count in zip(folder.objects, counts[1:], strict=True):
+        if not count:
+            raise HyalineError(
+                f"{folder.root}: the masks of {name} are black in all {len(ids)} pictures; expected white where the "
+                "object is seen, or no folder of it"
+            )
+    share = 100 * counts[1:].sum() / counts.sum()
+    return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
+
+
+# The world
+
+
+def _place(
+    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+) -> tuple[World, tuple[Outline, ...], list[str]]:
+    """Turns, scales and moves the cameras' world; the outlines of the glass in ours."""
+    shots = folder.shots
+    if choices.up != "auto" or folder.has_unit:
+        rotation = z_up_from("z" if choices.up == "auto" else choices.up)
+    else:
+        up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
+        rotation = _turning_up(up)
+    turned = World(rotation=rotation)
+    outlines = find_outlines(folder.objects, ids, turned.cameras(shots, lens), where=f"{folder.root}: masks")
+    middle = np.mean([outline.center for outline in outlines], axis=0)
+    bottom = min(outline.center[2] - outline.radii[2] for outline in outlines)
+    lines = []
+    if choices.diameter is not None:
+        name, metres = choices.known_diameter()
+        radii = {outline.name: outline.radii for outline in outlines}
+        if name not in radii:
+            raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(radii)}")
+        scale = metres / (radii[name][0] + radii[name][1])
+    elif choices.scale is not None or folder.has_unit:
+        scale = choices.scale or 1.0
+    else:
+        places = turned.cameras(shots, lens).world_from_camera[:, :3, 3]
+        scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
+        lines = [f"scale: is unknown; the cameras were put {DISTANCE:g} m away from the glass, --diameter sets it"]
+    # A transforms file's world keeps its origin; otherwise it is below the glass.
+    offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
+    world = World(rotation=rotation, scale=scale, offset=offset)
+    placed = tuple(
+        dataclasses.replace(
+            outline,
+            center=tuple((scale * np.array(outline.center) + offset).tolist()),
+            radii=tuple((scale * np.array(outline.radii)).tolist()),
+        )
+        for outline in outlines
+    )
+    return world, placed, lines
+
+
+def _size_of(outline: Outline) -> str:
+    sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
+    return f"{outline.name}: about {sides} mm by its masks; an ellipsoid, until `model fit` finds its shape"
+
+
+def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that turns a direction upwards."""
+    aside = np.eye(3)[np.abs(up).argmin()]
+    x = np.cross(aside, up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+# The scene
+
+
+def _find_scene(
+    name: str,
+    outlines: tuple[Outline, ...],
+    parts: tuple[Part, ...],
+    cameras: dict[Split, Cameras],
+    world: World,
+    choices: CaptureChoices,
+) -> tuple[Scene, list[str]]:
+    where = ", ".join(map(str, choices.room)) or name
+    with scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where) as (scene, folder):
+        return scene, cast(list[str], load_json(folder / "told.json")["told"])
+
+
+def _save_scene(
+    folder: Path,
+    name: str,
+    outlines: tuple[Outline, ...],
+    parts: tuple[Part, ...],
+    cameras: dict[Split, Cameras],
+    world: World,
+    choices: CaptureChoices,
+) -> None:
+    remarks = Remarks()
+    glass = [
+        SceneObject(
+            name=outline.name,
+            mesh=moved(transformed(ball(1.0, subdivisions=3), np.diag(outline.radii), (0, 0, 0)), outline.center),
+            material=Dielectric(ior=choices.ior),
+        )
+        for outline in outlines
+    ]
+    opaque = [SceneObject(name=part.name, mesh=part.mesh, material=Diffuse(color=GREY)) for part in parts]
+    opaque += _given_room(choices, world, remarks)
+    allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
+    names = unique_names([*(item.name for item in glass), *(item.name for item in opaque)])
+    objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
+    scene = Scene(
+        name=name,
+        description=f"Captured from {name}; its light is unknown",
+        objects=tuple(nested(apart(objects, remarks), remarks)),
+        environment=even_sky(UNKNOWN_LIGHT),
+        cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
+    )
+    scene = mend_scene(scene, without_uv=set(names))
+    check_scene(scene)
+    save_scene(scene, folder / "scene")
+    told: list[Json] = [f"{line.where}: {line.what}" for line in remarks.lines]
+    (folder / "told.json").write_bytes(dump_json({"told": told}))
+
+
+def _given_room(choices: CaptureChoices, world: World, remarks: Remarks) -> list[SceneObject]:
+    """The meshes of --room, all of them diffuse."""
+    mapper = Mapper(metres=world.scale, thin="open", remarks=remarks)
+    linear = world.scale * world.rotation
+    return [
+        scene_object(
+            surface_name(file), part, linear, world.offset, mapper, Diffuse(color=GREY), remarks, ImportChoices()
+        )
+        for file in choices.room
+        for part in read_surface(ForeignSurface(name=surface_name(file), file=file), remarks)
+    ]

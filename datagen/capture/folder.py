@@ -1,0 +1,259 @@
+"""What the folder of a capture holds: pictures, a mask for each of them and each object of glass, cameras, points.
+
+    FOLDER/images/NAME.jpg           pictures (PNG, JPEG or WebP); or in FOLDER itself, or where a transforms file says
+    FOLDER/masks/OBJECT/NAME.png     white where the object is seen
+    FOLDER/transforms.json           cameras as NeRF tools write them (or transforms_{train,val,test}.json), or
+    FOLDER/sparse/0/                 a model of COLMAP, binary or text, or neither
+
+Masks that a transforms file names (mask_file_path, as in RefRef) are of one object, `glass`.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.capture.lenses import TakenLens, lens_of_colmap, lens_of_frame
+from datagen.data.config import MAX_VIEWS
+from datagen.data.metadata import license_line
+from datagen.data.ply import read_ply_points
+from datagen.data.transforms import Transforms, read_transforms
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_regular, find_file
+from datagen.disk.records import shown
+from datagen.import_dataset.layouts import (
+    EVERY,
+    ONE_FILE,
+    ROLES,
+    ForeignView,
+    Role,
+    find_named,
+    frame_size,
+    picture_size,
+)
+from datagen.scene.description import MAX_OBJECTS
+from datagen.scene.importers.cameras import colmap_images, colmap_points, has_colmap
+from datagen.scene.importers.importing import unique_names
+
+PICTURES, MASKS, FOUND = "images", "masks", "colmap"
+ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
+POINTS = ("points3d.ply", "sparse_pc.ply")
+"""Files of points beside a transforms file that names none."""
+ONE_OBJECT = "glass"
+NAMED = 3
+"""Files that an error names."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shot(ForeignView):
+    """A picture, the lens that took it, and a mask for each object."""
+
+    lens: TakenLens
+    masks: tuple[Path, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Folder:
+    """Everything that the folder of a capture names."""
+
+    root: Path
+    views: dict[Role, tuple[Shot, ...]]
+    objects: tuple[str, ...]
+    """Names of the objects of glass, in the order of a shot's masks."""
+    points: Float[np.ndarray, "point 3"]
+    """Of opaque surfaces, in the cameras' world; there may be none."""
+    has_unit: bool
+    """The cameras' world is upright and in metres unless the user says otherwise: a transforms file's."""
+    cameras: str
+    """Where the cameras come from."""
+    points_file: Path | None = None
+    license: str | None = None
+    remarks: tuple[str, ...] = field(default=())
+
+    @property
+    def shots(self) -> list[Shot]:
+        """All views."""
+        return [shot for role in ROLES for shot in self.views[role]]
+
+
+def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"], None]) -> Folder:
+    """What a folder names; no picture is decoded.
+
+    Args:
+        find_cameras: writes a model of COLMAP for pictures without cameras into FOLDER/colmap.
+    """
+    if not root.is_dir():
+        raise HyalineError(f"{root}: is not a folder; expected one with {PICTURES}/ and {MASKS}/OBJECT/")
+    names: dict[Role, str] = {role: f"transforms_{role}.json" for role in ROLES}
+    files: dict[Role, str] = {role: name for role, name in names.items() if (root / name).is_file()}
+    if "train" not in files and (root / ONE_FILE).is_file():
+        files = {"train": ONE_FILE}
+    if "train" in files:
+        return _with_transforms(root, files)
+    pictures = find_pictures(root)
+    masks = Masks(root, pictures)
+    if not has_colmap(root):
+        find_cameras(root, pictures, masks)
+    return _with_colmap(root, pictures, masks)
+
+
+def find_pictures(root: Path) -> list[Path]:
+    """The pictures in images/, or else in the folder itself, by name."""
+    folder = root / PICTURES if (root / PICTURES).is_dir() else root
+    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
+    found = [path for path in found if path.relative_to(root).parts[0] != MASKS]
+    if not 3 <= len(found) <= MAX_VIEWS:
+        raise HyalineError(f"{folder}: has {len(found)} pictures; expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files")
+    for path in found:
+        check_regular(path, root, where=str(root))
+    return found
+
+
+class Masks:
+    """The masks of each object, by the pictures that they belong to."""
+
+    def __init__(self, root: Path, pictures: Sequence[Path]) -> None:
+        folder = root / MASKS
+        folders = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        if not 1 <= len(folders) < MAX_OBJECTS:
+            raise HyalineError(
+                f"{folder}: has {len(folders)} folders; expected one for each object of glass with a PNG for each "
+                "picture, white where the object is seen"
+            )
+        self.objects = tuple(unique_names([path.name for path in folders]))
+        self._of = dict(zip(pictures, zip(*(_masks_of(one, root, pictures) for one in folders)), strict=True))
+
+    def of(self, picture: Path) -> tuple[Path, ...]:
+        """The masks of a picture."""
+        return self._of[picture]
+
+
+def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
+    """The mask of each picture, found by its path below images/ or by its name alone."""
+    listed = {path.relative_to(folder).with_suffix("").as_posix(): path for path in folder.rglob("*.png")}
+    names = [Path(name_of(root, path)).with_suffix("").as_posix() for path in pictures]
+    stems = [path.stem for path in pictures]
+    if len(set(names)) < len(names):
+        again = next(name for name in names if names.count(name) > 1)
+        raise HyalineError(f"{root}: two pictures are called {shown(again)}; expected names that differ before the dot")
+    found = [
+        listed.get(name) or (listed.get(stem) if stems.count(stem) == 1 else None) for name, stem in zip(names, stems)
+    ]
+    if not any(found):
+        raise HyalineError(
+            f"{folder}: its masks are of none of the pictures; expected the pictures' names, such as {names[0]}.png"
+        )
+    lacking = [f"{name}.png" for name, path in zip(names, found, strict=True) if path is None]
+    if lacking:
+        raise HyalineError(
+            f"{folder}: has no mask for {len(lacking)} of {len(pictures)} pictures ({', '.join(lacking[:NAMED])}); "
+            "expected one for each, black where the object is not seen"
+        )
+    for path in found:
+        check_regular(path, root, where=str(root))  # type: ignore[arg-type]
+    return [path for path in found if path is not None]
+
+
+def name_of(root: Path, picture: Path) -> str:
+    """A picture's path below images/, or else below the folder: what COLMAP and masks call it."""
+    path = picture.relative_to(root)
+    return (Path(*path.parts[1:]) if path.parts[0] == PICTURES else path).as_posix()
+
+
+# Cameras
+
+
+def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
+    found: dict[Role, Transforms] = {
+        role: read_transforms(find_file(root, name, where=str(root))) for role, name in files.items()
+    }
+    first = found["train"]
+    pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
+    remarks = []
+    if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
+        masks = Masks(root, list(dict.fromkeys(path for paths in pictures.values() for path in paths)))
+        objects, masks_of = masks.objects, lambda _, picture: masks.of(picture)
+    elif all("mask_file_path" in frame for file in found.values() for frame in file.frames):
+        objects, masks_of = (ONE_OBJECT,), lambda frame, _: (find_named(root, frame, "mask_file_path"),)
+        remarks.append(f"masks: {MASKS}/ is not there; the files' masks are those of one object, {ONE_OBJECT}")
+    else:
+        Masks(root, [])
+        raise AssertionError("without folders of masks, this is an error")
+    views: dict[Role, list[Shot]] = {role: [] for role in ROLES}
+    for role, file in found.items():
+        for frame, picture in zip(file.frames, pictures[role], strict=True):
+            views[role].append(
+                Shot(
+                    picture=picture,
+                    mask=None,
+                    depth=None,
+                    world_from_camera=file.pose(frame),
+                    lens=lens_of_frame(file, frame, partial(frame_size, root)),
+                    masks=masks_of(frame, picture),
+                )
+            )
+    if len(files) == 1:
+        views = _every(views["train"])
+    points_file = _points_file(root, first)
+    return Folder(
+        root=root,
+        views={role: tuple(shots) for role, shots in views.items()},
+        objects=objects,
+        points=np.zeros((0, 3)) if points_file is None else read_ply_points(points_file),
+        has_unit=True,
+        cameras=", ".join(files.values()),
+        points_file=points_file,
+        license=license_line(first.content.get("license")),
+        remarks=tuple(remarks),
+    )
+
+
+def _points_file(root: Path, file: Transforms) -> Path | None:
+    named = file.content.get("ply_file_path")
+    if isinstance(named, str):
+        return find_file(root, named, where=f"{file.where}.ply_file_path")
+    return next((find_file(root, name, where=str(root)) for name in POINTS if (root / name).is_file()), None)
+
+
+def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
+    listed = colmap_images(root)
+    shots, lost = [], []
+    for picture in pictures:
+        name = name_of(root, picture)
+        if name not in listed:
+            lost.append(name)
+            continue
+        row, pose, where = listed[name]
+        lens = lens_of_colmap(row, picture_size(picture), where=where)
+        shots.append(
+            Shot(picture=picture, mask=None, depth=None, world_from_camera=pose, lens=lens, masks=masks.of(picture))
+        )
+    if len(shots) < 3:
+        raise HyalineError(
+            f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures; expected the names "
+            f"below {PICTURES}/, such as {name_of(root, pictures[0])}"
+        )
+    remarks = ()
+    if lost:
+        remarks = (
+            f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
+            f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})",
+        )
+    return Folder(
+        root=root,
+        views={role: tuple(found) for role, found in _every(shots).items()},
+        objects=masks.objects,
+        points=colmap_points(root),
+        has_unit=False,
+        cameras="COLMAP",
+        remarks=remarks,
+    )
+
+
+def _every(shots: list[Shot]) -> dict[Role, list[Shot]]:
+    """Each eighth shot is for tests."""
+    tests = shots[::EVERY]
+    return {"train": [shot for place, shot in enumerate(shots) if place % EVERY], "val": [], "test": tests}

@@ -1,0 +1,160 @@
+"""How far a mesh is from the true one: distances, normals, and the thickness of walls."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float64
+
+from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
+
+SAMPLES = 4096
+"""Points on each mesh where distances and normals are compared."""
+WALL_SAMPLES = 2048
+"""Points on each mesh where thickness is measured."""
+LINES_AT_ONCE = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeErrors:
+    """How far a mesh is from the true one; lengths in metres."""
+
+    chamfer: float
+    """Chamfer distance: the mean distance from each surface to the other, averaged over both directions."""
+    mean_distance: float
+    """Mean distance of the mesh's surface, insides of vessels included, from the true one."""
+    normal_deg: float
+    """Median angle in degrees between shading normals, on points of the mesh and the nearest true ones."""
+    wall: float | None
+    """Median difference in thickness, at points of the true outside and the nearest ones of the mesh's; None if a mesh
+    is open."""
+    thickness: float | None
+    """Median thickness of the mesh, measured from its outside."""
+    true_thickness: float | None
+    """Median thickness of the true mesh."""
+
+
+def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
+    """Compares two surfaces on points of both, the same ones every time."""
+    found, near = compare_surfaces(mesh, truth)
+    _, back = compare_surfaces(truth, mesh)
+    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near.points))
+    walls, true_walls = measure_walls(mesh), measure_walls(truth)
+    return ShapeErrors(
+        chamfer=float(near.distance.mean() + back.distance.mean()) / 2,
+        mean_distance=float(near.distance.mean()),
+        normal_deg=float(np.degrees(np.arccos(np.clip(np.median(cosines), -1, 1)))),
+        wall=_wall_error(walls, true_walls),
+        thickness=_median(walls.thickness),
+        true_thickness=_median(true_walls.thickness),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Nearest:
+    """The nearest point of a surface to each of some points."""
+
+    distance: Float64[np.ndarray, " point"]
+    points: SurfacePoints
+
+
+def compare_surfaces(mesh: Mesh, truth: Mesh, count: int = SAMPLES) -> tuple[SurfacePoints, Nearest]:
+    """Points on a mesh, and the nearest points of the true surface."""
+    found = points_on(mesh, count)
+    return found, nearest_points(found.position, face_corners(truth).astype(np.float64))
+
+
+def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Nearest:
+    """The exact nearest point of some triangles to each point."""
+    from scipy.spatial import KDTree
+    from trimesh.triangles import closest_point
+
+    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
+    best, corner = map(np.asarray, KDTree(corners.reshape(-1, 3)).query(points))
+    best_face, best_position = corner // 3, corners.reshape(-1, 3)[corner]
+    centers = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
+    # One tree per triangle size; otherwise one large triangle would make every search large.
+    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
+    for size in np.unique(sizes)[::-1]:
+        index = np.flatnonzero(sizes == size)
+        tree, reach = KDTree(centers[index]), radii[index].max()
+        for start in range(0, len(points), 512):
+            rows = np.arange(start, min(start + 512, len(points)))
+            near = tree.query_ball_point(points[rows], best[rows] + reach)
+            row = np.repeat(rows, [len(found) for found in near])
+            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
+            if len(row):
+                position = closest_point(corners[face], points[row])
+                distance = np.linalg.norm(position - points[row], axis=-1)
+                order = np.lexsort((distance, row))
+                first = order[np.unique(row[order], return_index=True)[1]]
+                first = first[distance[first] < best[row[first]]]
+                best[row[first]], best_face[row[first]] = distance[first], face[first]
+                best_position[row[first]] = position[first]
+    return Nearest(distance=best, points=SurfacePoints(face=best_face, position=best_position))
+
+
+def shading_normals(mesh: Mesh, points: SurfacePoints) -> Float64[np.ndarray, "point 3"]:
+    """Unit normals as light sees them, interpolated between the corners of each point's face."""
+    from trimesh.triangles import points_to_barycentric
+
+    weights = points_to_barycentric(face_corners(mesh)[points.face].astype(np.float64), points.position)
+    normals = np.einsum("pk,pkc->pc", weights, mesh.normals[mesh.faces[points.face]].astype(np.float64))
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Walls:
+    """Points on the outside of a mesh, and how thick it is there."""
+
+    position: Float64[np.ndarray, "point 3"]
+    thickness: Float64[np.ndarray, " point"]
+    """Distance in metres along the face's normal, inwards, to the next surface."""
+
+
+def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Walls:
+    """Thickness at points whose normal meets the mesh nowhere else; points with no surface opposite are left out."""
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
+    corners = face_corners(mesh).astype(np.float64) - middle
+    found = points_on(mesh, count)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    origins, directions = found.position - middle, normals[found.face]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    thickness = np.full(count, np.inf)
+    for start in range(0, count, LINES_AT_ONCE):
+        part = slice(start, start + LINES_AT_ONCE)
+        line, face = np.nonzero(_passes_through(origins[part], directions[part], corners))
+        line += start
+        along = np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face])
+        along /= np.einsum("pc,pc->p", directions[line], normals[face])
+        np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
+        thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
+    is_wall = np.isfinite(thickness)
+    return Walls(position=found.position[is_wall], thickness=thickness[is_wall])
+
+
+def _passes_through(
+    origins: Float64[np.ndarray, "line 3"],
+    directions: Float64[np.ndarray, "line 3"],
+    corners: Float64[np.ndarray, "face 3 3"],
+) -> Bool[np.ndarray, "line face"]:
+    """Which lines pass through which triangles: all three edges lie on the same side, by Plücker coordinates."""
+    lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
+    following = np.roll(corners, -1, axis=1)
+    edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
+    sides = [lines @ edges[:, edge].T for edge in range(3)]
+    return (np.minimum.reduce(sides) > 0) | (np.maximum.reduce(sides) < 0)
+
+
+def _wall_error(walls: Walls, true_walls: Walls) -> float | None:
+    from scipy.spatial import KDTree
+
+    if not len(walls.position) or not len(true_walls.position):
+        return None
+    nearest = np.asarray(KDTree(walls.position).query(true_walls.position)[1])
+    return _median(np.abs(walls.thickness[nearest] - true_walls.thickness))
+
+
+def _median(values: Float[np.ndarray, " _"]) -> float | None:
+    return float(np.median(values)) if len(values) else None

@@ -1,0 +1,129 @@
+"""Two tables that the paper lacks: what is known against what is reached, and perceptual scores."""
+
+from datagen.data.config import TEST_SPLITS
+from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.paths import TRUTH, is_fitted
+from eval.papers.comparisons import NOT_RUN, Line, data_note, spread_cell
+from eval.score.runs import Run, read_costs
+from eval.score.scores import METRICS, SceneScores
+from eval.score.seeds import SeedGroup, group_seeds, spread
+from eval.tables.grids import MISSING, Column, Grid
+from eval.tables.named import Table
+
+FITTED_MATERIALS, FITTED_HULL = "fitted-materials", "fitted-hull"
+"""Geometries of `model fit`: true shapes with materials found, and hulls as solid glass."""
+
+KNOWLEDGE = (
+    "told all",
+    "materials unknown",
+    "shapes from masks",
+    "shapes, materials from masks",
+    "pictures alone",
+)
+"""What a run was told, beside pictures and cameras; from most to least."""
+
+USUAL = (
+    *(Line(title="", method=method, flags={}, geometry=None) for method in ("light-path", "paper-best", "paper")),
+    Line(title="", method="deepvoxels", geometry=NO_GEOMETRY),
+)
+"""The methods that are compared, as they are by default; other methods count if they know no geometry."""
+
+
+def known_to(run: Run) -> str | None:
+    """One of `KNOWLEDGE`; None for runs that are not compared: other settings, and proxies made of the truth."""
+    told, shapes, hulls, fitted, pictures = KNOWLEDGE
+    geometry = run.geometry or ""
+    if geometry == NO_GEOMETRY:
+        return pictures
+    if not any(line.fits(run) for line in USUAL):
+        return None
+    if geometry == TRUTH:
+        return told if run.method == "light-path" else shapes
+    if not is_fitted(geometry):
+        return None
+    if run.dataset.imported is not None:
+        return pictures
+    return {FITTED_MATERIALS: shapes, FITTED_HULL: hulls}.get(geometry, fitted)
+
+
+def known_grid(scene: SceneScores) -> Grid:
+    """Runs by what they were told, with their scores and what training took."""
+    groups = group_seeds(scene.runs)
+    rows: list[tuple[str, ...]] = []
+    for known in KNOWLEDGE:
+        found = [group for group in groups if known_to(group.first) == known]
+        rows += [(known, *_cells(group)) for group in found] or [(known, NOT_RUN, *[MISSING] * 5)]
+    return Grid(
+        title=f"{scene.title}: what is known against what is reached",
+        columns=(
+            Column(group="known", is_number=False),
+            Column(group="run", is_number=False),
+            Column(group="geometry", is_number=False),
+            Column(group="seeds"),
+            *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
+            Column(group="CPU min"),
+        ),
+        rows=tuple(rows),
+        notes=(
+            "Pictures and cameras are known to all. Shapes from masks: hulls as solid glass. Pictures alone: imported "
+            "datasets, and methods without geometry. CPU min: processor minutes of training, counted with `model train "
+            "--costs`, without `model fit`. ±: sample standard deviation over seeds.",
+            data_note(scene),
+        ),
+    )
+
+
+def _cells(group: SeedGroup) -> tuple[str, ...]:
+    psnr = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
+    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
+    minutes = spread([None if seconds is None else seconds / 60 for seconds in costs])
+    return (group.name, group.first.geometry or MISSING, str(len(group.runs)), *psnr, spread_cell(minutes))
+
+
+KNOWN = Table(
+    shows=lambda run: known_to(run) is not None,
+    grids=lambda scenes, _: [known_grid(scene) for scene in scenes],
+    is_swept=False,
+)
+
+
+SHOWN = ("psnr_db", "ssim", "flip", "lpips")
+
+
+def perceptual_grid(scene: SceneScores) -> Grid:
+    """FLIP and LPIPS of each run beside PSNR and SSIM, the best FLIP first."""
+    metrics = [metric for metric in METRICS if metric.key in SHOWN]
+    groups = sorted(group_seeds(scene.runs), key=_by_flip)
+    rows = [
+        (
+            group.name,
+            str(len(group.runs)),
+            *(spread_cell(group.score(m.key, split), m.decimals) for m in metrics for split in TEST_SPLITS),
+        )
+        for group in groups
+    ]
+    return Grid(
+        title=f"{scene.title}: perceptual scores",
+        columns=(
+            Column(group="run", is_number=False),
+            Column(group="seeds"),
+            *(Column(group=metric.title, split=split) for metric in metrics for split in TEST_SPLITS),
+        ),
+        rows=tuple(rows),
+        notes=(
+            "FLIP: Andersson et al. 2020, at 67 pixels per degree, mean over pixels; needs the package flip-evaluator. "
+            "LPIPS: Zhang et al. 2018, version 0.1 with AlexNet; needs the packages lpips and torchvision, and its "
+            "weights in PyTorch's cache, since nothing is downloaded.",
+            data_note(scene),
+        ),
+    )
+
+
+def _by_flip(group: SeedGroup) -> float:
+    mean = group.score("flip", TEST_SPLITS[0]).mean
+    return 2.0 if mean is None else mean
+
+
+PERCEPTUAL = Table(
+    shows=lambda _: True, grids=lambda scenes, _: [perceptual_grid(scene) for scene in scenes], is_swept=False
+)

@@ -1,0 +1,118 @@
+"""Tests of how far a mesh is from the true one, against closed forms."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import trimesh
+from support.meshes import box, mesh_of
+
+from datagen.data.meshes import Mesh
+from datagen.data.shape_errors import measure_walls, nearest_points, shape_errors
+
+
+def ball(radius: float = 1.0, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
+    shape = trimesh.creation.icosphere(4, radius)
+    shape.apply_translation(shift)
+    return smooth(mesh_of(shape), shift)
+
+
+def smooth(mesh: Mesh, centre: tuple[float, float, float]) -> Mesh:
+    """With the normals of the ball that it stands for."""
+    normals = mesh.vertices - np.float32(centre)
+    return dataclasses.replace(mesh, normals=normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+
+
+def shell(inner: float) -> Mesh:
+    """A hollow ball of radius 1."""
+    outside, cavity = trimesh.creation.icosphere(4, 1.0), trimesh.creation.icosphere(4, inner)
+    cavity.invert()
+    return mesh_of(trimesh.util.concatenate([outside, cavity]))
+
+
+def cup(wall: float, floor: float) -> Mesh:
+    """A beaker of height 1 and radius 0.5, open at the top."""
+    inner = 0.5 - wall
+    line = [(0, 0), (0.5, 0), (0.5, 1), (inner, 1), (inner, floor), (0, floor)]
+    return mesh_of(trimesh.creation.revolve(line, sections=96))
+
+
+def test_distances_agree_with_a_loop_over_all_triangles() -> None:
+    from trimesh.triangles import closest_point
+
+    rng = np.random.default_rng(0)
+    # Triangles from a centimetre to ten metres, so that every class of sizes takes part.
+    corners = rng.normal(size=(60, 1, 3)) + rng.normal(size=(60, 3, 3)) * 10 ** rng.uniform(-2, 1, (60, 1, 1))
+    points = rng.normal(size=(300, 3)) * 3
+    found = nearest_points(points, corners)
+    slow = [np.linalg.norm(closest_point(corners, np.tile(p, (60, 1))) - p, axis=-1).min() for p in points]
+    np.testing.assert_allclose(found.distance, slow, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(points - found.points.position, axis=-1), slow, rtol=1e-12)
+    own = closest_point(corners[found.points.face], points)
+    np.testing.assert_allclose(own, found.points.position, atol=1e-12)
+
+
+def test_a_mesh_has_no_error_against_itself() -> None:
+    for mesh in (ball(), shell(0.9), cup(0.04, 0.1)):
+        found = shape_errors(mesh, mesh)
+        assert max(found.chamfer, found.mean_distance, found.wall or 0) < 1e-6
+        assert found.normal_deg < 0.1 and found.thickness == found.true_thickness
+
+
+def test_concentric_balls_differ_by_their_radii() -> None:
+    found = shape_errors(ball(1.1), ball(1.0))
+    assert found.chamfer == pytest.approx(0.1, rel=0.02)
+    assert found.mean_distance == pytest.approx(0.1, rel=0.02)
+    assert found.normal_deg < 0.2
+    assert found.wall == pytest.approx(0.2, rel=0.02)
+    assert found.thickness == pytest.approx(2.2, rel=2e-3)
+
+
+def test_a_shifted_ball_has_the_mean_distance_and_the_median_angle_of_the_formula() -> None:
+    shift = 0.1
+    cosine = np.linspace(-1, 1, 100_001)  # On a ball, heights are evenly spread.
+    away = np.sqrt(1 + shift**2 + 2 * shift * cosine)
+    found = shape_errors(ball(shift=(0, 0, shift)), ball())
+    assert found.mean_distance == pytest.approx(np.abs(away - 1).mean(), rel=0.02)
+    assert found.chamfer == pytest.approx(np.abs(away - 1).mean(), rel=0.02)
+    angles = np.degrees(np.arccos((1 + shift * cosine) / away))
+    assert found.normal_deg == pytest.approx(np.median(angles), rel=0.02)
+    assert found.wall == pytest.approx(0, abs=5e-3)
+
+
+def test_turned_normals_are_an_error_of_normals_alone() -> None:
+    truth = box((1, 1, 1))
+    angle = np.radians(10)
+    turn = trimesh.transformations.rotation_matrix(angle, [1, 1, 1])[:3, :3].astype(np.float32)
+    found = shape_errors(dataclasses.replace(truth, normals=truth.normals @ turn.T), truth)
+    # Of any axis-parallel direction, by Rodrigues' formula.
+    expected = np.degrees(np.arccos(np.cos(angle) + (1 - np.cos(angle)) / 3))
+    assert found.normal_deg == pytest.approx(expected, rel=1e-3)
+    assert max(found.chamfer, found.wall or 0) < 1e-6
+
+
+def test_the_wall_of_a_hollow_ball_is_the_difference_of_its_radii() -> None:
+    found = shape_errors(shell(0.9), shell(0.85))
+    assert found.thickness == pytest.approx(0.1, rel=0.02)
+    assert found.true_thickness == pytest.approx(0.15, rel=0.02)
+    assert found.wall == pytest.approx(0.05, rel=0.05)
+    walls = measure_walls(shell(0.9))
+    assert np.linalg.norm(walls.position, axis=-1).min() > 0.99  # Measured from the outside alone.
+    solid = shape_errors(ball(), shell(0.9))
+    assert solid.thickness == pytest.approx(2, rel=2e-3)
+    assert solid.wall == pytest.approx(1.9, rel=5e-3)
+
+
+def test_the_wall_and_the_floor_of_a_cup_are_told_apart() -> None:
+    walls = measure_walls(cup(0.04, 0.1))
+    is_floor = walls.position[:, 2] < 0.11
+    at_floor = walls.thickness[is_floor & (np.linalg.norm(walls.position[:, :2], axis=-1) < 0.45)]
+    assert np.median(at_floor) == pytest.approx(0.1, rel=1e-3)
+    assert shape_errors(cup(0.04, 0.1), cup(0.06, 0.1)).wall == pytest.approx(0.02, rel=0.02)
+
+
+def test_an_open_surface_has_no_wall() -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    pane = mesh_of(trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]]))
+    found = shape_errors(pane, pane)
+    assert found.wall is None and found.thickness is None and found.mean_distance < 1e-12
