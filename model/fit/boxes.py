@@ -48,6 +48,9 @@ EXPLAINED = 0.1
 USELESS = 0.3
 """Share of edge pixels beyond which a box is none; half of them are wrong for no shape at all."""
 
+MOST_REACH = 1.5
+"""Largest half diagonal in parts of how far the mask's rays pass from their middle: what others hide has no bounds."""
+
 GUTTER = 0.01
 """Width of the empty border around each chart of the atlas."""
 
@@ -75,7 +78,9 @@ class Box(Glass):
 
 
 def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = None) -> Box | None:
-    """The box that explains the masks best, upright unless a tilt explains more; None if no box resembles them.
+    """The box that explains the masks best, upright unless a tilt explains more.
+
+    None if no box resembles the masks, or other objects hide too much of it.
 
     Args:
         support: height along `up` of the known surface on which it stands, which an upright box does not go below.
@@ -101,7 +106,8 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
     tilted = search([upright, *others], any_way)
     best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
-    return best if best.unexplained < USELESS else None
+    is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
+    return best if is_seen and best.unexplained < USELESS else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from support.silhouettes import Meets, ball, block, sightings_of
 
 from datagen.data.meshes import check_closed, check_mesh, check_solid, signed_volume
@@ -60,6 +61,13 @@ def test_a_ball_is_explained_worse_by_a_box_than_a_box_is() -> None:
     rays = rays_near(sightings_of(ball((0, 0, 0.05), 0.04)), 1)
     box = fit_box(rays, UP)
     assert box is None or box.unexplained > 0.01
+
+
+def test_a_box_of_which_others_hide_all_edges_is_not_found() -> None:
+    seen = sightings_of(block(CENTER, SIZES, TURN))
+    inside = ndimage.binary_erosion(seen.first > 0, np.ones((1, 3, 3)), iterations=2)
+    seen = dataclasses.replace(seen, first=np.where(inside, 1, 2).astype(np.uint8), unknown=(1, 2))
+    assert fit_box(rays_near(seen, 1), UP) is None
 
 
 @pytest.mark.parametrize("rounding", [0.0002, 0.004])
