@@ -137,7 +137,7 @@ def fit(
         masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
             is seen first. Default: those in the dataset.
         mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
-            many others miss it, too. Default: 0, or 2 with --masks.
+            many others miss it, too. Default: 0, or 2 where masks were not made with the pictures.
         name: The geometry's name: fitted, or fitted-SOMETHING.
         out: Folder of what each stage found, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
         steps: Steps of learning the room's textures.
@@ -156,10 +156,11 @@ def fit(
     if steps < 1 or (mask_errors or 0) < 0:
         raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
     opened = open_dataset(find_dataset(dataset))
+    usual_errors = 0 if masks is None and opened.imported is None else 2
     choices = FitChoices(
         unknown=unknown,
         masks=masks,
-        mask_errors=(0 if masks is None else 2) if mask_errors is None else mask_errors,
+        mask_errors=usual_errors if mask_errors is None else mask_errors,
         steps=steps,
         skip=skip,
         seed=seed,

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float64, Int
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
-from model.fit.outside import WORTH_A_TILT, _center
+from model.fit.outside import WORTH_A_TILT, find_center
 from model.fit.shapes import Glass, perpendicular
 from model.fit.silhouettes import errors, misfit, pixel_angle, pull
 from model.fit.views import NearRays
@@ -88,7 +88,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     rng = np.random.default_rng(0)
     edge = rays.at_edges()
     few = _only(rays, np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
-    center, radius = _center(rays)
+    center, radius = find_center(rays)
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float64, Int
 from scipy import ndimage
 
 from datagen.build.build import peel_dataset
@@ -31,16 +31,17 @@ from datagen.terminal.command import choose, say, track
 from model.fit import pictures, room
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
-from model.fit.outside import Hull, find_hull, find_outside
+from model.fit.kinds import choose_outside
 from model.fit.search import (
     alternatives,
     count_cells,
     count_searches,
     find_roughness,
+    grid_row,
     refine,
     scan,
 )
-from model.fit.views import Sightings, known_meshes, rays_near, read_sightings
+from model.fit.views import Sightings, known_meshes, read_sightings
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -50,19 +51,9 @@ Skipped = Literal["grid", "search", "again"]
 GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Of each object, from all training views."""
 
-ROUNDS, LAST_ROUNDS = 4, 2
+ROUNDS, LAST_ROUNDS = 4, 1
 
 UP = np.array([0.0, 0.0, 1.0])
-
-STANDS = 0.08
-"""Between an object's lowest point, as masks show it, and the surface that it stands on, in parts of its radius."""
-
-GAP = 0.01
-"""Air left between an object and the surface that it stands on, in parts of its radius: where two surfaces coincide,
-which of them a ray meets is chance."""
-
-STACK = 32
-"""Units of the stack network while textures are learned again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -176,7 +167,7 @@ class _Work:
         return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
 
     def _learn_room(self) -> dict[str, State]:
-        pixels = self._pixels({}, stack=0)
+        pixels = self._pixels({})
         beside = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
         free = np.logical_not(beside)
         state = room.room_state(room.learn(pixels, np.flatnonzero(free), self.choices.steps, seed=self.choices.seed))
@@ -184,39 +175,35 @@ class _Work:
         return state
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
-        pixels = self._pixels(found, stack=STACK)
+        pixels = self._pixels(found)
         rows = np.arange(len(pixels.rgb))
         return room.room_state(room.learn(pixels, rows, self.choices.steps, seed=self.choices.seed))
 
     def _find_outsides(self) -> Objects:
         found = {}
         for object_id in self.sightings.unknown:
-            rays = rays_near(self.sightings, object_id)
-            if not rays.hits.any():
+            if not self.sightings.sees(object_id).any():
                 raise HyalineError(
                     f"{self.dataset.root}: no training picture shows {self._name(object_id)}, so it cannot be fitted"
                 )
-            hull = find_hull(rays, UP, order=self.choices.mask_errors)
-            outside = find_outside(hull, self._support(hull))
-            found[object_id] = FoundGlass(glass=outside, hull=outside, unexplained=hull.unexplained)
-            missed = f"{100 * hull.unexplained:.2g} % of its mask is outside of it"
-            say(f"  {self._name(object_id)}: {outside.kind}, {1000 * outside.height:.1f} mm high; {missed}")
+            outside = choose_outside(
+                self.sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
+            )
+            found[object_id] = FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
+            wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
+            say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
         self._show_outsides(found)
         return found
 
-    def _support(self, hull: Hull) -> float | None:
-        """Height along the axis of a known surface just below, or just above, an object's lowest point."""
+    def _stands_on(self, point: Float64[np.ndarray, "3"], reach: float) -> float | None:
         from datagen.trace.peel import Peeler
 
         if not any(map(is_there, self.known)):
             return None
-        lowest, reach = hull.heights[hull.radii > 0][0], STANDS * hull.radii.max()
-        start = hull.axis.point + (lowest + reach) * hull.axis.direction
-        hits = Peeler(self.known).trace(
-            start.astype(np.float32)[None], -hull.axis.direction.astype(np.float32)[None], 1
-        )
+        start = point + reach * UP
+        hits = Peeler(self.known).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
         is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
-        return float(lowest + reach - hits.t[0, 0] + GAP * hull.radii.max()) if is_near else None
+        return float(start @ UP - hits.t[0, 0]) if is_near else None
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)
@@ -231,7 +218,7 @@ class _Work:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
             ordered = sorted(cells, key=lambda cell: cell.loss)
-            listed = tuple((c.glass.wall or 0.0, c.glass.floor or 0.0, c.glass.corner or 0.0, c.loss) for c in ordered)
+            listed = tuple(grid_row(cell) for cell in ordered)
             history = (history_row("grid", glass, best.loss),)
             found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
         self._show_drawn("grid", drawn, found)
@@ -274,14 +261,14 @@ class _Work:
         rows = np.flatnonzero(self.sightings.sees(object_id))
         return np.sort(np.random.default_rng(self.choices.seed).permutation(rows)[:count])
 
-    def _pixels(self, found: Objects, *, stack: int) -> LightPathPixels:
+    def _pixels(self, found: Objects) -> LightPathPixels:
         meshes, materials = list(self.known), [item.material for item in self.scene.objects]
         for object_id, item in found.items():
             meshes[object_id - 1], materials[object_id - 1] = item.glass.mesh(), item.glass.material()
-        return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials), stack=stack)
+        return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials))
 
     def _room(self, textures: dict[str, State], found: Objects) -> room.Room:
-        return room.load_room(textures, self._pixels(found, stack=0))
+        return room.load_room(textures, self._pixels(found))
 
     # Pictures
 

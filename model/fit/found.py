@@ -2,6 +2,10 @@
 
 import dataclasses
 from dataclasses import dataclass, field
+from typing import Any, cast
+
+import numpy as np
+import torch
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import write_proxies
@@ -9,8 +13,11 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import FITTED, TRUTH
 from datagen.disk.records import Json
 from datagen.scene.folder import material_json
+from model.fit.boxes import Box
+from model.fit.handles import Attached, Handled
+from model.fit.hull import HullShape
 from model.fit.search import NUMBERS, Found, interval
-from model.fit.shapes import Glass, Revolution, from_state, to_state
+from model.fit.shapes import Axis, Glass, Revolution
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
 
@@ -19,11 +26,11 @@ from model.settings.state import State
 class FoundGlass:
     """One object, and what is known of its numbers."""
 
-    glass: Revolution
-    hull: Revolution
+    glass: Glass
+    hull: Glass
     """Its outside as masks show it, solid."""
     unexplained: float
-    """Share of the mask's rays that miss the outside."""
+    """Share of the rays at the mask's edge that the outside explains wrongly."""
     numbers: dict[str, Found] = field(default_factory=dict)
     history: tuple[dict[str, Json], ...] = ()
     """The numbers after each round, and the mean penalty of the object's pixels."""
@@ -53,6 +60,26 @@ class FoundGlass:
         )
 
 
+KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Revolution)
+"""The records that a state may hold."""
+
+
+def to_state(value: object) -> State:
+    """A record, with the records and arrays in it, as PyTorch stores it."""
+    if isinstance(value, KINDS):
+        fields = {field.name: to_state(getattr(value, field.name)) for field in dataclasses.fields(value)}
+        return {"is": type(value).__name__, **fields}
+    return torch.from_numpy(np.array(value)) if isinstance(value, np.ndarray) else cast(State, value)
+
+
+def from_state(state: object) -> Any:
+    """What `to_state` stored."""
+    if isinstance(state, dict):
+        kind = next(kind for kind in KINDS if kind.__name__ == state["is"])
+        return kind(**{name: from_state(value) for name, value in state.items() if name != "is"})
+    return state.numpy() if isinstance(state, torch.Tensor) else state
+
+
 Objects = dict[int, FoundGlass]
 """By object id."""
 
@@ -70,9 +97,10 @@ def history_row(stage: str, glass: Glass, loss: float) -> dict[str, Json]:
     return {"stage": stage, **numbers, "absorption": list(glass.absorption), "loss": loss}
 
 
-def in_words(glass: Revolution) -> str:
+def in_words(glass: Glass) -> str:
+    """Its numbers, in one line."""
     parts = [f"index {glass.ior:.3f}"]
-    if glass.wall is None:
+    if not isinstance(glass, Revolution) or glass.wall is None:
         parts.insert(0, "solid")
     else:
         assert glass.floor is not None
@@ -104,9 +132,9 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
             {
                 "name": dataset.objects[object_id - 1].name,
                 "kind": glass.kind,
-                "axis": {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()},
-                "outline": glass.outline().tolist(),
-                "hull_outline": item.hull.outline().tolist(),
+                "axis": _axis_json(glass),
+                "outline": glass.outline().tolist() if isinstance(glass, Revolution) else None,
+                "hull_outline": item.hull.outline().tolist() if isinstance(item.hull, Revolution) else None,
                 "unexplained": item.unexplained,
                 "numbers": {name: _interval(name, number) for name, number in item.numbers.items()},
                 "history": list(item.history),
@@ -114,6 +142,12 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
             }
         )
     return {"objects": objects}
+
+
+def _axis_json(glass: Glass) -> Json:
+    if not isinstance(glass, Revolution):
+        return None
+    return {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
 
 
 def _interval(name: str, found: Found) -> Json:

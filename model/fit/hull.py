@@ -12,7 +12,7 @@ from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, vertex_normals
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
-from model.fit.outside import _center
+from model.fit.outside import find_center
 from model.fit.shapes import Glass
 from model.fit.silhouettes import pixel_angle, pull, unexplained
 from model.fit.views import NearRays, Sightings, rays_near
@@ -114,7 +114,7 @@ def _carved(
     from skimage.measure import marching_cubes
 
     outlines = _outlines(sightings, object_id)
-    center, radius = _center(rays)
+    center, radius = find_center(rays)
 
     def depth_inside(points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
         depth = _depth_inside(outlines, points)

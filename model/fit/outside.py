@@ -41,6 +41,8 @@ class Hull:
     """Metres along the axis from its point, evenly spaced."""
     radii: Float64[np.ndarray, " height"]
     """Metres; 0 beyond the ends."""
+    bounds: Float64[np.ndarray, " height"]
+    """The same without ends: infinite where no ray bounds it."""
     unexplained: float
     """Share of the mask's rays that miss the hull."""
 
@@ -54,7 +56,7 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     Args:
         order: how many rays at each height may miss the object by mistake.
     """
-    center, radius = _center(rays)
+    center, radius = find_center(rays)
     edge = rays.at_edges()
     axis = Axis(point=center, direction=up)
     coarse = np.linspace(-radius, radius, COARSE)
@@ -85,14 +87,14 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
     inside = rho[rays.hits] <= radii
     explained = inside.any(axis=1)
     if not explained.any():
-        return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), unexplained=1.0)
+        return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), bounds=radii, unexplained=1.0)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
     # Where masks may be wrong, some rays that meet the object pass it by.
     spare = round(WRONG_RAYS * len(lowest)) if order else 0
     top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare]
     place = np.arange(len(heights))
     kept = np.where((place >= bottom) & (place <= top), radii, 0)
-    return Hull(axis=axis, heights=heights, radii=kept, unexplained=float(1 - explained.mean()))
+    return Hull(axis=axis, heights=heights, radii=kept, bounds=radii, unexplained=float(1 - explained.mean()))
 
 
 def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
@@ -125,7 +127,7 @@ def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> flo
     return float(np.minimum(gaps, FAR * heights[-1]).mean())
 
 
-def _center(rays: NearRays) -> tuple[Float64[np.ndarray, "3"], float]:
+def find_center(rays: NearRays) -> tuple[Float64[np.ndarray, "3"], float]:
     """The point nearest to the rays through the middles of the masks, and how far the object reaches from it."""
     middles = [_mean_ray(rays, view) for view in np.unique(rays.view[rays.hits])]
     o, d = (np.stack(column) for column in zip(*middles, strict=True))
@@ -142,7 +144,7 @@ def _mean_ray(rays: NearRays, view: int) -> tuple[np.ndarray, np.ndarray]:
     return rays.origins[these][0], direction / np.linalg.norm(direction)
 
 
-ROUND = 0.006
+ROUND = 0.015
 """By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
 largest radius."""
 
@@ -152,20 +154,24 @@ RIM_LEFT_OUT = 0.08
 FOOT_LEFT_OUT = 0.02
 """Above the bottom."""
 
+BELT = 0.7
+"""Half the height of the belt of a ball to which its circle is fitted."""
+
+ROUNDS = 5
+"""Of moving that belt to the ball's middle."""
+
 NOISE = 0.003
 """Standard deviation of a hull's radii."""
 
 
 def find_outside(hull: Hull, support: float | None) -> Revolution:
-    """What a hull shows of the outside: a ball, or what may be a vessel or solid.
+    """What a hull shows of the outside of what may be a vessel or solid.
 
     Args:
         support: height along the axis of the known surface on which it stands; None: it stands on nothing.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]
-    if (ball := _as_ball(hull.axis, heights, radii)) is not None:
-        return ball
     bottom = heights[0] if support is None else support
     size = radii.max()
     rim = RIM_LEFT_OUT * size
@@ -180,18 +186,20 @@ def find_outside(hull: Hull, support: float | None) -> Revolution:
     return Revolution(axis=hull.axis, outside=evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE))
 
 
-def _as_ball(axis: Axis, heights: np.ndarray, radii: np.ndarray) -> Revolution | None:
-    """The ball with this outline, if it is one; its ends, which masks show badly, don't count."""
-    wide = radii > 0.3 * radii.max()
-    columns = np.stack([2 * heights[wide], np.ones(wide.sum())], axis=1)
-    (middle, rest), *_ = np.linalg.lstsq(columns, radii[wide] ** 2 + heights[wide] ** 2)
-    radius = float(np.sqrt(max(rest + middle**2, 0)))
-    circle = np.sqrt(np.maximum(radius**2 - (heights[wide] - middle) ** 2, 0))
-    reaches = heights[wide][[0, -1]] - middle
-    error = np.sqrt(np.mean((circle - radii[wide]) ** 2))
-    if error > ROUND * radius or reaches[0] > -0.8 * radius or reaches[1] < 0.8 * radius:
+def find_ball(hull: Hull) -> Revolution | None:
+    """The ball that a hull may be; None if it is not round. Its ends, which masks show badly, don't count."""
+    inside = hull.radii > 0
+    middle, radius = float(hull.heights[inside].mean()), float(hull.radii.max())
+    heights, radii = hull.heights[inside], hull.radii[inside]
+    for _ in range(ROUNDS):
+        near = (np.abs(hull.heights - middle) < BELT * radius) & np.isfinite(hull.bounds)
+        heights, radii = hull.heights[near], hull.bounds[near]
+        columns = np.stack([2 * heights, np.ones(len(heights))], axis=1)
+        (middle, rest), *_ = np.linalg.lstsq(columns, radii**2 + heights**2)
+        radius = float(np.sqrt(max(rest + middle**2, 0)))
+    circle = np.sqrt(np.maximum(radius**2 - (heights - middle) ** 2, 0))
+    if np.sqrt(np.mean((circle - radii) ** 2)) > ROUND * radius or np.ptp(heights) < BELT * radius:
         return None
     angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
-    return Revolution(
-        axis=axis, outside=np.stack([radius * np.cos(angles).round(9), middle + radius * np.sin(angles)], axis=1)
-    )
+    line = np.stack([radius * np.cos(angles).round(9), middle + radius * np.sin(angles)], axis=1)
+    return Revolution(axis=hull.axis, outside=line)

@@ -26,6 +26,9 @@ CORNERS = (0.3, 0.6)
 ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """1/m."""
 
+WORTH_A_TINT = 0.02
+"""Share of a channel's penalty that absorption has to take away from clear glass."""
+
 ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
 """GGX alpha."""
 
@@ -63,7 +66,7 @@ NUMBERS: dict[str, Number] = {
     "floor": Number(low=1e-5, high=10.0, reach=0.25, least=0.06),
     "corner": Number(low=0.02, high=0.95, reach=0.6, least=0.2),
     "foot": Number(low=1e-6, high=1.0, reach=1.2, least=0.3),
-    "ior": Number(low=1.2, high=2.5, reach=0.07, least=0.05, is_factor=False, by_parabola=True),
+    "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
 }
@@ -84,7 +87,7 @@ class Found:
 class Cell:
     """One cell of the grid."""
 
-    glass: Revolution
+    glass: Glass
     loss: float
 
 
@@ -93,26 +96,28 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
     return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
 
 
-def scan(outside: Revolution, misses: Misses) -> Iterator[Cell]:
+def scan(outside: Glass, misses: Misses) -> Iterator[Cell]:
     """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid."""
     for glass in _cells(outside):
         yield Cell(glass=glass, loss=float(misses(glass).mean()))
 
 
-def count_cells(outside: Revolution) -> int:
+def count_cells(outside: Glass) -> int:
     """How much `scan` yields."""
     return len(_cells(outside))
 
 
-def _cells(outside: Revolution) -> list[Revolution]:
-    if outside.is_closed:
+def _cells(outside: Glass) -> list[Glass]:
+    if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
-    return [outside, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
+    # A vessel with handles has other faces than a solid.
+    solid = [outside] if outside.wall is None else []
+    return [*solid, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
 
 
 def find_absorption(
-    glass: Revolution, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
-) -> tuple[Revolution, tuple[Found, Found, Found]]:
+    glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+) -> tuple[Glass, tuple[Found, Found, Found]]:
     """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures."""
     now = np.array(glass.absorption)
     tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-0.6, 0.6, STEPS)))
@@ -125,8 +130,16 @@ def find_absorption(
         return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
 
     best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
+    if not now.any() and not _explains_more(values, drawn):
+        best = even = odd = now
     found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
     return dataclasses.replace(glass, absorption=as_vector(best)), (found[0], found[1], found[2])
+
+
+def _explains_more(values: Float[np.ndarray, "value 3"], drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
+    """Whether some tint is worth its while: a little makes up for anything that is too bright."""
+    losses = np.stack([miss.mean(axis=0) for miss in drawn])
+    return bool((losses.min(axis=0) < (1 - WORTH_A_TINT) * losses[(values == 0).all(axis=1)][0]).any())
 
 
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -138,15 +151,15 @@ def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarr
     return float(np.exp(vertex(np.log(values[near]), losses[near]))) if place > 1 else float(values[place])
 
 
-def find_roughness(glass: Revolution, misses: Misses) -> Revolution:
+def find_roughness(glass: Glass, misses: Misses) -> Glass:
     """Frosted, if that explains the pictures better than smooth glass does."""
     tried = [glass, *(dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES)]
     return min(tried, key=lambda each: float(misses(each).mean()))
 
 
 def refine(
-    glass: Revolution, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, number: int
-) -> Iterator[tuple[Revolution, str, Found]]:
+    glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, number: int
+) -> Iterator[tuple[Glass, str, Found]]:
     """Searches each number in turn, once.
 
     Args:
@@ -164,13 +177,13 @@ def refine(
         yield glass, name, found
 
 
-def count_searches(glass: Revolution) -> int:
+def count_searches(glass: Glass) -> int:
     """How much `refine` yields."""
     return len(CHANNELS) + len(_searched(glass))
 
 
-def _searched(glass: Revolution) -> list[str]:
-    return [name for name in NUMBERS if getattr(glass, name) is not None]
+def _searched(glass: Glass) -> list[str]:
+    return [name for name in NUMBERS if getattr(glass, name, None) is not None]
 
 
 def reach_of(name: str, number: int) -> float:
@@ -179,8 +192,8 @@ def reach_of(name: str, number: int) -> float:
 
 
 def _search(
-    glass: Revolution, name: str, reach: float, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
-) -> tuple[Revolution, Found]:
+    glass: Glass, name: str, reach: float, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+) -> tuple[Glass, Found]:
     how = NUMBERS[name]
     steps = reach * np.linspace(-1, 1, STEPS)
     now = getattr(glass, name)
@@ -218,9 +231,21 @@ def interval(name: str, found: Found) -> tuple[float, float]:
     return found.value - spread, found.value + spread
 
 
+def grid_row(cell: Cell) -> tuple[float, ...]:
+    """Wall, floor, corner and loss of a cell; 0 where it is solid."""
+    numbers = (float(getattr(cell.glass, name, None) or 0) for name in ("wall", "floor", "corner"))
+    return (*numbers, cell.loss)
+
+
+def hollow_of(glass: Glass) -> tuple[float, float] | None:
+    """Wall and floor in metres; None: solid."""
+    if not isinstance(glass, Revolution) or glass.wall is None or glass.floor is None:
+        return None
+    return glass.wall, glass.floor
+
+
 def alternatives(cells: Sequence[Cell]) -> tuple[Cell, Cell]:
     """The best cell and the second best: the best of those with another wall or floor."""
     ordered = sorted(cells, key=lambda cell: cell.loss)
-    best = ordered[0].glass
-    others = [cell for cell in ordered[1:] if (cell.glass.wall, cell.glass.floor) != (best.wall, best.floor)]
+    others = [cell for cell in ordered[1:] if hollow_of(cell.glass) != hollow_of(ordered[0].glass)]
     return ordered[0], (others or ordered)[0]

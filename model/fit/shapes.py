@@ -9,8 +9,6 @@ from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
-from datagen.scene.values import as_vector
-from model.settings.state import State
 
 SEGMENTS = 96
 """Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
@@ -23,6 +21,9 @@ OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 
 POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
 """Of every section."""
+
+MOST_FLOOR = 0.95
+"""Highest floor of a hollow, in parts of the height."""
 
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
@@ -137,29 +138,12 @@ class Revolution(Glass):
         return revolved(self.axis, self.outline())
 
 
-def to_state(glass: Glass) -> dict[str, State]:
-    """What `from_state` reads back, for files of PyTorch."""
-    import torch
-
-    fields = {field.name: getattr(glass, field.name) for field in dataclasses.fields(glass)}
-    axis = fields.pop("axis")
-    arrays = {"point": axis.point, "direction": axis.direction, "outside": fields.pop("outside")}
-    return {**fields, **{name: torch.from_numpy(np.array(values)) for name, values in arrays.items()}}
-
-
-def from_state(state: dict) -> Revolution:
-    fields = dict(state)
-    axis = Axis(point=fields.pop("point").numpy(), direction=fields.pop("direction").numpy())
-    absorption = as_vector(np.array(fields.pop("absorption")))
-    return Revolution(axis=axis, outside=fields.pop("outside").numpy(), absorption=absorption, **fields)
-
-
 def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
     """The inside of a vessel from its rim down to the axis."""
     tangents = np.gradient(outside, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
     inward = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
-    bottom = outside[:, 1].min() + floor
+    bottom = outside[:, 1].min() + min(floor, MOST_FLOOR * float(np.ptp(outside[:, 1])))
     height = np.clip((outside[:, 1] - bottom) / (outside[-1, 1] - bottom), 0, 1)
     inner = outside + (wall + height * (at_rim - wall))[:, None] * inward
     # As a function of height, from the floor up: what lies below, or would fold over the axis, is cut.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from datagen.data.cameras import Cameras, look_at
-from model.fit.outside import find_hull, find_outside, hull_about
+from model.fit.outside import find_ball, find_hull, find_outside, hull_about
 from model.fit.shapes import Axis
 from model.fit.views import Sightings, rays_near
 
@@ -83,7 +83,8 @@ def test_a_ball_is_found_to_a_fraction_of_a_millimetre() -> None:
     taken = cameras()
     rays = rays_near(sightings_of(ball_mask(taken, 0.045), taken), 1)
     hull = hull_about(rays, Axis(point=CENTER, direction=UP), np.linspace(-0.06, 0.06, 241), order=0)
-    found = find_outside(hull, None)
+    found = find_ball(hull)
+    assert found is not None
     assert found.kind == "ball"
     middle = found.axis.point + found.outside[:, 1].mean() * found.axis.direction
     assert np.linalg.norm(middle - CENTER) < 0.0005

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from datagen.data.meshes import check_mesh, open_edges, signed_volume
-from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly, from_state, to_state
+from model.fit.found import from_state, to_state
+from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1

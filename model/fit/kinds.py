@@ -1,0 +1,108 @@
+"""Which kind of shape an object has: the one whose silhouettes differ least from its masks."""
+
+import dataclasses
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from jaxtyping import Float64
+
+from datagen.disk.errors import HyalineError
+from model.fit.boxes import fit_box
+from model.fit.handles import with_handles, without_handles
+from model.fit.hull import HullShape, carve
+from model.fit.outside import Hull, find_ball, find_hull, find_outside, hull_about
+from model.fit.shapes import Glass, Revolution
+from model.fit.silhouettes import unexplained
+from model.fit.views import NearRays, Sightings, rays_near
+
+STANDS = 0.1
+"""Between an object's lowest point, as masks show it, and the surface that it stands on, in parts of its radius."""
+
+GAP = 0.01
+"""Air left between an object and the surface that it stands on, in parts of its radius: where two surfaces coincide,
+which of them a ray meets is chance."""
+
+StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
+"""Height along up of a known surface no farther than this above or below a point; None: there is none."""
+
+GOOD = 0.03
+"""Share of edge pixels that a surface of revolution may get wrong before boxes and hulls are tried."""
+
+SIMPLER = 0.006
+"""Share of edge pixels by which a simpler kind may be worse: ball, then revolution or box, then hull."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class Outside:
+    """An outside, and how well it explains the masks."""
+
+    glass: Glass
+    unexplained: float
+    """Share of the rays at the mask's edge that meet the shape and should miss it, or the other way round."""
+
+
+def choose_outside(
+    sightings: Sightings, object_id: int, up: Float64[np.ndarray, "3"], *, mask_errors: int, stands_on: StandsOn
+) -> Outside:
+    """The outside of one object."""
+    rays = rays_near(sightings, object_id)
+    hull = find_hull(rays, up, order=mask_errors)
+    support = _support(hull, stands_on)
+    tried = [
+        Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays) + place * SIMPLER)
+        for place, glass in _round(hull, up, support)
+    ]
+    if min(each.unexplained for each in tried) > GOOD:
+        for place, glass in _others(sightings, object_id, rays, hull, up, support):
+            tried.append(Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays) + place * SIMPLER))
+    return min(tried, key=lambda each: each.unexplained)
+
+
+def _round(hull: Hull, up: np.ndarray, support: float | None) -> Iterator[tuple[int, Glass]]:
+    """Ball and revolution, with how simple they are."""
+    ball = find_ball(hull)
+    if ball is not None:
+        yield 0, ball
+    yield 1, find_outside(hull, _along_axis(hull, up, support))
+
+
+def _others(
+    sightings: Sightings, object_id: int, rays: NearRays, hull: Hull, up: np.ndarray, support: float | None
+) -> Iterator[tuple[int, Glass]]:
+    """Box, vessel with handles, and hull of any shape."""
+    box = fit_box(rays, up, support)
+    if box is not None:
+        yield 1, box
+    try:
+        shape = carve(sightings, object_id, up, support)
+    except HyalineError:
+        return  # Nothing is inside all masks.
+    yield 2, shape
+    vessel = _vessel_with_handles(rays, hull, shape, up, support)
+    if vessel is not None:
+        yield 1, vessel
+
+
+def _vessel_with_handles(
+    rays: NearRays, hull: Hull, shape: HullShape, up: np.ndarray, support: float | None
+) -> Revolution | None:
+    outside = find_outside(hull, _along_axis(hull, up, support))
+    beside = without_handles(rays, outside.hollowed(0.08, 0.1, 0.3), shape)
+    if not (~beside.hits).any() or not beside.hits.any():
+        return None
+    bare = find_outside(hull_about(beside, hull.axis, hull.heights, order=0), _along_axis(hull, up, support))
+    return with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
+
+
+def _support(hull: Hull, stands_on: StandsOn) -> float | None:
+    """Height along `up` of the known surface on which an object stands, with a gap above."""
+    if not hull.radii.any():
+        return None
+    lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
+    height = stands_on(hull.axis.point + lowest * hull.axis.direction, STANDS * radius)
+    return None if height is None else height + GAP * radius
+
+
+def _along_axis(hull: Hull, up: np.ndarray, support: float | None) -> float | None:
+    """A height along `up` as one along the axis."""
+    return None if support is None else float((support - hull.axis.point @ up) / (hull.axis.direction @ up))
