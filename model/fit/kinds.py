@@ -29,7 +29,7 @@ GOOD = 0.03
 """Share of edge pixels that a surface of revolution may get wrong before boxes and hulls are tried."""
 
 SIMPLER = 0.006
-"""Share of edge pixels by which a simpler kind may be worse: ball, then revolution or box, then hull."""
+"""Share of edge pixels by which a simpler kind may be worse: a ball than a revolution or box, and these than a hull."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,6 +39,12 @@ class Outside:
     glass: Glass
     unexplained: float
     """Share of the rays at the mask's edge that meet the shape and should miss it, or the other way round."""
+    complexity: int
+    """0: ball, 1: revolution or box, 2: hull."""
+
+    @property
+    def cost(self) -> float:
+        return self.unexplained + self.complexity * SIMPLER
 
 
 def choose_outside(
@@ -48,18 +54,18 @@ def choose_outside(
     rays = rays_near(sightings, object_id)
     hull = find_hull(rays, up, order=mask_errors)
     support = _support(hull, stands_on)
-    tried = [
-        Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays) + place * SIMPLER)
-        for place, glass in _round(hull, up, support)
-    ]
-    if min(each.unexplained for each in tried) > GOOD:
-        for place, glass in _others(sightings, object_id, rays, hull, up, support):
-            tried.append(Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays) + place * SIMPLER))
-    return min(tried, key=lambda each: each.unexplained)
+    found = [_judged(rays, *each) for each in _round(hull, up, support)]
+    if min(each.unexplained for each in found) > GOOD:
+        found += [_judged(rays, *each) for each in _others(sightings, object_id, rays, hull, up, support)]
+    return min(found, key=lambda each: each.cost)
+
+
+def _judged(rays: NearRays, complexity: int, glass: Glass) -> Outside:
+    return Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays), complexity=complexity)
 
 
 def _round(hull: Hull, up: np.ndarray, support: float | None) -> Iterator[tuple[int, Glass]]:
-    """Ball and revolution, with how simple they are."""
+    """Ball and revolution, with their complexity."""
     ball = find_ball(hull)
     if ball is not None:
         yield 0, ball
