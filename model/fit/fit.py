@@ -186,9 +186,12 @@ class _Work:
                 raise HyalineError(
                     f"{self.dataset.root}: no training picture shows {self._name(object_id)}, so it cannot be fitted"
                 )
-            outside = choose_outside(
-                self.sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
-            )
+            try:
+                outside = choose_outside(
+                    self.sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
+                )
+            except HyalineError as error:
+                raise HyalineError(f"{self._name(object_id)}: {error}") from None
             found[object_id] = FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
             wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
             say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")

@@ -50,13 +50,19 @@ class Outside:
 def choose_outside(
     sightings: Sightings, object_id: int, up: Float64[np.ndarray, "3"], *, mask_errors: int, stands_on: StandsOn
 ) -> Outside:
-    """The outside of one object."""
+    """The outside of one object.
+
+    Raises:
+        HyalineError: the masks do not show it.
+    """
     rays = rays_near(sightings, object_id)
     hull = find_hull(rays, up, order=mask_errors)
     support = _support(hull, stands_on)
     found = [_judged(rays, *each) for each in _round(hull, up, support)]
-    if min(each.unexplained for each in found) > GOOD:
+    if min((each.unexplained for each in found), default=1.0) > GOOD:
         found += [_judged(rays, *each) for each in _others(sightings, object_id, rays, hull, up, support)]
+    if not found:
+        raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     return min(found, key=lambda each: each.cost)
 
 
@@ -69,7 +75,9 @@ def _round(hull: Hull, up: np.ndarray, support: float | None) -> Iterator[tuple[
     ball = find_ball(hull)
     if ball is not None:
         yield 0, ball
-    yield 1, find_outside(hull, _along_axis(hull, up, support))
+    outside = find_outside(hull, _along_axis(hull, up, support))
+    if outside is not None:
+        yield 1, outside
 
 
 def _others(
@@ -93,11 +101,13 @@ def _vessel_with_handles(
     rays: NearRays, hull: Hull, shape: HullShape, up: np.ndarray, support: float | None
 ) -> Revolution | None:
     outside = find_outside(hull, _along_axis(hull, up, support))
+    if outside is None:
+        return None
     beside = without_handles(rays, outside.hollowed(0.08, 0.1, 0.3), shape)
     if not (~beside.hits).any() or not beside.hits.any():
         return None
     bare = find_outside(hull_about(beside, hull.axis, hull.heights, order=0), _along_axis(hull, up, support))
-    return with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
+    return None if bare is None else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
 
 
 def _support(hull: Hull, stands_on: StandsOn) -> float | None:

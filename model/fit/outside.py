@@ -160,22 +160,29 @@ BELT = 0.7
 ROUNDS = 5
 """Of moving that belt to the ball's middle."""
 
+LEAST_HEIGHTS = 8
+"""Fewer do not show an outline."""
+
 NOISE = 0.003
 """Standard deviation of a hull's radii."""
 
 
-def find_outside(hull: Hull, support: float | None) -> Revolution:
-    """What a hull shows of the outside of what may be a vessel or solid.
+def find_outside(hull: Hull, support: float | None) -> Revolution | None:
+    """What a hull shows of the outside of what may be a vessel or solid; None if it shows too little.
 
     Args:
         support: height along the axis of the known surface on which it stands; None: it stands on nothing.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]
+    if len(heights) < LEAST_HEIGHTS:
+        return None
     bottom = heights[0] if support is None else support
     size = radii.max()
     rim = RIM_LEFT_OUT * size
     kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
+    if kept.sum() < LEAST_HEIGHTS:
+        return None
     spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * (NOISE * size) ** 2)
     low, high = heights[kept][[0, -1]]
     below, above = np.asarray(spline([high - 1.5 * rim, high]))
@@ -189,10 +196,14 @@ def find_outside(hull: Hull, support: float | None) -> Revolution:
 def find_ball(hull: Hull) -> Revolution | None:
     """The ball that a hull may be; None if it is not round. Its ends, which masks show badly, don't count."""
     inside = hull.radii > 0
+    if not inside.any():
+        return None
     middle, radius = float(hull.heights[inside].mean()), float(hull.radii.max())
     heights, radii = hull.heights[inside], hull.radii[inside]
     for _ in range(ROUNDS):
         near = (np.abs(hull.heights - middle) < BELT * radius) & np.isfinite(hull.bounds)
+        if near.sum() < LEAST_HEIGHTS:
+            return None
         heights, radii = hull.heights[near], hull.bounds[near]
         columns = np.stack([2 * heights, np.ones(len(heights))], axis=1)
         (middle, rest), *_ = np.linalg.lstsq(columns, radii**2 + heights**2)

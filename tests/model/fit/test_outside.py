@@ -100,6 +100,7 @@ def test_a_cut_cone_is_found_even_if_some_mask_pixels_are_wrong() -> None:
     assert np.linalg.norm(across[:2]) < 0.001
     assert hull.axis.direction == pytest.approx(UP, abs=0.02)
     found = find_outside(hull, support=-hull.axis.point[2])
+    assert found is not None
     assert found.kind == "revolution"
     z = found.outside[:, 1] + hull.axis.point[2]
     side = (z > 0.01) & (z < height - 0.01)
