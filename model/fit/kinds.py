@@ -26,7 +26,7 @@ StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
 
 GOOD = 0.03
-"""Share of edge pixels that a surface of revolution may get wrong before boxes and hulls are tried."""
+"""Share of edge pixels that a shape may get wrong before other kinds are tried."""
 
 SIMPLER = 0.006
 """Share of edge pixels by which a simpler kind may be worse: a ball than a revolution or box, and these than a hull."""
@@ -60,7 +60,10 @@ def choose_outside(
     support = _support(hull, stands_on)
     found = [_judged(rays, *each) for each in _round(hull, up, support)]
     if min((each.unexplained for each in found), default=1.0) > GOOD:
-        found += [_judged(rays, *each) for each in _others(sightings, object_id, rays, hull, up, support)]
+        for each in _others(sightings, object_id, rays, hull, up, support):
+            found.append(_judged(rays, *each))
+            if found[-1].complexity < 2 and found[-1].unexplained < GOOD:
+                break
     if not found:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     return min(found, key=lambda each: each.cost)
@@ -83,7 +86,7 @@ def _round(hull: Hull, up: np.ndarray, support: float | None) -> Iterator[tuple[
 def _others(
     sightings: Sightings, object_id: int, rays: NearRays, hull: Hull, up: np.ndarray, support: float | None
 ) -> Iterator[tuple[int, Glass]]:
-    """Box, vessel with handles, and hull of any shape."""
+    """Box, hull of any shape, and vessel with handles, the quickest first."""
     box = fit_box(rays, up, support)
     if box is not None:
         yield 1, box

@@ -1,0 +1,35 @@
+"""Tests that an object gets the kind of shape that its masks show."""
+
+import numpy as np
+import pytest
+from support.silhouettes import Meets, ball, block, sightings_of
+
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.modelling import rotation
+from model.fit.found import from_state, to_state
+from model.fit.kinds import choose_outside
+
+use_mitsuba()
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def on_the_table(point: np.ndarray, reach: float) -> float | None:
+    return 0.0 if abs(point[2]) < reach else None
+
+
+@pytest.mark.parametrize(
+    ("meets", "kind"),
+    [
+        (ball((0.0, 0.01, 0.05), 0.04), "ball"),
+        (block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "box"),
+    ],
+    ids=["ball", "box"],
+)
+def test_the_kind_is_the_one_whose_silhouettes_fit(meets: Meets, kind: str) -> None:
+    sightings = sightings_of(meets, views=20, size=48)
+    outside = choose_outside(sightings, 1, UP, mask_errors=0, stands_on=on_the_table)
+    assert outside.glass.kind == kind
+    assert outside.unexplained < 0.03
+    mesh, again = outside.glass.mesh(), from_state(to_state(outside.glass)).mesh()
+    assert np.array_equal(mesh.vertices, again.vertices)
+    assert np.array_equal(mesh.faces, again.faces)
