@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import OBJECT_NAME
 
 MAX_LONGEST = 4096
 
@@ -44,6 +43,8 @@ class CaptureChoices:
 
     def known_diameter(self) -> tuple[str, float]:
         """The object of `diameter`, and its metres."""
+        from datagen.scene.description import OBJECT_NAME  # Not before: help needs no NumPy.
+
         match = re.fullmatch(rf"({OBJECT_NAME})=(\d*\.?\d+)", self.diameter or "")
         if match is None or not 0 < float(match[2]) < 100:
             raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and metres, such as tumbler=0.08")

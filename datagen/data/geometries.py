@@ -55,7 +55,7 @@ class ProxyRecord:
     file: str
     """meshes/NAME.ply, relative to the folder of the proxies."""
     sha256: str
-    statistics: ProxyStatistics | None = None
+    statistics: ProxyStatistics | None
     """None for fitted glass, which is made where the truth is not known."""
 
     def __post_init__(self) -> None:

@@ -8,7 +8,6 @@ import re
 import shlex
 from typing import TYPE_CHECKING
 
-from datagen.data.geometries import geometry_digest
 from datagen.data.paths import is_fitted
 from datagen.disk.errors import HyalineError
 from datagen.terminal.plugins import Group
@@ -76,7 +75,11 @@ def about(name: str) -> str:
 def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inputs:
     """What a method is given of a dataset."""
     if not config.reads_layers:
-        seal = geometry_digest(dataset, geometry) if is_fitted(geometry) else dataset.seal
+        seal = dataset.seal
+        if is_fitted(geometry):
+            from datagen.data.geometries import geometry_digest  # Not before: lists of methods need no NumPy.
+
+            seal = geometry_digest(dataset, geometry)
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=seal)
     store = dataset.layer_store(geometry)
     stored = min(store.head.num_layers, config.max_layers or store.head.num_layers)
