@@ -17,8 +17,10 @@ Vectorised variants only. Call `use_mitsuba` first.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping
+import gc
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -178,17 +180,18 @@ class LightPathTracer:
             rows = [mi.Float(column) for column in np.ascontiguousarray(_spread_evenly(count).T)]
             self._spread[count] = rows
 
-        outputs = self._trace(
-            self._scene,
-            tuple(self._tables._replace(medium_ior=self._iors[channel])),
-            self._media,
-            mi.Point3f(*to_columns(origins)),
-            mi.Vector3f(*to_columns(directions)),
-            tuple(rows),
-            dr.opaque(mi.UInt32, seed),
-            count,
-            *limits,
-        )
+        with _no_collection():
+            outputs = self._trace(
+                self._scene,
+                tuple(self._tables._replace(medium_ior=self._iors[channel])),
+                self._media,
+                mi.Point3f(*to_columns(origins)),
+                mi.Vector3f(*to_columns(directions)),
+                tuple(rows),
+                dr.opaque(mi.UInt32, seed),
+                count,
+                *limits,
+            )
         dr.eval(outputs)
 
         def array(name: str, *shape: int) -> np.ndarray:
@@ -243,6 +246,18 @@ class LightPathTracer:
         others = [_only(trace(filled, spread[filled], channel), channel) for channel in (RED, BLUE)]
         green = _only(paths, GREEN, paths.disperses)
         return _side_by_side(green, others, parted)
+
+
+@contextlib.contextmanager
+def _no_collection() -> Iterator[None]:
+    """Keeps Python's garbage collector away: Dr.Jit aborts the process if arrays go while a kernel is recorded."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()
 
 
 def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
