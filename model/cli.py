@@ -166,7 +166,7 @@ def fit(
         seed=seed,
     )
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
-    fit_glass(opened, name, choices, place, anew=overwrite)
+    fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))
     next_command(shlex.join(["model", "train", "light-path", str(opened.root), "--geometry", name]))
 

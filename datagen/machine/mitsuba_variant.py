@@ -5,6 +5,7 @@
 
 import contextlib
 import functools
+import gc
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -127,3 +128,18 @@ def short_lived_workers() -> Iterator[None]:
         yield
     finally:
         dr.set_thread_count(1)
+
+
+@contextlib.contextmanager
+def no_collection() -> Iterator[None]:
+    """Keeps Python's garbage collector away while a kernel may be recorded.
+
+    Dr.Jit 1.5 aborted the process once, when the collector freed arrays of another scene during a recording.
+    """
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

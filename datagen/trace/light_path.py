@@ -17,10 +17,8 @@ Vectorised variants only. Call `use_mitsuba` first.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false
 
-import contextlib
 import dataclasses
-import gc
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +26,7 @@ from jaxtyping import Bool, Float32, Int64, UInt8
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
@@ -180,7 +179,7 @@ class LightPathTracer:
             rows = [mi.Float(column) for column in np.ascontiguousarray(_spread_evenly(count).T)]
             self._spread[count] = rows
 
-        with _no_collection():
+        with no_collection():
             outputs = self._trace(
                 self._scene,
                 tuple(self._tables._replace(medium_ior=self._iors[channel])),
@@ -246,18 +245,6 @@ class LightPathTracer:
         others = [_only(trace(filled, spread[filled], channel), channel) for channel in (RED, BLUE)]
         green = _only(paths, GREEN, paths.disperses)
         return _side_by_side(green, others, parted)
-
-
-@contextlib.contextmanager
-def _no_collection() -> Iterator[None]:
-    """Keeps Python's garbage collector away: Dr.Jit aborts the process if arrays go while a kernel is recorded."""
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if was_enabled:
-            gc.enable()
 
 
 def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:

@@ -20,6 +20,7 @@ from jaxtyping import Float32, Int32, UInt8
 from datagen.data.cameras import Cameras
 from datagen.data.layers import UV_SCALE, Layers
 from datagen.data.meshes import Mesh, is_there
+from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 
 if TYPE_CHECKING:
@@ -91,7 +92,8 @@ class Peeler:
         # Opaque values; otherwise every camera would be recorded as a kernel of its own.
         start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else to_columns(origin)
         along = mi.Vector3f(*to_columns(directions))
-        outputs = self._trace(self._scene, mi.Point3f(*start), along, count, num_layers, is_coherent)
+        with no_collection():
+            outputs = self._trace(self._scene, mi.Point3f(*start), along, count, num_layers, is_coherent)
         shapes, prims, b1s, b2s, ts, num_hits = (np.array(values) for values in outputs)
         shape = (num_layers, count)
         return Hits(

@@ -11,7 +11,7 @@ from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH, view_name
+from datagen.data.paths import TRUTH
 from datagen.pages.charts import STYLE, Line, line_chart, new_figure, page_figure
 from datagen.pages.html import Markup, Part, anchor, join, prose, section, tag
 from datagen.pages.pictures import Gallery
@@ -27,7 +27,7 @@ from eval.analyses.fits import (
     section_of,
     surface_distances,
 )
-from eval.page.run_page import Compared, prediction_panel, store_truth, store_view, truth_name
+from eval.page.run_page import Compared, prediction_panel, store_view, truth_panels
 from eval.score.scores import SceneScores
 from eval.tables.grids import MISSING, Column, Grid
 from eval.tables.looks import html_table
@@ -248,11 +248,7 @@ def _views(gallery: Gallery, scene: SceneScores, fit: Fit, compared: Iterable[Co
     rows: list[Part] = []
     for split in TEST_SPLITS:
         view = scene.dataset.config.split(split).views // 2
-        panels: list[Part] = []
-        if store_truth(gallery, scene.dataset, split, view):
-            label = f"truth, {split} view {view_name(view)}"
-            picture = gallery.show(truth_name(scene.dataset, split, view), label=label)
-            panels.append(tag("figure", picture, tag("figcaption", label)))
+        panels = truth_panels(gallery, scene.dataset, split, view)
         panels += [
             prediction_panel(gallery, item, view)
             for item in shown

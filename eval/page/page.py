@@ -29,6 +29,7 @@ from eval.page.run_page import (
     store_view,
     store_views,
     truth_name,
+    truth_panels,
 )
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
@@ -229,11 +230,7 @@ def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], galle
     rows = []
     for split in TEST_SPLITS:
         view = scene.dataset.config.split(split).views // 2
-        panels: list[Part] = []
-        if store_truth(gallery, scene.dataset, split, view):
-            name = f"truth, {split} view {view_name(view)}"
-            truth = gallery.show(truth_name(scene.dataset, split, view), label=name)
-            panels.append(tag("figure", truth, tag("figcaption", name)))
+        panels = truth_panels(gallery, scene.dataset, split, view)
         for item in (item for items in compared.values() for item in items):
             if item.split == split and item.dataset.variant is None and store_view(gallery, item, view):
                 panels.append(prediction_panel(gallery, item, view))

@@ -98,6 +98,15 @@ def draw_views(gallery: Gallery, item: Compared, shown: Sequence[ShownView]) -> 
     return tag("div", *(_draw_view(gallery, item, view) for view in shown), class_="views")
 
 
+def truth_panels(gallery: Gallery, dataset: Dataset, split: Split, view: int) -> list[Part]:
+    """The truth of a view; nothing if it does not fit into the gallery."""
+    if not store_truth(gallery, dataset, split, view):
+        return []
+    label = f"truth, {split} view {view_name(view)}"
+    picture = gallery.show(truth_name(dataset, split, view), label=label)
+    return [tag("figure", picture, tag("figcaption", label))]
+
+
 def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup:
     """A prediction with its score; it must be in the gallery."""
     label = f"{item.run.name}, {item.title} view {view_name(view)}"

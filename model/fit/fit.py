@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
+import torch
 from jaxtyping import Float64, Int
 from scipy import ndimage
 
@@ -71,12 +72,12 @@ class FitChoices:
     seed: int = 0
 
 
-def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew: bool) -> None:
+def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, overwrite: bool) -> None:
     """Finds glass, and writes it as a geometry; stages that were finished before are kept.
 
     Args:
         out: folder of what the stages find.
-        anew: start over.
+        overwrite: start over.
 
     Raises:
         HyalineError: an object has an unknown name or is not glass, or masks are missing.
@@ -88,7 +89,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
-        folder.begin(anew=anew)
+        folder.begin(overwrite=overwrite)
         scene = load_scene(dataset.root / "scene", is_sealed=True)
         work = _Work(
             dataset=dataset,
@@ -102,7 +103,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, anew
         write_geometry(dataset, geometry, meshes, found)
         folder.finish(summary(dataset, found))
     if has_layers(dataset):
-        peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=anew)
+        peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
 
 
 def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
@@ -120,8 +121,6 @@ def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:
     """What the result depends on."""
-    import torch
-
     return {
         "dataset": dataset.seal,
         "geometry": geometry,
@@ -284,13 +283,15 @@ class _Work:
         self.folder.write_picture("room", pictures.sheet(rows))
 
     def _show_outsides(self, found: Objects) -> None:
+        from datagen.trace.peel import Peeler
+
         rows = []
         for object_id, item in found.items():
-            seen, row = self.sightings.sees(object_id), []
+            seen, row, peeler = self.sightings.sees(object_id), [], Peeler((item.glass.mesh(),))
             for view in pictures.choose_views(seen):
                 box = pictures.box_around(seen[view])
                 origin, directions = self.sightings.cameras[view].rays()
-                silhouette = pictures.silhouette_of(item.glass.mesh(), origin, directions[box])
+                silhouette = pictures.silhouette_of(peeler, origin, directions[box])
                 silhouette &= self.sightings.is_open(object_id)[view][box]
                 row.append(pictures.outlined(self._picture(view)[box], seen[view][box], silhouette))
             rows.append(row)

@@ -36,7 +36,7 @@ class FitFolder:
     asked: dict[str, Json]
     """What the result depends on."""
 
-    def begin(self, *, anew: bool) -> None:
+    def begin(self, *, overwrite: bool) -> None:
         """Claims the folder; what another fit left there stays only where this one asks for the same."""
         head: dict[str, Json] = {"version": FIT_VERSION, **self.asked}
         if not is_ours(self.root, FIT):
@@ -45,12 +45,12 @@ class FitFolder:
             return
         before = load_sealed(self.root / FIT.head)
         different = next((key for key, value in head.items() if before.get(key) != value), None)
-        if different is not None and not anew:
+        if different is not None and not overwrite:
             raise HyalineError(
                 f"{self.root}: holds a fit with another {different}; start over with --overwrite, or choose another "
                 "--name"
             )
-        if anew:
+        if overwrite:
             remove_files(self.root, [f"{stage}.pt" for stage in STAGES])
         commit_sealed(self.root / FIT.head, head)
 

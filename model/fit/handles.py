@@ -180,10 +180,6 @@ def _beside(vessel: Revolution, hull: HullShape) -> "list[manifold3d.Manifold]":
     return [part.warp_batch(rooted) for part in parts if reaches(part)]
 
 
-def hull_reach(hull: HullShape) -> float:
-    return float(np.ptp(hull.surface.vertices, axis=0).max())
-
-
 def _mesh(part: "manifold3d.Manifold") -> Mesh:
     out = part.to_mesh()
     values = np.asarray(out.vert_properties, np.float32)

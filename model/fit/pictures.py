@@ -1,10 +1,14 @@
 """Pictures of what the stages of a fit found."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.images import to_8bit
-from datagen.data.meshes import Mesh
+
+if TYPE_CHECKING:
+    from datagen.trace.peel import Peeler
 
 Image8 = UInt8[np.ndarray, "h w 3"]
 
@@ -52,13 +56,10 @@ def outlined(picture: Image8, mask: Bool[np.ndarray, "h w"], silhouette: Bool[np
 
 
 def silhouette_of(
-    mesh: Mesh, origin: Float32[np.ndarray, "3"], directions: Float32[np.ndarray, "h w 3"]
+    peeler: "Peeler", origin: Float32[np.ndarray, "3"], directions: Float32[np.ndarray, "h w 3"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Where rays meet a mesh."""
-    from datagen.trace.peel import Peeler
-
-    flat = np.ascontiguousarray(directions.reshape(-1, 3))
-    hits = Peeler((mesh,)).trace(np.broadcast_to(origin, flat.shape).copy(), flat, 1)
+    """Where rays meet what is loaded."""
+    hits = peeler.trace(origin, directions.reshape(-1, 3), 1)
     return (hits.shape[0] >= 0).reshape(directions.shape[:2])
 
 

@@ -76,7 +76,7 @@ def load_pixels(
     from datagen.trace.surface_tables import tints_of
 
     views = range(dataset.config.train.views)
-    pixels = LightPathPixels(
+    return LightPathPixels(
         tracer=LightPathTracer(meshes, materials, tints_of(scene, own_uv=True)),
         straight_tracer=None,
         rays=SubpixelRays(cameras=dataset.cameras("train")),
@@ -85,14 +85,13 @@ def load_pixels(
         config=LightPathConfig(stack_hidden=0).sized((2,) * len(meshes)),
         device=torch.device("cpu"),
     )
-    widths = texel_widths(pixels, len(meshes), dataset.config.resolution.mean_side)
-    return dataclasses.replace(pixels, config=dataclasses.replace(pixels.config, texture_sizes=widths))
 
 
 def learn(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], steps: int, *, seed: int) -> LightPathRenderer:
     """Learns textures and sky from some of the pixels."""
     torch.manual_seed(seed)
-    renderer = LightPathRenderer(pixels.config)
+    sizes = texel_widths(pixels, len(pixels.is_opaque) - 1, pixels.resolution.mean_side)
+    renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
     optimisation = pixels.config.optimisation()
     groups = renderer.groups(optimisation)
     optimizer = make_optimizer(groups, beta1=optimisation.beta1)

@@ -130,16 +130,16 @@ def find_absorption(
         return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
 
     best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
-    if not now.any() and not _explains_more(values, drawn):
+    if not now.any() and not _explains_more(drawn):
         best = even = odd = now
     found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
     return dataclasses.replace(glass, absorption=as_vector(best)), (found[0], found[1], found[2])
 
 
-def _explains_more(values: Float[np.ndarray, "value 3"], drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
-    """Whether some tint is worth its while: a little makes up for anything that is too bright."""
+def _explains_more(drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
+    """Whether absorption explains more than clear glass, which was drawn first: a little of it hides other errors."""
     losses = np.stack([miss.mean(axis=0) for miss in drawn])
-    return bool((losses.min(axis=0) < (1 - WORTH_A_TINT) * losses[(values == 0).all(axis=1)][0]).any())
+    return bool((losses.min(axis=0) < (1 - WORTH_A_TINT) * losses[0]).any())
 
 
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:

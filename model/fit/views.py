@@ -74,7 +74,7 @@ def read_sightings(
         if peeler is None:
             depth.append(np.full(directions.shape[:2], np.inf, np.float32))
             continue
-        hits = peeler.trace(np.broadcast_to(origin, flat.shape).copy(), flat, 1)
+        hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
     return Sightings(
         cameras=cameras,

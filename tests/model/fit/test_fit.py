@@ -92,6 +92,16 @@ def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(datase
     assert "holds a fit with another unknown" in other.error
 
 
+def test_leaving_out_other_stages_replaces_the_geometry_and_its_layers(dataset: Dataset, tmp_path: Path) -> None:
+    fit = f"model fit {dataset.root} {FIT} --name fitted-c --out {tmp_path / 'fit'}"
+    assert call(f"{fit} --skip search").status == 0
+    hull = geometry_key(dataset, "fitted-c")
+    answer = call(fit)
+    assert answer.status == 0, answer.err
+    assert geometry_key(open_dataset(dataset.root), "fitted-c") != hull
+    assert call(f"datagen verify {dataset.root}").status == 0
+
+
 def test_a_run_on_glass_that_was_fitted_again_otherwise_is_not_continued(dataset: Dataset, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
     fit = f"model fit {copy} {FIT} --name fitted-b --out {tmp_path / 'fit'}"
