@@ -4,7 +4,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -19,6 +19,7 @@ from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
+from model.batches.ahead import Ahead, TracedPixels
 from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
@@ -40,9 +41,9 @@ from model.run.preparation import (
     told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings.optimisation import LrDecay
+from model.settings.optimisation import LrDecay, PixelOptimisation
 from model.settings.run_flags import Memory
-from model.settings.runtime import keep_freed_memory
+from model.settings.runtime import keep_freed_memory, use_few_threads
 from model.settings.state import State
 
 CHECKPOINT_EVERY_S = 60.0
@@ -79,6 +80,8 @@ def train(
         Stopped: a signal has arrived; the message names the step.
     """
     keep_freed_memory()
+    if device.type == "cpu" and isinstance(config.net.optimisation(), PixelOptimisation):
+        use_few_threads(config.batch // config.updates)
     check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_inpainting(config)
@@ -218,10 +221,14 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
     first = progress.step
     steps: Iterable[int] = range(first, config.steps)
     run.renderer.train()
-    with contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs, hold_signals() as held:
+    with (
+        contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs,
+        hold_signals() as held,
+        batches_ahead(run) as ahead,
+    ):
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
-            is_stopped = take_step(run, progress, step, held)
+            is_stopped = take_step(run, progress, step, held, ahead)
             logs.add_loss(progress.step, progress.loss)
             if processes.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
                 add_metrics(run, progress, logs)
@@ -245,14 +252,35 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
         save_weights(run)
 
 
-def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
+@contextlib.contextmanager
+def batches_ahead(run: Run) -> Iterator[Ahead | None]:
+    """Has the rays of coming steps traced by a second thread; None where rays are not traced, or the losses draw more
+    than random pixels."""
+    if not isinstance(run.training, TracedPixels) or not run.losses.draws_pixels_alone:
+        yield None
+        return
+    config = run.config
+
+    def draw(step: int) -> list[np.random.Generator]:
+        return [run.processes.generator(config.seed, step, update) for update in range(config.updates)]
+
+    ahead = Ahead(run.training, draw, size=run.processes.share(config.batch // config.updates))
+    with contextlib.closing(ahead):
+        yield ahead
+
+
+def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead | None) -> bool:
     """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
-    config, processes, renderer = run.config, run.processes, run.renderer
+    config, processes, renderer, training = run.config, run.processes, run.renderer, run.training
     batch = config.batch // config.updates
+    if ahead is not None:
+        assert isinstance(training, TracedPixels)
+        ahead.begin(step, is_last=step + 1 == config.steps)
+        training = training.taken_from(ahead)
     is_stopped = False
     for update in range(config.updates):
         rng = processes.generator(config.seed, step, update)
-        loss = run.losses.loss(renderer.loss, renderer, run.training, processes.share(batch), rng, step=step)
+        loss = run.losses.loss(renderer.loss, renderer, training, processes.share(batch), rng, step=step)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         processes.average_gradients(renderer)
