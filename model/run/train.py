@@ -27,10 +27,12 @@ from model.losses.patch_losses import Losses
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
+from model.nets.texture import NeuralTextures
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.run.logs import LogChoices, Logs
 from model.run.predict import predict_pixels
 from model.run.preparation import (
+    Adam,
     build_renderer,
     check_inpainting,
     choose_held_out,
@@ -102,7 +104,13 @@ def train(
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    optimizer = make_optimizer(groups, beta1=config.beta1)
+    optimizer = make_optimizer(
+        groups,
+        beta1=config.beta1,
+        # Processes average whole tables of gradients.
+        renderer=renderer if processes.count == 1 else None,
+        pixels=config.batch // config.updates,
+    )
     run = Run(
         config=config,
         inputs=inputs,
@@ -137,7 +145,7 @@ class Run:
     processes: Processes
     renderer: Renderer
     groups: list[ParameterGroup]
-    optimizer: torch.optim.Optimizer
+    optimizer: Adam
     losses: Losses
     training: PixelSource
     testing: PixelSource | None
@@ -246,6 +254,7 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
                 )
     if processes.is_first:
+        run.optimizer.catch_up()
         rng = processes.generator(config.seed, config.steps, 0)
         batch, updates = config.batch // config.updates, config.steps * config.updates
         run.renderer.finish(run.training, batch=batch, updates=updates, rng=rng)
@@ -380,6 +389,11 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
     """
     sums = {name: value.grad.sum() for name, value in renderer.named_parameters() if value.grad is not None}
     bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
+    bad += [
+        f"{name}.table"
+        for name, part in renderer.named_modules()
+        if isinstance(part, NeuralTextures) and part.lazy is not None and not part.lazy.is_finite()
+    ]
     if not math.isfinite(loss) or bad:
         what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
         raise NumericsError(

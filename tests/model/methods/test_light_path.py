@@ -358,10 +358,12 @@ def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
     assert (above.grad > 0).all()
 
 
+@pytest.mark.parametrize("texture_size", [24, 80])  # The larger ones are moved lazily.
 def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, texture_size: int
 ) -> None:
-    assert_resumes(monkeypatch, SMALL, dataset, tmp_path, stop=8)
+    config = dataclasses.replace(SMALL, net=dataclasses.replace(NET, texture_sizes=(texture_size,) * 2))
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=8)
     assert read_run(tmp_path / "whole").knowledge == "true geometry, materials (all but diffuse colours)"
 
 
