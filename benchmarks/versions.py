@@ -18,7 +18,20 @@ STEPS, FRAMES = (20, 80), (2, 8)
 """A short and a long run; their difference has no start, no score and no end."""
 
 DATASET = "data/glass_table"
-SCENE = ["--preset", "tiny", "--resolution", "128", "--views", "24", "--test-views", "1", "--spp", "4", "--test-spp", "4"]
+SCENE = [
+    "--preset",
+    "tiny",
+    "--resolution",
+    "128",
+    "--views",
+    "24",
+    "--spp",
+    "4",
+    "--test-views",
+    "1",
+    "--test-spp",
+    "4",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
