@@ -178,7 +178,8 @@ def test_the_launcher_sends_parts_to_slurm(
     assert "2 jobs (slurm, 2 CPUs and 30 minutes each)" in answer.err and "slurm: 2 running" in answer.err
     assert tree(out) == tree(built)
     submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
-    for option in ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue"):
+    options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue")
+    for option in options:
         assert f"#SBATCH {option}\n" in submitted
 
 
