@@ -210,7 +210,7 @@ def _wait(jobs: "dict[str, submitit.Job[int]]", minutes: int, *, is_slurm: bool)
                 if answer is not None:
                     before, states[name] = states.get(name), answer.get(job.job_id, ("GONE", ""))[0]
                     over[name] = over[name] + 1 if states[name] in OVER else 0
-                    if before == "RUNNING" and states[name] == "PENDING":
+                    if before not in (None, "PENDING") and states[name] == "PENDING":
                         say(f"{name}: requeued by Slurm; goes on when its turn comes (job {job.job_id})")
                 status = _status(job) if is_slurm or states[name] in OVER else None
                 needed = ANSWERS if status is not None or OVER.get(states.get(name, "")) else ANSWERS_WITHOUT_RESULT
@@ -221,7 +221,7 @@ def _wait(jobs: "dict[str, submitit.Job[int]]", minutes: int, *, is_slurm: bool)
                     reason = _why_failed(job, status, states[name], minutes)
                     failures.append(JobFailure(name=name, log=job.paths.stderr, reason=reason))
                 say(f"{name}: {'done' if status == 0 else 'failed'} (job {job.job_id}; {len(waiting)} left)")
-            if is_slurm and answer is not None and queue != (queue := _summary(answer, list(waiting.values()))):
+            if waiting and is_slurm and answer and queue != (queue := _summary(answer, list(waiting.values()))):
                 say(f"slurm: {queue}")
     except BaseException:
         # Ctrl-C: what runs is told to stop; what it has committed stays.
