@@ -1,7 +1,7 @@
 """Commands as jobs, on a cluster or on this machine: submits them, waits, and says which did not finish, and why.
 
-submitit hands the jobs to Slurm, or to this machine. Its files and the jobs' logs lie in NAME-jobs/, which may be
-deleted when all has ended.
+submitit hands the jobs to Slurm, or to this machine. Its files and the jobs' logs lie in a folder of their own
+(DATASET-jobs/, or runs/jobs/), which may be deleted when all has ended.
 """
 
 import math
@@ -60,14 +60,14 @@ class LaunchChoices:
     """Run in jobs on a Slurm cluster."""
 
     launcher: Literal["slurm", "local"] | None = None
-    """slurm: run as Slurm jobs, from a machine that sees the same folder, wait for them, and report those that fail.
-    local (for builds): as jobs on this machine, all at once. Needs the extra `cluster`. Logs: NAME-jobs/."""
+    """slurm: submit Slurm jobs, from a machine that sees the same folder, wait for them, and report those that fail.
+    local (for builds): start all jobs on this machine. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
     slurm_partition: str | None = None
     """Slurm partition. Default: the cluster's. Other options of sbatch are read from its variables, such as
     SBATCH_ACCOUNT."""
     slurm_time: int | None = None
-    """Time limit of each job in minutes; whatever a job finishes by then is kept. Default: three times what a job of
-    that many pixels, samples and steps takes on a slow processor, and half an hour."""
+    """Time limit of each job in minutes; whatever a job finishes by then is kept. Default: half an hour
+    and three times the estimate, which grows with pixels, samples and steps."""
     slurm_cpus: int | None = None
     """CPUs of each job. Default: as many as --workers, or 4 for training."""
     slurm_gpus: int = 0
@@ -114,7 +114,7 @@ def run_in_jobs(
 
     Args:
         jobs: words of the jobs' commands, by the names that messages call the jobs.
-        folder: NAME-jobs/, for submitit's files and the jobs' logs.
+        folder: for submitit's files and the jobs' logs.
         cpus: of each job, unless `launch` says so.
         cpu_s: CPU time that the longest of them takes on a slow processor.
 
