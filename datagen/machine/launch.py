@@ -66,8 +66,8 @@ class LaunchChoices:
     """Slurm partition. Default: the cluster's. Other options of sbatch are read from its variables, such as
     SBATCH_ACCOUNT."""
     slurm_time: int | None = None
-    """Time limit of each job in minutes; whatever a job finishes by then is kept. Default: half an hour
-    and three times the estimate, which grows with pixels, samples and steps."""
+    """Time limit of each job in minutes; whatever a job finishes by then is kept. Default: half an hour and
+    three times an estimate, which grows with pixels, samples and steps."""
     slurm_cpus: int | None = None
     """CPUs of each job. Default: as many as --workers, or 4 for training."""
     slurm_gpus: int = 0
@@ -137,8 +137,8 @@ def run_in_jobs(
     with holding(folder, JOBS):
         if not is_ours(folder, JOBS):
             begin(folder, JOBS, seal_bytes({"version": 1, "program": program}), {})
-    size = f", {cpus} CPUs and {minutes} minutes each" if launch.launcher == "slurm" else ""
-    say(f"{folder}: sends off {len(jobs)} jobs ({launch.launcher}{size}); their logs are there")
+    size = f"; each: CPUs {cpus}, minutes {minutes}" if launch.launcher == "slurm" else ""
+    say(f"{folder}: logs of the jobs that are submitted ({launch.launcher}, jobs {len(jobs)}{size})")
     try:
         with executor.batch():
             sent = [executor.submit(run_command, program, list(words), str(Path.cwd())) for words in jobs.values()]
@@ -166,8 +166,8 @@ def own_command(program: str) -> list[str]:
 
 def run_command(program: str, words: list[str], folder: str) -> int:
     """The exit status of `PROGRAM WORDS` in a folder; it writes to the job's log. Runs in a job."""
-    # submitit has Slurm send this to all processes of a job shortly before its limit, and it ends those that do not
-    # expect it. Slurm also sends SIGTERM, at the limit and before it requeues a job; then our commands save their work.
+    # submitit has Slurm send SIGUSR2 to all processes of a job shortly before its limit, which would end them. At the
+    # limit, and before it requeues a job, Slurm sends SIGTERM; then our commands save their work.
     signal.signal(signal.SIGUSR2, signal.SIG_IGN)
     return subprocess.run([*own_command(program), *words], cwd=folder, check=False).returncode
 

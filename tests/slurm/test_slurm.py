@@ -7,8 +7,8 @@ Takes five minutes: Slurm's shortest time limit is one minute. No services have 
 """
 
 import contextlib
-import getpass
 import os
+import pwd
 import re
 import shutil
 import signal
@@ -68,7 +68,7 @@ def slurm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]]:
         two.bind(("127.0.0.1", 0))
         ports = (one.getsockname()[1], two.getsockname()[1])
     host = socket.gethostname().partition(".")[0]
-    values = {"host": host, "ports": ports, "user": getpass.getuser(), "folder": folder}
+    values = {"host": host, "ports": ports, "user": pwd.getpwuid(os.getuid()).pw_name, "folder": folder}
     (folder / "slurm.conf").write_text(CONFIG.format(**values, cpus=os.cpu_count()))
     environment = {**os.environ, "PATH": PATH, "SLURM_CONF": str(folder / "slurm.conf"), "OMP_NUM_THREADS": "1"}
     paths = {"key-file": "key", "socket": "socket", "pid-file": "pid", "seed-file": "seed", "log-file": "log"}

@@ -175,7 +175,7 @@ def test_the_launcher_sends_parts_to_slurm(
 
     answer = build(scene_folder, out, *asked, "--slurm-partition", "many", "--slurm-gpus", "1")
     assert answer.status == 0, answer.err
-    assert "2 jobs (slurm, 2 CPUs and 30 minutes each)" in answer.err and "slurm: 2 running" in answer.err
+    assert "(slurm, jobs 2; each: CPUs 2, minutes 30)" in answer.err and "slurm: 2 running" in answer.err
     assert tree(out) == tree(built)
     submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
     options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue")
