@@ -354,9 +354,12 @@ def infer(choices: BenchChoices) -> None:
 
 
 def gpu(choices: BenchChoices) -> None:
-    """A 1080p frame and a step of 262,144 pixels on a GPU, beside plain torch; skipped without CUDA."""
+    """On a GPU: a 1080p frame and a step beside plain torch, truth, light paths; skipped without CUDA."""
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
+    use_mitsuba()
+    from benchmarks.gpu import bench_gpu
     from benchmarks.harness import show
-    from benchmarks.step import bench_gpu
 
     show(bench_gpu(choices), as_json=choices.json)
 

@@ -1,4 +1,4 @@
-"""Benchmarks of networks beside the naive baseline: a training step and a frame on a CPU, both on a GPU, ceilings."""
+"""Benchmarks of networks on a CPU beside the naive baseline: a training step and a frame; ceilings."""
 
 import contextlib
 import itertools
@@ -26,6 +26,7 @@ from benchmarks.naive import (
 )
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.machine.hardware import bf16_instructions
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.finding import find_scene
@@ -288,145 +289,21 @@ def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed
     )
 
 
-FRAME, STEP = 1920 * 1080, 1 << 18
-"""Pixels of a frame, and of a training step."""
-
-GPU_GATE = 20.0
-
-GPU_TOLERANCE = {"fp32": 1e-4, "bf16": 2e-2}
-
-
-def gpu_ceilings(precision: str) -> tuple[Ceiling, Ceiling]:
-    """The GPU's best speed: matrix products in the network's precision, and copying."""
-    size, kind = 4096, torch.bfloat16 if precision == "bf16" else torch.float32
-    a, b = torch.randn(2, size, size, device="cuda", dtype=kind)
-    out = torch.empty_like(a)
-    flops = 2 * size**3 / best_seconds(synchronised(lambda: torch.mm(a, b, out=out)))
-    source = torch.ones(1 << 28, device="cuda")  # 1 GiB, beyond every cache.
-    target = torch.empty_like(source)
-    copied = 2 * source.nbytes / best_seconds(synchronised(lambda: target.copy_(source)))
-    return (
-        Ceiling(name=f"{precision} matrix product", value=1e-12 * flops, unit="TFLOP/s"),
-        Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
-    )
-
-
-def floors(
-    renderer: PaperRenderer, num_pixels: int, filled: float, ceilings: tuple[Ceiling, Ceiling]
-) -> dict[str, float]:
-    """Least seconds of a frame and of a step: products at the GPU's best, each byte moved once.
-
-    A frame reads its layers (6 bytes a place) and 4 texels of 2 bytes a channel for each surface. A step multiplies
-    three times as much, and its Adam moves 34 bytes a parameter of the textures.
-    """
-    flops_a_second, bytes_a_second = 1e12 * ceilings[0].value, 1e9 * ceilings[1].value
-    table = renderer.textures.get_parameter("table")
-    flops = 2 * sum(parameter.numel() for name, parameter in renderer.net.named_parameters() if parameter.ndim == 2)
-    products = num_pixels * flops / flops_a_second
-    num_layers = renderer.net.first.linear.in_features // table.shape[1]
-    places = num_pixels * num_layers
-    texels = places * filled * 4 * 2 * table.shape[1] / bytes_a_second
-    layers = places * 6 / bytes_a_second
-    return {
-        "frame": max(products, texels + layers),
-        "step": max(3 * products, 3 * texels + 34 * table.numel() / bytes_a_second),
-    }
-
-
-def synchronised(run: Callable[[], object]) -> Callable[[], None]:
-    def wait() -> None:
-        run()
-        torch.cuda.synchronize()
-
-    return wait
-
-
-def to_device(rays: RayBatch, device: torch.device) -> RayBatch:
-    return RayBatch(uv=rays.uv.to(device), object_id=rays.object_id.to(device), p_camera=rays.p_camera.to(device))
-
-
-def step_of(module: torch.nn.Module, rays: RayBatch, truth: Tensor, optimizer: torch.optim.Optimizer) -> None:
-    optimizer.zero_grad(set_to_none=True)
-    functional.l1_loss(module(rays), truth).backward()
-    optimizer.step()
-
-
-def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step: int = STEP) -> BenchReport:
-    """Times a frame and a step; skipped with a message without CUDA."""
-    if not torch.cuda.is_available():
-        why = "torch finds no CUDA device here"
-        return measure(
-            "gpu", [], settings={"precision": choices.precision}, facts={"skipped": why}, rounds=choices.rounds
-        )
-    # Else the rival's convolutions, and they alone, would round their factors to TF32 on every GPU since Ampere.
-    torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = False
-    device = torch.device("cuda")
-    rng = np.random.default_rng(seed)
-    renderer = make_renderer(choices, rng=rng).to(device)
-    naive = NaiveRenderer(renderer).to(device)
-    rays, truth = made_up_batch(choices, rng=rng)
-    filled = float((rays.object_id != 0).float().mean())
-
-    def of_size(count: int) -> RayBatch:
-        index = torch.arange(count) % len(truth)
-        return to_device(
-            RayBatch(uv=rays.uv[index], object_id=rays.object_id[index], p_camera=rays.p_camera[index]), device
-        )
-
-    whole, batch = of_size(frame), of_size(step)
-    colors = truth[torch.arange(step) % len(truth)].to(device)
-    ours = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
-    theirs = torch.optim.Adam(naive.parameters(), lr=1e-3, foreach=False, fused=False)
-
-    @torch.inference_mode()
-    def draw(module: torch.nn.Module) -> Tensor:
-        was_training = module.training
-        result = module.eval()(whole)
-        module.train(was_training)
-        return result
-
-    def compare() -> tuple[bool, str]:
-        error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE[choices.precision]
-        return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
-
-    ceilings = gpu_ceilings(choices.precision)
-    least = floors(renderer, frame, filled, ceilings)["frame"], floors(renderer, step, filled, ceilings)["step"]
-    report = measure(
-        "gpu",
-        [
-            Candidate(name="naive frame", run=synchronised(lambda: draw(naive)), note="plain torch"),
-            Candidate(name="frame", run=synchronised(lambda: draw(renderer))),
-            Candidate(
-                name="naive step", run=synchronised(lambda: step_of(naive, batch, colors, theirs)), note="plain torch"
-            ),
-            Candidate(name="step", run=synchronised(lambda: step_of(renderer, batch, colors, ours))),
-        ],
-        checks=[Check(name="same colours", run=compare)],
-        gates=[Gate(name="whole step", baseline="naive step", candidate="step", at_least=GPU_GATE)],
-        ceilings=ceilings,
-        settings={"frame": frame, "step": step, **describe(choices, renderer)},
-        facts={"gpu": torch.cuda.get_device_name()},
-        rounds=choices.rounds,
-    )
-    if report.timings:
-        for timing, seconds in ((report.timings[1], least[0]), (report.timings[3], least[1])):
-            share = seconds / timing.wall.median
-            report.facts[f"floor of a {timing.name}"] = f"{1e3 * seconds:.3f} ms on this GPU, {share:.1%} of it reached"
-    return report
-
-
 FAULTED = 64 << 20
 """Bytes of the block that is written with and without page faults."""
 
 
 def all_ceilings() -> tuple[Ceiling, ...]:
     """Those that any bench prints, and torch's: matrix products in both precisions, and what page faults cost."""
+    # Without instructions for bf16, its products alone would take a minute.
+    kinds = {"float32": torch.float32} | ({"bfloat16": torch.bfloat16} if bf16_instructions() else {})
     return (
         *machine_ceilings(),
-        Ceiling(name="float32 matrix product, torch, all cores", value=_product(torch.float32), unit="GFLOP/s"),
-        Ceiling(name="bfloat16 matrix product, torch, all cores", value=_product(torch.bfloat16), unit="GFLOP/s"),
-        Ceiling(name="float32 layer of the network, all cores", value=_layer(torch.float32), unit="GFLOP/s"),
-        Ceiling(name="bfloat16 layer of the network, all cores", value=_layer(torch.bfloat16), unit="GFLOP/s"),
+        *(
+            Ceiling(name=f"{name} {what}, all cores", value=rate(kind), unit="GFLOP/s")
+            for what, rate in (("matrix product, torch", _product), ("layer of the network", _layer))
+            for name, kind in kinds.items()
+        ),
         Ceiling(name="writing fresh memory, page faults included", value=_faults(), unit="times as long"),
     )
 

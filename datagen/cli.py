@@ -7,7 +7,15 @@ from typing import TYPE_CHECKING
 
 from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.capture.choices import CaptureChoices
-from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
+from datagen.data.paths import (
+    BUILT_IN_SCENES,
+    DATA_ROOT,
+    TRUTH,
+    build_command,
+    find_dataset,
+    predict_command,
+    train_command,
+)
 from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.import_choices import ImportChoices
@@ -345,10 +353,9 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 
 def scenes() -> None:
     """List the built-in scenes, and how to draw random ones."""
-    from datagen.scene.builtin import describe_scenes
     from datagen.scene.random_names import FAMILIES, RANDOM
 
-    for name, description in describe_scenes().items():
+    for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")
     print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
     next_command(build_command())

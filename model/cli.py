@@ -86,10 +86,15 @@ def _train_method(method: str, asked: "Asked") -> None:
         _end(out, run=out)
         return
     from model.run.logs import LogChoices, Meter, require_tensorboard
-    from model.run.train_flags import configure, folder_name
+    from model.run.run_folder import told_finished
+    from model.run.train_flags import configure, find_finished, folder_name
 
     if asked.run.tensorboard:
         require_tensorboard()
+    if "RANK" not in os.environ and (finished := find_finished(method, asked)):
+        say(told_finished(finished))
+        _end(finished, run=finished)
+        return
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
     if asked.run.device != "cpu":
@@ -200,15 +205,8 @@ def predict(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.predict import (
-        check_can_draw,
-        check_draws_edits,
-        is_all_drawn,
-        is_drawn,
-        render_predictions,
-        render_variant,
-    )
-    from model.run.run_folder import FOLDER, open_trained
+    from model.run.predict import check_can_draw, check_draws_edits, render_predictions, render_variant
+    from model.run.run_folder import FOLDER, is_all_drawn, is_drawn, open_trained
 
     record, opened = open_trained(run, dataset)
     config, out = record.config, run

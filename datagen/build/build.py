@@ -12,7 +12,7 @@ from datagen.build.jobs import PeelJob, RenderJob, Task, peel_task, render_task
 from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
-from datagen.data.dataset import Dataset, DatasetObject, head_files
+from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import check_settings, create_layers
@@ -56,8 +56,9 @@ def build_dataset(
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
-        meshes = [item.mesh for item in scene.objects]
-        cameras = with_depth_range(make_cameras(scene.cameras, config), meshes)
+        cameras = None if overwrite else _stored_cameras(scene, root, config)
+        if cameras is None:
+            cameras = with_depth_range(make_cameras(scene.cameras, config), [item.mesh for item in scene.objects])
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.
@@ -68,6 +69,19 @@ def build_dataset(
         render_dataset(dataset, workers=workers, shard=shard)
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
     return dataset
+
+
+def _stored_cameras(scene: Scene, root: Path, config: DatasetConfig) -> dict[Split, Cameras] | None:
+    """The cameras that a scene's rig placed for an intact dataset of the same configuration, if there is one."""
+    try:
+        stored = open_dataset(root)
+        is_same = stored.config == config and not isinstance(scene.cameras, CameraList)
+        is_same = is_same and all(
+            stored.files.get(path) == sha256(data) for path, data in head_contents(scene_files(scene), {}).items()
+        )
+        return {split: stored.cameras(split) for split in SPLITS} if is_same else None
+    except HyalineError:
+        return None
 
 
 def _say_slits(scene: Scene, cameras: dict[Split, Cameras]) -> None:

@@ -52,8 +52,15 @@ def layers_root(root: Path, geometry: str) -> Path:
 DATA_ROOT = Path("data")
 """Folder of datasets, relative to the working directory."""
 
-BUILT_IN_SCENES = ("glass_table", "vitrine", "plant_shelf", "drinks", "prism_bench", "pool")
-"""Names that `datagen build --scene` takes; `datagen.scene.builtin` has their makers."""
+BUILT_IN_SCENES = {
+    "glass_table": "A green-tinted glass table with solid glassware, seen against a slatted chair and a warm room",
+    "vitrine": "Opaque sculptures of many colours behind the thin panes of a display case",
+    "plant_shelf": "Two leafy plants around a shelf with a glass vase, a bell jar, books and pots",
+    "drinks": "Tinted drinks in glasses, with ice and a straw: media that touch each other, on a table in a room",
+    "prism_bench": "Prisms, a lens, cut crystal and frosted glass that part a hard beam into colours, in the dark",
+    "pool": "Rippled water in a tiled basin in the sun: caustics below, clear and frosted glass standing in it",
+}
+"""The built-in scenes, which datagen/scene/builtin makes, and a line about each."""
 
 
 def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:

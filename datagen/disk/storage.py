@@ -243,6 +243,15 @@ def user_cache(name: str) -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
 
 
+def private_cache(name: str) -> Path | None:
+    """A folder of the cache that only this user can write; None if there is none, such as without a home directory."""
+    try:
+        cache = user_cache(name)
+    except RuntimeError:
+        return None
+    return cache if make_private(cache) is None else None
+
+
 def make_private(folder: Path) -> str | None:
     """Makes a folder that only this user can write, for machine code that this program loads, or checks the one there.
 

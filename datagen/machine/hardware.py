@@ -4,6 +4,7 @@ import contextlib
 import functools
 import os
 import platform
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -41,6 +42,9 @@ def describe_processor() -> str:
 DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
 """Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""
 
+WSL_PROGRAMS = "/usr/lib/wsl/lib"
+"""Where Windows puts `nvidia-smi` under WSL 2, which not every PATH there has."""
+
 LIST_LIMIT_S, PROBE_LIMIT_S = 5, 60
 """Timeouts of `nvidia-smi`, which hangs when its driver does, and of the test render, which compiles kernels."""
 
@@ -52,7 +56,8 @@ def has_gpu() -> bool:
 
 def describe_gpus() -> str:
     """Name and driver of each GPU, as `nvidia-smi` lists them, or why it cannot; `none` without a GPU."""
-    query = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    program = shutil.which("nvidia-smi") or shutil.which("nvidia-smi", path=WSL_PROGRAMS) or "nvidia-smi"
+    query = [program, "--query-gpu=name,driver_version", "--format=csv,noheader"]
     try:
         status, out, _ = _ask(query, LIST_LIMIT_S)
     except FileNotFoundError:
@@ -92,10 +97,18 @@ def _asked_about() -> tuple[object, ...]:
     """Everything that the answer depends on."""
     import importlib.metadata
 
-    driver = [path.read_text() if path.is_relative_to("/proc") else str(path) for path in DRIVERS if path.exists()]
+    driver = [_version_of(path) for path in DRIVERS if path.exists()]
     packages = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
     variables = ("CUDA_VISIBLE_DEVICES", "DRJIT_LIBCUDA_PATH", "DRJIT_LIBOPTIX_PATH", "LD_LIBRARY_PATH")
     return driver, packages, [os.environ.get(name) for name in variables], _PROBE
+
+
+def _version_of(driver: Path) -> object:
+    """Changes with the driver: what a file under /proc says, or the size and time of a library."""
+    if driver.is_relative_to("/proc"):
+        return driver.read_text()
+    found = driver.stat()
+    return str(driver), found.st_size, int(found.st_mtime) if driver.is_file() else 0
 
 
 def _render_test_scene() -> str | None:

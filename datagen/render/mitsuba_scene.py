@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, face_areas
+from datagen.machine.processes import ROOT
 from datagen.scene.atlas import bake_positions
 from datagen.scene.description import (
     Card,
@@ -19,6 +20,7 @@ from datagen.scene.description import (
     image_bytes,
 )
 from datagen.scene.images import linear_pixels, read_map
+from datagen.scene.kept_arrays import find_arrays, keep_arrays, key_of
 from datagen.scene.materials.optics import Medium, Plugin, rgb
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
 
@@ -194,7 +196,18 @@ def linear_texels(
     """The linear reflectance of a texture in the mesh's uv, as rendered; row 0 is on top."""
     if isinstance(texture, ImageTexture):
         return linear_pixels(image_bytes(scene, texture), where=texture.path)
-    return bake_texture(texture, mesh, _texture_size(mesh))
+    size = _texture_size(mesh)
+    arrays = {"vertices": mesh.vertices, "faces": mesh.faces, "uv": mesh.uv}
+    key = key_of(arrays, _BAKERS, texture, size, np.__version__)
+    if (kept := find_arrays("textures", key)) is not None:
+        return kept["texels"]
+    texels = bake_texture(texture, mesh, size)
+    keep_arrays("textures", key, {"texels": texels})
+    return texels
+
+
+_BAKERS = [ROOT / "datagen" / name for name in ("render/mitsuba_scene.py", "scene/atlas.py", "scene/textures.py")]
+"""The code that a baked texture depends on."""
 
 
 def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.ndarray, "tex_h tex_w 3"]:

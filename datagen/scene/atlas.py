@@ -4,11 +4,8 @@ Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u
 v = 1 - (r + 0.5) / size.
 """
 
-import hashlib
-import io
 import sys
-import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -19,14 +16,12 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import make_private, read_hashed, user_cache, write_hashed
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.machine.processes import ChildError, arrays_from_child
+from datagen.scene.kept_arrays import Arrays, find_arrays, keep_arrays, key_of
 
 if TYPE_CHECKING:
     import xatlas
-
-Arrays = Mapping[str, np.ndarray]
 
 RESOLUTION = 1024
 """Texels per side for which the charts are packed; xatlas may need more."""
@@ -38,8 +33,6 @@ MAX_CHILDREN = 4
 """Processes that unwrap in parallel; each takes half a second to start."""
 MAX_COORDINATE = 1e18
 """Beyond it, squares overflow float32."""
-MAX_KEPT = 2000
-"""Atlases kept in the user's cache; beyond this number, the oldest are deleted."""
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
@@ -60,8 +53,9 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     for where, mesh in meshes.items():
         _check_input(mesh, where=where)
     surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
-    keys = {where: atlas_key(surface, Path(__file__)) for where, surface in surfaces.items()}
-    atlases = {key: found for key in keys.values() if (found := find_atlas(key)) is not None}
+    code, version = Path(__file__), metadata.version("xatlas")
+    keys = {where: key_of(surface, [code], version) for where, surface in surfaces.items()}
+    atlases = {key: found for key in keys.values() if (found := find_arrays("atlases", key)) is not None}
     # Surfaces that differ only in position and size are unwrapped once.
     first = {key: where for where, key in reversed(keys.items()) if key not in atlases}
     shares = _share_out({where: surfaces[where] for where in first.values()}, min(MAX_CHILDREN, num_cores()))
@@ -69,7 +63,7 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
         made = {keys[where]: atlas for share in pool.map(_unwrap_in_child, shares) for where, atlas in share.items()}
     done = {where: _with_uv(mesh, {**atlases, **made}[keys[where]], where=where) for where, mesh in meshes.items()}
     for key, atlas in made.items():
-        keep_atlas(key, atlas)
+        keep_arrays("atlases", key, atlas)
     return done
 
 
@@ -297,55 +291,6 @@ def _child(source: Path, target: Path) -> None:
             vertex_of, new_faces, uv = _unwrap_here(vertices, faces, normals)
             answers |= {f"{index}.vertex_of": vertex_of, f"{index}.faces": new_faces, f"{index}.uv": uv}
     np.savez(target, allow_pickle=False, **answers)
-
-
-# Kept atlases: how surfaces are cut and laid out. A lost or damaged one is computed again.
-
-
-def atlas_key(surface: Arrays, maker: Path) -> str:
-    """A digest of everything an atlas depends on: the surface's arrays, the code in `maker`, and xatlas's version."""
-    digest = hashlib.sha256(metadata.version("xatlas").encode() + maker.read_bytes())
-    for name, values in sorted(surface.items()):
-        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
-        digest.update(np.ascontiguousarray(values).tobytes())
-    return digest.hexdigest()
-
-
-def find_atlas(key: str) -> Arrays | None:
-    """The arrays cached under this key; None if there are none, or they are damaged."""
-    cache = _cache()
-    data = None if cache is None else read_hashed(cache / f"{key}.npz")
-    if data is None:
-        return None
-    try:
-        with np.load(io.BytesIO(data)) as kept:
-            return dict(kept)
-    except (ValueError, OSError, zipfile.BadZipFile):
-        return None
-
-
-def keep_atlas(key: str, atlas: Arrays) -> None:
-    """Caches the arrays, if the cache is writable."""
-    cache = _cache()
-    if cache is None:
-        return
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **atlas)
-    try:
-        write_hashed(cache / f"{key}.npz", buffer.getvalue())
-        kept = sorted(cache.glob("*.npz"), key=lambda path: path.stat().st_mtime)
-        for path in kept[:-MAX_KEPT]:
-            path.unlink(missing_ok=True)
-    except OSError:  # A full disk, or another process that deletes the same files.
-        return
-
-
-def _cache() -> Path | None:
-    try:
-        cache = user_cache("atlases")
-    except RuntimeError:  # This user has no home directory.
-        return None
-    return cache if make_private(cache) is None else None
 
 
 if __name__ == "__main__":

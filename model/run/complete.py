@@ -11,8 +11,16 @@ from datagen.terminal.command import say
 from model.batches.distributed import Processes, join
 from model.run.checkpoint import delete_checkpoints, has_checkpoint
 from model.run.logs import LogChoices
-from model.run.predict import is_all_drawn, render_predictions
-from model.run.run_folder import FOLDER, WEIGHTS, TrainConfig, check_trained_on, finish_clearing
+from model.run.predict import render_predictions
+from model.run.run_folder import (
+    FOLDER,
+    WEIGHTS,
+    TrainConfig,
+    check_trained_on,
+    finish_clearing,
+    is_all_drawn,
+    told_finished,
+)
 from model.run.train import check_processes, train
 from model.settings.run_flags import Memory
 
@@ -78,7 +86,7 @@ def _is_finished(config: TrainConfig, dataset: Dataset, out: Path, processes: Pr
         return False
     check_trained_on(out, config, dataset)
     if is_all_drawn(out, dataset):
-        say(f"{out}: finished before, nothing to do; --overwrite trains it anew")
+        say(told_finished(out))
         processes.broadcast(False)
         return True
     if not (out / WEIGHTS).is_file() and not has_checkpoint(out):

@@ -23,7 +23,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
 from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
-from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
+from datagen.data.variants import variant_root
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
@@ -35,11 +35,11 @@ from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.checkpoint import load_state
 from model.run.run_folder import (
     PREDICTIONS,
-    RUN,
     WEIGHTS,
     TrainConfig,
     check_state_of,
-    is_finished,
+    drawn_along,
+    is_drawn,
     prediction_seals,
     write_prediction_hashes,
 )
@@ -110,23 +110,11 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
             raise HyalineError(f"{where}: {name} contains numbers that are not finite; train again with --overwrite")
 
 
-def is_drawn(run: Path, variant: Dataset) -> bool:
-    """True if all of a run's pictures of this variant exist and verify."""
-    return (run / RUN).is_file() and is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
-
-
-def is_all_drawn(run: Path, dataset: Dataset) -> bool:
-    """True if a run is finished, including the variants that `render_predictions` also draws."""
-    return is_finished(run, **prediction_seals(run, dataset)) and all(
-        is_drawn(run, variant) for variant in _drawn_along(dataset)
-    )
-
-
 def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
     """Renders all test splits from a run's weights, including those by angle, and writes predictions.json last."""
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset).to(device)
-    for variant in _drawn_along(dataset):
+    for variant in drawn_along(dataset):
         if not is_drawn(run, variant):
             _draw(renderer, run, config, variant)
     files = render_views(renderer, config, dataset, run)
@@ -188,11 +176,6 @@ def check_draws_cameras(run: Path, config: TrainConfig) -> None:
             f"{run}: {config.method} can only draw the views of its dataset, because its MethodConfig has no "
             "load_cameras (docs/adding-a-method.md)"
         )
-
-
-def _drawn_along(dataset: Dataset) -> list[Dataset]:
-    """The variants with further test splits, which cost no more than the dataset's own."""
-    return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
 
 
 def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) -> None:

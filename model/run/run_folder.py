@@ -34,6 +34,7 @@ from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry
 from datagen.data.paths import find_dataset, view_name
+from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
@@ -253,6 +254,28 @@ def is_finished(out: Path, **seals: str) -> bool:
 def prediction_seals(run: Path, home: Dataset) -> dict[str, str]:
     """The digests of dataset (or variant) and run that a list of predictions stores."""
     return {"dataset_seal": home.seal, "run_seal": seal_of(load_sealed(run / RUN))}
+
+
+def is_drawn(run: Path, variant: Dataset) -> bool:
+    """True if all of a run's pictures of this variant exist and verify."""
+    return (run / RUN).is_file() and is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
+
+
+def is_all_drawn(run: Path, dataset: Dataset) -> bool:
+    """True if a run is finished, including the variants that `render_predictions` also draws."""
+    return is_finished(run, **prediction_seals(run, dataset)) and all(
+        is_drawn(run, variant) for variant in drawn_along(dataset)
+    )
+
+
+def drawn_along(dataset: Dataset) -> list[Dataset]:
+    """The variants with further test splits, which cost no more than the dataset's own."""
+    return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
+
+
+def told_finished(out: Path) -> str:
+    """What to say of a run that is asked for again."""
+    return f"{out}: finished before, nothing to do; --overwrite trains it anew"
 
 
 def write_prediction_hashes(out: Path, files: dict[str, str], **seals: str) -> None:

@@ -1,8 +1,10 @@
 """The built-in scenes: made by code, one file each, with the same bytes every time."""
 
+import contextlib
 import dataclasses
 import importlib
 from collections.abc import Callable
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,8 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import check_files, sha256
+from datagen.disk.storage import check_files, is_intact, private_cache, sha256, write_hashed
+from datagen.machine.processes import ROOT
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, scene_files
@@ -64,15 +67,18 @@ def _same_scene(name: str, root: Path) -> Scene | None:
         stored = load_scene(root / "scene", is_sealed=True)
     except HyalineError:
         return None
-    scene = SCENES[name]()
-    objects = tuple(
-        dataclasses.replace(item, mesh=there.mesh)
-        for item, there in zip(scene.objects, stored.objects)
-        if is_there(there.mesh) and _same_surface(item.mesh, there.mesh)
-    )
-    same = dataclasses.replace(scene, objects=objects, license=stored.license)
-    is_same = files == {f"scene/{path}": sha256(data) for path, data in scene_files(same).items()}
-    return dataclasses.replace(same, license=OWN_LICENSE) if is_same else None
+    if not _was_compared(name, files):
+        scene = SCENES[name]()
+        objects = tuple(
+            dataclasses.replace(item, mesh=there.mesh)
+            for item, there in zip(scene.objects, stored.objects)
+            if is_there(there.mesh) and _same_surface(item.mesh, there.mesh)
+        )
+        same = dataclasses.replace(scene, objects=objects, license=stored.license)
+        if files != {f"scene/{path}": sha256(data) for path, data in scene_files(same).items()}:
+            return None
+        _keep_compared(name, files)
+    return dataclasses.replace(stored, folder=None, license=OWN_LICENSE)
 
 
 def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
@@ -83,6 +89,22 @@ def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
     )
 
 
-def describe_scenes() -> dict[str, str]:
-    """One line about each built-in scene, by name."""
-    return {name: make().description for name, make in SCENES.items()}
+# Modelling a scene only to compare it takes a second, so the user's cache keeps which comparisons succeeded.
+
+
+def _was_compared(name: str, files: dict[str, str]) -> bool:
+    """True if these files were found to be the scene that today's code and libraries make."""
+    cache = private_cache("scenes")
+    return cache is not None and is_intact(cache / _key(name, files))
+
+
+def _keep_compared(name: str, files: dict[str, str]) -> None:
+    if (cache := private_cache("scenes")) is not None:
+        with contextlib.suppress(OSError):  # A full disk: the next command compares again.
+            write_hashed(cache / _key(name, files), name.encode())
+
+
+def _key(name: str, files: dict[str, str]) -> str:
+    code = [path.read_bytes() for path in sorted(ROOT.glob("datagen/**/*.py"))]
+    versions = [metadata.version(package) for package in ("numpy", "scipy", "trimesh")]
+    return sha256(repr((name, sorted(files.items()), versions)).encode() + b"".join(code))

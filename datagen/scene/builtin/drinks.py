@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
@@ -47,7 +48,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="drinks",
-        description="Tinted drinks in glasses, with ice and a straw: media that touch each other, on a table in a room",
+        description=BUILT_IN_SCENES["drinks"],
         objects=(*_room(), *_whisky(), *_lemonade(), *_wine(), *_carafe(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.56, 0.63, 0.74),

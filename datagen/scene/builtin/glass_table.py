@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
@@ -38,7 +39,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="glass_table",
-        description="A green-tinted glass table with solid glassware, seen against a slatted chair and a warm room",
+        description=BUILT_IN_SCENES["glass_table"],
         objects=(*_room(), *_furniture(), *_glassware(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.58, 0.66, 0.78),

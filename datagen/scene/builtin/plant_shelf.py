@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
@@ -37,7 +38,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="plant_shelf",
-        description="Two leafy plants around a shelf with a glass vase, a bell jar, books and pots",
+        description=BUILT_IN_SCENES["plant_shelf"],
         objects=(*_room(), *_plants(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.66, 0.72, 0.80),

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
@@ -35,7 +36,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="pool",
-        description="Rippled water in a tiled basin in the sun: caustics below, clear and frosted glass standing in it",
+        description=BUILT_IN_SCENES["pool"],
         objects=(*_basin(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.20, 0.34, 0.62),

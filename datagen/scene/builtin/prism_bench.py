@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
@@ -39,7 +40,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="prism_bench",
-        description="Prisms, a lens, cut crystal and frosted glass that part a hard beam into colours, in the dark",
+        description=BUILT_IN_SCENES["prism_bench"],
         objects=(*_bench(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.015, 0.02, 0.03),

@@ -5,6 +5,7 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin.objects import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Diffuse, Plastic, ThinDielectric
@@ -36,7 +37,7 @@ def make() -> Scene:
     """The scene, not unwrapped yet."""
     return Scene(
         name="vitrine",
-        description="Opaque sculptures of many colours behind the thin panes of a display case",
+        description=BUILT_IN_SCENES["vitrine"],
         objects=(*_room(), *_case(), *_sculptures()),
         environment=SoftEnvironment(
             zenith=(0.66, 0.70, 0.76),

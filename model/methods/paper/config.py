@@ -61,7 +61,7 @@ class PaperConfig(MethodConfig):
     4."""
     precision: Precision = choice("fp32", {"bf16": "bf16"})
     """Number format of the network's multiplications, in training and in rendering; bf16 is faster where the processor
-    has instructions for it."""
+    has instructions for it, and fp32 is used where it has none."""
     finer_counts: float = unflagged(1.0, limits=(0.001, 1))
     """Weight of a texture level relative to the next coarser one."""
     texels_per_pixel: float = unflagged(0.5, limits=(1 / 64, 64))

@@ -28,7 +28,7 @@ from model.nets.cpu.mlp_kernels import Stacks, find_kernels
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, make_layout, places_of
-from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, TextureSharing
+from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, Precision, TextureSharing
 
 START_ALONE = 0.5
 """Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
@@ -141,7 +141,7 @@ class _Beside(torch.autograd.Function):
 
 
 def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
-    """The same with the widths of network and texture that depend on the dataset."""
+    """The same with the widths of network and texture that depend on the dataset, in a precision that pays off here."""
     num_inputs = count_inputs(
         inputs.num_layers,
         texture_features=config.texture_features,
@@ -155,12 +155,12 @@ def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
         texels_per_pixel=config.texels_per_pixel,
     )
     width = config.width or width_for_34k(num_inputs, config.blocks)
-    return dataclasses.replace(config, width=width, texture_size=size)
+    return dataclasses.replace(config, width=width, texture_size=size, precision=choose_precision(config.precision))
 
 
 def build(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
-    if config.precision == "bf16":
-        _warn_of_slow_bf16()
+    # A run of bf16 may be drawn on a machine without it.
+    config = dataclasses.replace(config, precision=choose_precision(config.precision))
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return PaperRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
@@ -168,10 +168,15 @@ def build(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
 
 
 @functools.cache
-def _warn_of_slow_bf16() -> None:
-    """Once a process: PyTorch multiplies bf16 several times more slowly where the processor has no instructions."""
-    if not torch.cuda.is_available() and bf16_instructions() is None:
-        say("--precision bf16: slower here than fp32, because this processor has no instructions for bf16")
+def choose_precision(asked: Precision) -> Precision:
+    """fp32 instead of bf16 on processors without instructions for it, where bf16 is up to 50 times slower.
+
+    Says so once a process.
+    """
+    if asked == "fp32" or torch.cuda.is_available() or bf16_instructions() is not None:
+        return asked
+    say("--precision bf16: this processor has no instructions for it; computes in fp32 instead, and records that")
+    return "fp32"
 
 
 def load(

@@ -70,7 +70,8 @@ def test_one_thread_does_not_change_a_byte(built: Path, scene_folder: Path, tmp_
     assert tree(tmp_path / "one") == tree(built)
 
 
-def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path) -> None:
+def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.build.build.with_depth_range", None)  # Its cameras are read.
     before = {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()}
     answer = build(scene_folder, built)
     assert answer.status == 0
@@ -177,6 +178,14 @@ def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
     assert verify_dataset(tmp_path)[1] == []
     write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
     assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
+
+
+def test_damaged_cameras_are_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(built, out)
+    (out / "transforms_train.json").write_text("{}")
+    assert build(scene_folder, out).status == 0
+    assert tree(out) == tree(built)
 
 
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:

@@ -62,8 +62,18 @@ def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
     hardware.cuda_problem.cache_clear()
     assert hardware.cuda_problem() == "no OptiX"
+    hardware.DRIVERS[1].write_bytes(b"a newer driver")
+    hardware.cuda_problem.cache_clear()
+    assert hardware.cuda_problem() == "no OptiX"
     assert hardware.cuda_problem(again=True) == "no OptiX"
-    assert tried.read_text() == "once once once "
+    assert tried.read_text() == "once once once once "
+
+
+def test_nvidia_smi_is_found_where_windows_puts_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    nvidia_smi(tmp_path, "echo 'RTX 4090, 566.2'", monkeypatch)
+    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    monkeypatch.setattr(hardware, "WSL_PROGRAMS", str(tmp_path / "bin"))
+    assert hardware.describe_gpus() == "RTX 4090, 566.2"
 
 
 def test_a_gpu_that_renders_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -112,7 +112,8 @@ def test_without_a_cache_nothing_fails(children: list[int], tmp_path: Path, monk
 
 
 def test_the_oldest_atlases_are_forgotten(children: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.scene.atlas.MAX_KEPT", 3)
-    for size in range(1, 6):
+    unwrap(BOX, where="box")
+    monkeypatch.setattr("datagen.scene.kept_arrays.MAX_KEPT_BYTES", 3 * kept(tmp_path)[0].stat().st_size + 100)
+    for size in range(2, 6):
         unwrap(dataclasses.replace(BOX, normals=BOX.normals * np.float32(size)), where="box")
     assert len(kept(tmp_path)) == 3

@@ -1,13 +1,16 @@
+import dataclasses
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.render import mitsuba_scene
-from datagen.render.mitsuba_scene import bake_texture
+from datagen.render.mitsuba_scene import bake_texture, linear_texels
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -193,6 +196,28 @@ def test_a_bake_in_pieces_has_the_bits_of_a_bake_at_once(monkeypatch: pytest.Mon
     monkeypatch.setattr(mitsuba_scene, "POINTS_AT_ONCE", 1 << 20)
     for texture, piece in zip(textures, pieces, strict=True):
         np.testing.assert_array_equal(bake_texture(texture, mesh, 200), piece)
+
+
+def test_a_texture_is_baked_once_and_has_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    baked: list[SolidTexture] = []
+
+    def bake(texture: SolidTexture, mesh: Mesh, size: int) -> np.ndarray:
+        baked.append(texture)
+        return bake_texture(texture, mesh, size)
+
+    monkeypatch.setattr(mitsuba_scene, "bake_texture", bake)
+    mesh = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), cells=(3, 2))
+    texture, scene = SolidTexture(pattern="marble", colors=(RED, BLUE), scale=0.1), synthetic_scene()
+    for _ in range(2):
+        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), bake_texture(texture, mesh, 128))
+    assert len(baked) == 1
+    (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
+    kept.write_bytes(kept.read_bytes()[:-50])
+    np.testing.assert_array_equal(linear_texels(scene, mesh, texture), bake_texture(texture, mesh, 128))
+    linear_texels(scene, dataclasses.replace(mesh, uv=mesh.uv + np.float32(0.1)), texture)
+    linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
+    assert len(baked) == 4
 
 
 @pytest.mark.parametrize("pattern", ["checker", "stripes"])

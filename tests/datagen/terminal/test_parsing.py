@@ -44,11 +44,12 @@ def test_help_is_narrow_and_plain(line: str) -> None:
         assert noise not in answer.out
 
 
-def test_help_loads_no_library_that_computes() -> None:
+def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
     code = (
         "import contextlib, io, sys\n"
         "from support.commands import call\n"
         f"for line in {every_command()!r}: assert call(line + ' --help').status == 0, line\n"
+        "assert call('datagen scenes').status == 0\n"
         "print({'numpy', 'torch', 'mitsuba', 'trimesh'} & set(sys.modules))\n"
     )
     environment = {"PYTHONPATH": ":".join(sys.path)}

@@ -10,10 +10,11 @@ from scipy.special import sph_harm_y
 from support.synthetic import pixel_rays, write_synthetic_dataset
 from support.training import build
 
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.rays import insert_empty_layer, load_pixels
 from model.methods.paper.config import PaperConfig
-from model.methods.paper.renderer import PaperRenderer, _warn_of_slow_bf16, default_texture_size
+from model.methods.paper.renderer import PaperRenderer, choose_precision, default_texture_size
 from model.methods.table import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
@@ -189,16 +190,19 @@ def test_textures_have_half_the_images_width() -> None:
 
 
 @pytest.mark.parametrize("has_instructions", [True, False])
-def test_bf16_without_instructions_for_it_is_told_once(
+def test_bf16_without_instructions_for_it_is_computed_and_recorded_in_fp32_and_told_once(
     has_instructions: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu sse {'avx512_bf16' if has_instructions else ''}\n")
     monkeypatch.setattr("datagen.machine.hardware.CPUINFO", tmp_path / "cpuinfo")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     dataset = write_synthetic_dataset(tmp_path / "data")
-    _warn_of_slow_bf16.cache_clear()
-    for precision in ("fp32", "bf16", "bf16"):
-        build(PaperConfig(width=8, texture_size=4, precision=precision), dataset)
-    _warn_of_slow_bf16.cache_clear()
-    told = capsys.readouterr().err.count("--precision bf16: slower here than fp32")
+    expected = "bf16" if has_instructions else "fp32"
+    choose_precision.cache_clear()
+    for _ in range(2):
+        config = PaperConfig(width=8, texture_size=4, precision="bf16")
+        assert config.complete(open_inputs(config, dataset, TRUTH)).precision == expected
+        assert build(config, dataset).net.precision == expected  # As a run that another machine has trained.
+    choose_precision.cache_clear()
+    told = capsys.readouterr().err.count("computes in fp32 instead")
     assert told == (0 if has_instructions else 1)

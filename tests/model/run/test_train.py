@@ -15,6 +15,7 @@ from support.training import SMALL, quick, run_bytes, stop_at
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
@@ -23,6 +24,7 @@ from model.run.predict import render_predictions
 from model.run.preparation import choose_held_out
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import decay, train
+from model.run.train_flags import _completes, parse_train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -149,6 +151,17 @@ def test_the_learning_rate_decays_as_named() -> None:
 # The command.
 
 
+@pytest.mark.parametrize("flags, again", [((), True), (("--branches", "5"), False), (("--stack", "0"), False)])
+def test_a_finished_run_is_known_by_what_was_asked_and_what_was_left_open(flags: tuple[str, ...], again: bool) -> None:
+    asked = parse_train("light-path", ("data", *flags)).method
+    usual = parse_train("light-path", ("data",)).method
+    stored = dataclasses.replace(usual, texture_sizes=(16, 32), refined_samples=64)  # Completed.
+    assert _completes(stored, asked, (), TRUTH) == again
+    assert _completes(dataclasses.replace(stored, **vars(asked) | {"refined_samples": 64}), asked, flags, TRUTH)
+    assert not _completes(stored, asked, ("--refined-rays", "64"), TRUTH)
+    assert not _completes(dataclasses.replace(stored, branches=1), asked, (), TRUTH)
+
+
 def quickly(dataset: Dataset, out: Path, *more: str) -> Answer:
     return call(shlex.join(["model", *quick(dataset, out), *more]))
 
@@ -161,6 +174,9 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     assert {"run.json", "weights.pt", "predictions.json", "predictions/extrapolating/0001.png"} <= set(before)
 
     assert "finished before, nothing to do" in quickly(dataset, out).err
+    code = "import sys; from model.cli import main; main(); print('torch' in sys.modules)"
+    again = subprocess.run([sys.executable, "-c", code, *quick(dataset, out)], capture_output=True, text=True)
+    assert again.stdout == f"{out}\nFalse\n"
 
     answer = quickly(dataset, out, "--lr", "0.01")
     assert answer.status == 1

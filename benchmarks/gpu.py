@@ -1,0 +1,210 @@
+"""Benchmark of a GPU: the networks beside the naive baseline, truth, light paths, and training on them.
+
+Floors follow from what this GPU was measured to do: matrix products in the network's precision, and copying.
+"""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from benchmarks.choices import BenchChoices
+from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, measure
+from benchmarks.naive import NaiveRenderer, describe, made_up_batch, make_renderer, relative_error
+from datagen.build.synthetic import synthetic_scene, write_synthetic_dataset
+from datagen.data.paths import TRUTH
+from datagen.machine.mitsuba_variant import choose_variant
+from datagen.render.truth import Renderer
+from datagen.trace.light_path import LightPathTracer, Limits
+from model.batches.rays import RayBatch
+from model.methods.light_path.config import LightPathConfig
+from model.methods.paper.renderer import PaperRenderer
+from model.methods.table import open_inputs
+from model.run.predict import predict_pixels
+
+FRAME, STEP = 1920 * 1080, 1 << 18
+"""Pixels of a frame, and of a training step."""
+
+GPU_GATE = 20.0
+
+GPU_TOLERANCE = {"fp32": 1e-4, "bf16": 2e-2}
+
+
+def gpu_ceilings(precision: str) -> tuple[Ceiling, Ceiling]:
+    """The GPU's best speed: matrix products in the network's precision, and copying."""
+    size, kind = 4096, torch.bfloat16 if precision == "bf16" else torch.float32
+    a, b = torch.randn(2, size, size, device="cuda", dtype=kind)
+    out = torch.empty_like(a)
+    flops = 2 * size**3 / best_seconds(synchronised(lambda: torch.mm(a, b, out=out)))
+    source = torch.ones(1 << 28, device="cuda")  # 1 GiB, beyond every cache.
+    target = torch.empty_like(source)
+    copied = 2 * source.nbytes / best_seconds(synchronised(lambda: target.copy_(source)))
+    return (
+        Ceiling(name=f"{precision} matrix product", value=1e-12 * flops, unit="TFLOP/s"),
+        Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
+    )
+
+
+def floors(
+    renderer: PaperRenderer, num_pixels: int, filled: float, ceilings: tuple[Ceiling, Ceiling]
+) -> dict[str, float]:
+    """Least seconds of a frame and of a step: products at the GPU's best, each byte moved once.
+
+    A frame reads its layers (6 bytes a place) and 4 texels of 2 bytes a channel for each surface. A step multiplies
+    three times as much, and its Adam moves 34 bytes a parameter of the textures.
+    """
+    flops_a_second, bytes_a_second = 1e12 * ceilings[0].value, 1e9 * ceilings[1].value
+    table = renderer.textures.get_parameter("table")
+    flops = 2 * sum(parameter.numel() for name, parameter in renderer.net.named_parameters() if parameter.ndim == 2)
+    products = num_pixels * flops / flops_a_second
+    num_layers = renderer.net.first.linear.in_features // table.shape[1]
+    places = num_pixels * num_layers
+    texels = places * filled * 4 * 2 * table.shape[1] / bytes_a_second
+    layers = places * 6 / bytes_a_second
+    return {
+        "frame": max(products, texels + layers),
+        "step": max(3 * products, 3 * texels + 34 * table.numel() / bytes_a_second),
+    }
+
+
+def synchronised(run: Callable[[], object]) -> Callable[[], None]:
+    def wait() -> None:
+        run()
+        torch.cuda.synchronize()
+
+    return wait
+
+
+def to_device(rays: RayBatch, device: torch.device) -> RayBatch:
+    return RayBatch(uv=rays.uv.to(device), object_id=rays.object_id.to(device), p_camera=rays.p_camera.to(device))
+
+
+def step_of(module: torch.nn.Module, rays: RayBatch, truth: Tensor, optimizer: torch.optim.Optimizer) -> None:
+    optimizer.zero_grad(set_to_none=True)
+    functional.l1_loss(module(rays), truth).backward()
+    optimizer.step()
+
+
+def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step: int = STEP) -> BenchReport:
+    """Times frames, steps, truth and light paths; skipped with a message without CUDA. Call `use_mitsuba` first."""
+    if not torch.cuda.is_available():
+        why = "torch finds no CUDA device here"
+        return measure(
+            "gpu", [], settings={"precision": choices.precision}, facts={"skipped": why}, rounds=choices.rounds
+        )
+    # Else the rival's convolutions, and they alone, would round their factors to TF32 on every GPU since Ampere.
+    torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = False
+    device = torch.device("cuda")
+    rng = np.random.default_rng(seed)
+    renderer = make_renderer(choices, rng=rng).to(device)
+    naive = NaiveRenderer(renderer).to(device)
+    rays, truth = made_up_batch(choices, rng=rng)
+    filled = float((rays.object_id != 0).float().mean())
+
+    def of_size(count: int) -> RayBatch:
+        index = torch.arange(count) % len(truth)
+        return to_device(
+            RayBatch(uv=rays.uv[index], object_id=rays.object_id[index], p_camera=rays.p_camera[index]), device
+        )
+
+    whole, batch = of_size(frame), of_size(step)
+    colors = truth[torch.arange(step) % len(truth)].to(device)
+    ours = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
+    theirs = torch.optim.Adam(naive.parameters(), lr=1e-3, foreach=False, fused=False)
+
+    @torch.inference_mode()
+    def draw(module: torch.nn.Module) -> Tensor:
+        was_training = module.training
+        result = module.eval()(whole)
+        module.train(was_training)
+        return result
+
+    def compare() -> tuple[bool, str]:
+        error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE[choices.precision]
+        return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
+
+    ceilings = gpu_ceilings(choices.precision)
+    least = floors(renderer, frame, filled, ceilings)["frame"], floors(renderer, step, filled, ceilings)["step"]
+    folder = tempfile.TemporaryDirectory(prefix="hyaline-bench-")
+    traced, amounts = traced_candidates(Path(folder.name), device, size=SIZE)
+    report = measure(
+        "gpu",
+        [
+            Candidate(name="naive frame", run=synchronised(lambda: draw(naive)), note="plain torch"),
+            Candidate(name="frame", run=synchronised(lambda: draw(renderer))),
+            Candidate(
+                name="naive step", run=synchronised(lambda: step_of(naive, batch, colors, theirs)), note="plain torch"
+            ),
+            Candidate(name="step", run=synchronised(lambda: step_of(renderer, batch, colors, ours))),
+            *traced,
+        ],
+        checks=[Check(name="same colours", run=compare)],
+        gates=[Gate(name="whole step", baseline="naive step", candidate="step", at_least=GPU_GATE)],
+        ceilings=ceilings,
+        settings={"frame": frame, "step": step, **describe(choices, renderer)},
+        facts={"gpu": torch.cuda.get_device_name(), "TF32": "off for both", "Mitsuba": choose_variant().variant},
+        rounds=choices.rounds,
+    )
+    folder.cleanup()
+    floor = {"frame": least[0], "step": least[1]}
+    for timing in report.timings:
+        if timing.name in floor:
+            seconds = floor[timing.name]
+            share = seconds / timing.wall.median
+            report.facts[f"floor of a {timing.name}"] = f"{1e3 * seconds:.3f} ms on this GPU, {share:.1%} of it reached"
+        if timing.name in amounts:
+            count, unit = amounts[timing.name]
+            report.facts[timing.name] = f"{count / timing.wall.median:,.3g} {unit}/s"
+    return report
+
+
+SIZE, SPP, UPDATE = 256, 16, 512
+"""Width and height of traced pictures, samples per pixel of the truth, and pixels of an update of `light-path`."""
+
+
+def traced_candidates(
+    folder: Path, device: torch.device, *, size: int
+) -> tuple[list[Candidate], dict[str, tuple[int, str]]]:
+    """What follows light, on a scene of a pane over a floor; and how much of what each of them makes.
+
+    Mitsuba traces with the variant that `use_mitsuba` chose, torch computes on `device`.
+    """
+    dataset, scene = write_synthetic_dataset(folder / "data", resolution=size), synthetic_scene()
+    cameras = dataset.cameras("train")
+    truth = Renderer(scene, max_depth=24)
+    tracer = LightPathTracer(tuple(item.mesh for item in scene.objects), tuple(item.material for item in scene.objects))
+    origin, directions = cameras[0].rays()
+    directions = directions.reshape(-1, 3)
+    origins = np.broadcast_to(origin, directions.shape)
+    inputs = open_inputs(LightPathConfig(), dataset, TRUTH)
+    config = LightPathConfig().complete(inputs)
+    renderer = config.build(inputs).to(device)
+    training = config.load(inputs, "train", [0, 1, 2, 3], with_images=True).to(device)
+    view = config.load(inputs, "interpolating", [0], with_images=False).to(device)
+    optimizer = torch.optim.Adam(renderer.parameters(), lr=1e-3, fused=True)
+    rng = np.random.default_rng(0)
+
+    def update() -> None:
+        optimizer.zero_grad(set_to_none=True)
+        renderer.train().loss(training, UPDATE, rng).backward()
+        optimizer.step()
+        if device.type == "cuda":
+            torch.cuda.synchronize()
+
+    limits = Limits(max_branches=config.branches, max_vertices=8, max_depth=16)
+    candidates = [
+        Candidate(name="truth", run=lambda: truth.radiance(cameras, 0, spp=SPP, seed=0), note=f"{size}², {SPP} spp"),
+        Candidate(name="light paths", run=lambda: tracer.trace(origins, directions, limits), note="with packing"),
+        Candidate(name="light-path update", run=update, note=f"{UPDATE} pixels, tracing included"),
+        Candidate(name="light-path frame", run=lambda: predict_pixels(renderer.eval(), view), note="tracing included"),
+    ]
+    return candidates, {
+        "truth": (size * size * SPP, "paths"),
+        "light paths": (size * size, "rays"),
+        "light-path update": (1, "updates"),
+        "light-path frame": (1, "frames"),
+    }

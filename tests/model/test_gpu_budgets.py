@@ -1,0 +1,113 @@
+"""Tests that no method asks a GPU for more than its budget, in a training step and in a view, without having a GPU."""
+
+import dataclasses
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import torch
+from support.pretend_cuda import CUDA, Counts, pretended_cuda
+from support.traced_dataset import write_traced_dataset
+from support.training import configured
+
+from datagen.data.dataset import Dataset
+from model.methods.deepvoxels.config import DeepVoxelsConfig
+from model.methods.table import open_inputs
+from model.run.predict import predict_pixels
+from model.run.preparation import build_renderer
+from model.run.train import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Budget(NamedTuple):
+    """The most that is asked of a GPU; each was measured, and may only become less."""
+
+    launches: int
+    waits: int
+    kilobytes: float
+    """Copied to and from the CPU."""
+
+
+STEPS = {
+    "paper": Budget(285, 7, 2.4),
+    "paper-best": Budget(487, 19, 91),
+    "mlp-first": Budget(285, 7, 2.4),
+    "dnr": Budget(480, 13, 34),
+    "dnr-authors": Budget(240, 7, 34),
+    "authors-code": Budget(264, 7, 2.4),
+    "light-path": Budget(3020, 120, 250),
+    "deepvoxels": Budget(5951, 45, 2.4),
+}
+"""Of a training step on 256 pixels; `light-path` makes four updates in it."""
+
+VIEWS = {
+    "paper": Budget(158, 6, 13),
+    "paper-best": Budget(349, 18, 5600),
+    "mlp-first": Budget(158, 6, 13),
+    "dnr": Budget(323, 12, 13),
+    "dnr-authors": Budget(156, 6, 13),
+    "authors-code": Budget(168, 7, 275),
+    "light-path": Budget(753, 57, 16000),
+    "deepvoxels": Budget(272, 7, 13),
+}
+"""Of a view of 64 x 64 pixels."""
+
+
+@pytest.fixture(scope="module")
+def glasses(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_traced_dataset(tmp_path_factory.mktemp("budgets") / "data", resolution=64)
+
+
+def assert_within(before: tuple[int, int, int], counts: Counts, budget: Budget) -> None:
+    launches, waits, num_bytes = (after - first for after, first in zip(counts.totals(), before))
+    found = Budget(launches, waits, num_bytes / 1000)
+    assert all(have <= most for have, most in zip(found, budget)), f"{found}; expected at most {budget}\n{counts}"
+
+
+SLOW = {"deepvoxels": pytest.mark.slow}
+
+
+@pytest.mark.parametrize("method", [pytest.param(name, marks=SLOW.get(name, ())) for name in STEPS])
+def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, tmp_path: Path) -> None:
+    config = dataclasses.replace(configured(glasses, method), batch=256, held_out_views=0)
+    if isinstance(config.net, DeepVoxelsConfig):  # As many operations on less.
+        config = dataclasses.replace(config, net=dataclasses.replace(config.net, width=2, voxel_features=2))
+
+    def count(steps: int) -> Counts:
+        with pretended_cuda() as counts:
+            train(dataclasses.replace(config, steps=steps), glasses, tmp_path / str(steps), label="x", device=CUDA)
+        return counts
+
+    # What a run asks for once is in both.
+    assert_within(count(1).totals(), count(2), STEPS[method])
+
+
+@pytest.mark.parametrize("method", VIEWS)
+def test_drawing_a_view_stays_within_its_budget(method: str, glasses: Dataset) -> None:
+    config = configured(glasses, method)
+    inputs = open_inputs(config.net, glasses, config.geometry)
+    with pretended_cuda() as counts:
+        renderer = build_renderer(config, inputs, device=CUDA).eval()
+        pixels = config.net.load(inputs, "interpolating", [0], with_images=False).to(CUDA)
+        before = counts.totals()
+        predict_pixels(renderer, pixels)
+    assert_within(before, counts, VIEWS[method])
+
+
+def test_the_pretended_gpu_counts_as_a_gpu_would() -> None:
+    with pretended_cuda() as counts:
+        layer = torch.nn.Linear(3, 2).to(CUDA)  # Copies two parameters.
+        x = torch.tensor([[1.0, 2.0, 3.0]], device=CUDA)
+        assert counts.totals() == (0, 3, 4 * (6 + 2 + 3))
+        loss = layer(x).square().sum()
+        loss.backward()
+        assert layer.weight.device == CUDA and layer.weight.grad is not None and layer.weight.grad.device == CUDA
+        launches, waits, _ = counts.totals()
+        assert launches >= 6 and waits == 3
+        assert loss.item() > 0 and x[x > 1].tolist() == [2, 3]  # A number, a mask's places, a copy.
+        assert counts.totals()[1] == 6
+        with pytest.raises(RuntimeError, match="tensors on cuda:0 and on the CPU"):
+            x + torch.ones(3)
+        with pytest.raises(TypeError, match="can't convert cuda:0"):
+            x.numpy()
