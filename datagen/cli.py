@@ -239,6 +239,7 @@ def peel(
     opened = open_dataset(find_dataset(dataset))
     check_settings(num_layers=num_layers, workers=workers)
     check_geometry(opened, geometry)
+    say(f"{opened.root}: peels {geometry} into {num_layers} layers")
     peel_dataset(opened, geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
     say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
@@ -264,6 +265,7 @@ def film(
 
     opened = open_dataset(find_dataset(dataset))
     out = choices.out or Path(f"{opened.name}-truth.webp")
+    say(f"{opened.root}: renders {out}")
     film_scene(opened, plan_film(opened, choices, out), out, fps=choices.fps, spp=spp)
     tell(str(out))
 
@@ -321,6 +323,7 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     if not overwrite:
         refuse_file(path)
     refuse_owned(path, DATASET)
+    say(f"{opened.root}: draws {path}")
     commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))
     tell(str(path))
 

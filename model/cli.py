@@ -91,13 +91,14 @@ def _train_method(method: str, asked: "Asked") -> None:
 
     if asked.run.tensorboard:
         require_tensorboard()
-    if "RANK" not in os.environ and (finished := find_finished(method, asked)):
+    is_alone = int(os.environ.get("WORLD_SIZE", "1")) == 1
+    if is_alone and (finished := find_finished(method, asked)):
         say(told_finished(finished))
         _end(finished, run=finished)
         return
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
-    if asked.run.device != "cpu":
+    if asked.run.device != "cpu" and not is_alone:
         from model.batches.distributed import see_own_gpu
 
         see_own_gpu()
@@ -205,14 +206,20 @@ def predict(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.predict import check_can_draw, check_draws_edits, render_predictions, render_variant
     from model.run.run_folder import FOLDER, is_all_drawn, is_drawn, open_trained
 
     record, opened = open_trained(run, dataset)
-    config, out = record.config, run
-    if variant is None:
-        is_done, draw = is_all_drawn(run, opened), functools.partial(render_predictions, run, config, opened)
-    else:
+    say(f"{run}: checks its predictions")
+    intact = "its predictions are intact, nothing to do; --overwrite makes them again"
+    if variant is None and not overwrite and is_all_drawn(run, opened):
+        say(f"{run}: {intact}")
+        _end(run, run=run)
+        return
+    from model.run.predict import check_can_draw, check_draws_edits, render_predictions, render_variant  # With torch.
+
+    config, out, is_done = record.config, run, False
+    draw = functools.partial(render_predictions, run, config, opened)
+    if variant is not None:
         name = variant
         if ":" in variant:  # As one types an edit; what cannot be drawn need not be built.
             name = edits_name(tuple(map(parse_edit, variant.split("+"))))
@@ -221,7 +228,7 @@ def predict(
         check_can_draw(config, opened, chosen)
         is_done, draw = is_drawn(run, chosen), functools.partial(render_variant, run, config, opened, chosen)
     if is_done and not overwrite:
-        say(f"{out}: its predictions are intact, nothing to do; --overwrite makes them again")
+        say(f"{out}: {intact}")
     else:
         with holding(run, FOLDER):
             draw(device=choose_device(device))
@@ -243,14 +250,16 @@ def film(
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         device: Where to compute; auto uses a GPU if there is one.
     """
-    from datagen.build.film import plan_film
-    from datagen.data.film import write_film
     from datagen.disk.ownership import refuse_owned
     from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
 
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
+    say(f"{run}: renders {out}")
+    from datagen.build.film import plan_film
+    from datagen.data.film import write_film
+
     cameras = plan_film(opened, choices, out)
     from model.run.predict import film_pictures
 
@@ -282,13 +291,15 @@ def export(
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
     from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
-    from model.web.export import export_run
 
     if not overwrite:
         refuse_file(out)
     refuse_owned(out, DATASET)
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)
+    say(f"{run}: draws {out}")
+    from model.web.export import export_run  # With torch.
+
     export_run(run, record, opened, out, quality, truths)
     tell(str(out))
 

@@ -64,6 +64,8 @@ def _build_scene(
         # Before anything is modelled.
         refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     built = None if choices.overwrite else place
+    if built is not None and (built / DATASET.head).is_file():
+        say(f"{built}: checks what is there")
     scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
     are_views_chosen = size.views is not None or size.test_views is not None

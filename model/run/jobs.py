@@ -8,8 +8,7 @@ from datagen.disk.ownership import is_ours
 from datagen.machine.launch import JobFailure, LaunchChoices, raise_failures, run_in_jobs
 from datagen.terminal.command import say
 from datagen.terminal.parsing import flag_words
-from model.run.predict import is_all_drawn
-from model.run.run_folder import FOLDER, check_trained_on
+from model.run.run_folder import FOLDER, check_trained_on, is_all_drawn
 from model.run.sweep import Experiment, Failure, command_line
 from model.run.train_flags import Asked, configure, folder_name, parse_train
 from model.settings.run_flags import RUNS, RunFlags

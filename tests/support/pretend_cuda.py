@@ -15,6 +15,7 @@ import collections
 import contextlib
 import sys
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -227,7 +228,18 @@ def _line() -> str:
 def pretended_cuda() -> Iterator[Counts]:
     """Lets tensors be on cuda:0 within the block, on machines without a GPU, and counts what they do there."""
     counts = Counts()
-    kept = torch._C._InferenceMode, torch.random.fork_rng
+    kept = torch._C._InferenceMode, torch.random.fork_rng, ThreadPoolExecutor.submit
+
+    def submit(pool: ThreadPoolExecutor, call: Any, *args: Any, **more: Any) -> Future[Any]:
+        """Modes belong to threads: another one pretends by itself."""
+
+        def run() -> Any:
+            with _Pretending(counts):
+                return call(*args, **more)
+
+        return kept[2](pool, run)
+
+    ThreadPoolExecutor.submit = submit
     # Subclasses of tensors cannot change in inference mode.
     torch._C._InferenceMode = lambda mode: torch.no_grad() if mode else contextlib.nullcontext()
     torch.random.fork_rng = lambda devices=(), **more: kept[1](devices=[], **more)
@@ -237,4 +249,4 @@ def pretended_cuda() -> Iterator[Counts]:
             yield counts
     finally:
         torch.__future__.set_overwrite_module_params_on_conversion(False)
-        torch._C._InferenceMode, torch.random.fork_rng = kept
+        torch._C._InferenceMode, torch.random.fork_rng, ThreadPoolExecutor.submit = kept

@@ -34,8 +34,8 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
-from model.run.predict import is_drawn, render_predictions, render_variant
-from model.run.run_folder import TrainConfig
+from model.run.predict import render_predictions, render_variant
+from model.run.run_folder import TrainConfig, is_drawn
 from model.run.train import train
 
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))

@@ -219,6 +219,19 @@ def test_a_folder_that_is_no_run_is_never_overwritten(dataset: Dataset, tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_training_says_that_it_loads_torch_before_it_does(dataset: Dataset, tmp_path: Path) -> None:
+    code = (
+        "import sys\n"
+        "class Watch:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'torch': sys.exit(7)\n"
+        "sys.meta_path.insert(0, Watch())\n"
+        "from model.cli import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *quick(dataset, tmp_path)], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (7, f"{dataset.root}: loads torch\n")
+
+
 def test_help_answers_without_torch() -> None:
     code = "import sys; from model.cli import main; sys.argv = ['model', 'train', 'paper', '--help']\ntry: main()\n"
     code += "finally: print('torch' in sys.modules, file=sys.stderr)"
