@@ -43,7 +43,7 @@ from model.run.preparation import (
     told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings.optimisation import LrDecay, PixelOptimisation
+from model.settings.optimisation import PixelOptimisation, decay
 from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory, use_few_threads
 from model.settings.state import State
@@ -81,9 +81,7 @@ def train(
         NumericsError: the loss, a gradient or a weight is not finite.
         Stopped: a signal has arrived; the message names the step.
     """
-    keep_freed_memory()
-    if device.type == "cpu" and isinstance(config.net.optimisation(), PixelOptimisation):
-        use_few_threads(config.batch // config.updates)
+    prepare_processor(config, device)
     check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_inpainting(config)
@@ -104,13 +102,10 @@ def train(
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    optimizer = make_optimizer(
-        groups,
-        beta1=config.beta1,
-        # Processes average whole tables of gradients.
-        renderer=renderer if processes.count == 1 else None,
-        pixels=config.batch // config.updates,
-    )
+    # Processes average whole tables of gradients, so several move no texture lazily.
+    lazy_in = renderer if processes.count == 1 else None
+    size = config.batch // config.updates
+    optimizer = make_optimizer(groups, beta1=config.beta1, renderer=lazy_in, pixels=size)
     run = Run(
         config=config,
         inputs=inputs,
@@ -133,6 +128,12 @@ def train(
     )
     say_all(told_fine_patterns(dataset, config.geometry, renderer))
     take_steps(run, progress, anew=anew)
+
+
+def prepare_processor(config: TrainConfig, device: torch.device) -> None:
+    keep_freed_memory()
+    if device.type == "cpu" and isinstance(config.net.optimisation(), PixelOptimisation):
+        use_few_threads(config.batch // config.updates)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -369,17 +370,6 @@ def check_processes(config: TrainConfig, processes: Processes) -> None:
             f"batch: is {config.batch}; expected at least one pixel per process and update, with {processes.count} "
             f"processes and {config.updates} updates"
         )
-
-
-def decay(kind: LrDecay, progress: float) -> float:
-    """The factor on the learning rate after a share `progress`, in [0, 1), of the steps."""
-    match kind:
-        case "none":
-            return 1.0
-        case "linear":
-            return min(1.0, 2 * (1 - progress))
-        case "cosine":
-            return 0.5 * (1 + math.cos(math.pi * progress))
 
 
 def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:

@@ -1,5 +1,6 @@
 """Optimisation: steps, batches and learning rates. Each method has its own defaults."""
 
+import math
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -61,3 +62,14 @@ def check_rate(name: str, rate: float | None) -> None:
     """Raises a HyalineError where Adam cannot learn at a rate; None stands for another one's."""
     if rate is not None and not 0 < rate <= 1:
         raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
+
+
+def decay(kind: LrDecay, progress: float) -> float:
+    """The factor on the learning rate after a share `progress`, in [0, 1), of the steps."""
+    match kind:
+        case "none":
+            return 1.0
+        case "linear":
+            return min(1.0, 2 * (1 - progress))
+        case "cosine":
+            return 0.5 * (1 + math.cos(math.pi * progress))

@@ -23,8 +23,9 @@ from model.run.checkpoint import fingerprint, load_checkpoint, load_state
 from model.run.predict import render_predictions
 from model.run.preparation import choose_held_out
 from model.run.run_folder import check_same_run, is_finished, read_run
-from model.run.train import decay, train
+from model.run.train import train
 from model.run.train_flags import _completes, parse_train
+from model.settings.optimisation import decay
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
