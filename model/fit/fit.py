@@ -215,10 +215,11 @@ class _Work:
     def _stands_on(self, point: Float64[np.ndarray, "3"], reach: float) -> float | None:
         from datagen.trace.peel import Peeler
 
-        if not any(map(is_there, self.known)):
+        below = known_meshes(self.known, self.sightings.filling)
+        if not any(map(is_there, below)):
             return None
         start = point + reach * UP
-        hits = Peeler(self.known).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
+        hits = Peeler(below).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
         is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
         return float(start @ UP - hits.t[0, 0]) if is_near else None
 

@@ -90,7 +90,7 @@ def load_pixels(
 def learn(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], steps: int, *, seed: int) -> LightPathRenderer:
     """Learns textures and sky from some of the pixels."""
     torch.manual_seed(seed)
-    sizes = texel_widths(pixels, len(pixels.is_opaque) - 1, pixels.resolution.mean_side)
+    sizes = texel_widths(pixels, pixels.num_objects, pixels.resolution.mean_side)
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
     optimisation = pixels.config.optimisation()
     groups = renderer.groups(optimisation)
