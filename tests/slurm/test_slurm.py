@@ -3,7 +3,7 @@
     apt-get install slurm-wlm munge
     pytest --full tests/slurm
 
-Takes five minutes: Slurm's shortest time limit is one minute. No services have to run, and root is not needed.
+Takes five to ten minutes: Slurm's shortest time limit is one minute. No services have to run, and root is not needed.
 """
 
 import contextlib
