@@ -25,7 +25,7 @@ from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
 from model.run.preparation import make_optimizer
-from model.run.train import decay
+from model.settings.optimisation import decay
 from model.settings.state import State
 
 BATCH = 1024
@@ -80,7 +80,7 @@ def load_pixels(
         tracer=LightPathTracer(meshes, materials, tints_of(scene, own_uv=True)),
         straight_tracer=None,
         rays=SubpixelRays(cameras=dataset.cameras("train")),
-        is_opaque=np.array([False, *(not material.is_glass for material in materials)]),
+        num_objects=len(meshes),
         rgb=read_colors(dataset, "train", views, with_images=True),
         config=LightPathConfig(stack_hidden=0).sized((2,) * len(meshes)),
         device=torch.device("cpu"),
