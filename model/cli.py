@@ -83,19 +83,16 @@ def _train_method(method: str, asked: "Asked") -> None:
         from model.run.jobs import train_in_job
 
         out = train_in_job(method, asked)
-        _end(out, run=out)
-        return
+        return _end(out, run=out)
     from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.run_folder import told_finished
     from model.run.train_flags import configure, find_finished, folder_name
 
     if asked.run.tensorboard:
         require_tensorboard()
-    is_alone = int(os.environ.get("WORLD_SIZE", "1")) == 1
-    if is_alone and (finished := find_finished(method, asked)):
+    if (is_alone := int(os.environ.get("WORLD_SIZE", "1")) == 1) and (finished := find_finished(method, asked)):
         say(told_finished(finished))
-        _end(finished, run=finished)
-        return
+        return _end(finished, run=finished)
     if int(os.environ.get("RANK", "0")) > 0:
         mute()
     if asked.run.device != "cpu" and not is_alone:
@@ -209,12 +206,10 @@ def predict(
     from model.run.run_folder import FOLDER, is_all_drawn, is_drawn, open_trained
 
     record, opened = open_trained(run, dataset)
-    say(f"{run}: checks its predictions")
     intact = "its predictions are intact, nothing to do; --overwrite makes them again"
     if variant is None and not overwrite and is_all_drawn(run, opened):
         say(f"{run}: {intact}")
-        _end(run, run=run)
-        return
+        return _end(run, run=run)
     from model.run.predict import check_can_draw, check_draws_edits, render_predictions, render_variant  # With torch.
 
     config, out, is_done = record.config, run, False
@@ -229,9 +224,9 @@ def predict(
         is_done, draw = is_drawn(run, chosen), functools.partial(render_variant, run, config, opened, chosen)
     if is_done and not overwrite:
         say(f"{out}: {intact}")
-    else:
-        with holding(run, FOLDER):
-            draw(device=choose_device(device))
+        return _end(out, run=run)
+    with holding(run, FOLDER):
+        draw(device=choose_device(device))
     _end(out, run=run)
 
 
@@ -298,7 +293,7 @@ def export(
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)
     say(f"{run}: draws {out}")
-    from model.web.export import export_run  # With torch.
+    from model.web.export import export_run
 
     export_run(run, record, opened, out, quality, truths)
     tell(str(out))

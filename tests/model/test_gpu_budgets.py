@@ -36,7 +36,7 @@ STEPS = {
     "dnr": Budget(480, 13, 34),
     "dnr-authors": Budget(240, 7, 34),
     "authors-code": Budget(264, 7, 2.4),
-    "light-path": Budget(3020, 120, 250),
+    "light-path": Budget(3020, 89, 200),
     "deepvoxels": Budget(5951, 45, 2.4),
 }
 """Of a training step on 256 pixels; `light-path` makes four updates in it."""
