@@ -33,6 +33,7 @@ def commands() -> CommandGroup:
         "cycles": cycles,
         "ceilings": ceilings,
         "step": step,
+        "compare": compare,
         "infer": infer,
         "gpu": gpu,
         "sky": sky,
@@ -342,6 +343,20 @@ def step(choices: BenchChoices) -> None:
     from benchmarks.step import all_ceilings, bench_step
 
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
+
+
+def compare(commit: str, *, rounds: int = 3) -> None:
+    """This version beside an earlier commit: processor time of training steps and of a drawn view, by turns.
+
+    Each version builds a small dataset and trains with its own commands. A round takes about five minutes of one core.
+
+    Args:
+        commit: The earlier one, such as 4bd2d80.
+        rounds: Turns of each version.
+    """
+    from benchmarks.versions import compare_versions, versions_table
+
+    print(versions_table(commit, compare_versions(commit, rounds=rounds)))
 
 
 def infer(choices: BenchChoices) -> None:

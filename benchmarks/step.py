@@ -1,5 +1,7 @@
 """Benchmarks of networks beside the naive baseline: a training step and a frame on a CPU, both on a GPU, ceilings."""
 
+import contextlib
+import itertools
 import mmap
 import time
 from collections.abc import Callable, Sequence
@@ -22,10 +24,22 @@ from benchmarks.naive import (
     relative_distance,
     relative_error,
 )
+from datagen.data.cameras import Cameras
+from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Scene
+from datagen.scene.finding import find_scene
+from datagen.scene.rig import make_cameras
+from model.batches.ahead import Ahead
 from model.batches.rays import RayBatch
+from model.batches.traced_layers import SubpixelRays
+from model.methods.light_path.config import LightPathConfig
+from model.methods.light_path.net import LightPathRenderer
+from model.methods.light_path.pixels import LightPathPixels
 from model.methods.paper.renderer import PaperRenderer
 from model.run.predict import predict_colors, predict_pixels
-from model.settings.runtime import keep_freed_memory
+from model.run.preparation import make_optimizer
+from model.settings.runtime import keep_freed_memory, start_numba_threads, use_few_threads
 
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
 
@@ -130,6 +144,69 @@ def is_before_norm(net: nn.Module, name: str) -> bool:
     return unit != name and isinstance(net.get_submodule(unit + ".norm"), nn.BatchNorm1d)
 
 
+def light_path_step(seed: int = 0) -> Callable[[], None]:
+    """A step of `light-path` on random colours of the glass table, as `model train` takes it but tracing in turn."""
+    use_mitsuba()
+    from datagen.trace.light_path import LightPathTracer
+    from datagen.trace.surface_tables import tints_of
+
+    scene = find_scene("glass_table")
+    config = LightPathConfig().sized((128,) * len(scene.objects))
+    optimisation = config.optimisation()
+    cameras = bench_cameras(scene)
+    rgb = torch.randint(0, 256, (len(cameras) * cameras.height * cameras.width, 3), dtype=torch.uint8)
+    pixels = LightPathPixels(
+        tracer=LightPathTracer(
+            tuple(item.mesh for item in scene.objects),
+            tuple(item.material for item in scene.objects),
+            tints_of(scene, own_uv=True),
+        ),
+        straight_tracer=None,
+        num_objects=len(scene.objects),
+        config=config,
+        rays=SubpixelRays(cameras=cameras),
+        rgb=rgb,
+        device=torch.device("cpu"),
+    )
+    renderer = LightPathRenderer(config)
+    size = optimisation.batch // optimisation.updates
+    groups = renderer.groups(optimisation)
+    optimizer = make_optimizer(groups, beta1=optimisation.beta1, renderer=renderer, pixels=size)
+    steps = itertools.count()
+
+    def step() -> None:
+        threads, number = torch.get_num_threads(), next(steps)
+        use_few_threads(size)
+
+        def draw(_: int) -> list[np.random.Generator]:
+            return [np.random.default_rng([seed, number, update]) for update in range(optimisation.updates)]
+
+        with contextlib.closing(Ahead(pixels, draw, size=size)) as ahead:
+            ahead.begin(0, is_last=True)
+            for rng in draw(0):
+                optimizer.zero_grad(set_to_none=True)
+                renderer.loss(pixels.taken_from(ahead), size, rng, softness=optimisation.loss.softness).backward()
+                optimizer.step()
+        torch.set_num_threads(threads)
+        start_numba_threads()
+
+    return step
+
+
+def bench_cameras(scene: Scene) -> Cameras:
+    """Sixteen training cameras of 128 x 128 pixels."""
+    split = SplitConfig(views=16, spp=4)
+    config = DatasetConfig(
+        scene=scene.name,
+        preset="bench",
+        resolution=square(128),
+        train=split,
+        interpolating=split,
+        extrapolating=split,
+    )
+    return make_cameras(scene.cameras, config)["train"]
+
+
 def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:
     """Times training steps."""
     keep_freed_memory()
@@ -156,6 +233,7 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
             run=lambda: texture_step(ours.look_up, upstream.view(flat), our_textures),
             note="look-up, gradient, Adam",
         ),
+        Candidate(name="light-path", run=light_path_step(seed), note="a step of 2,048 pixels, 128² textures"),
     ]
     tolerance = TOLERANCE[choices.precision]
     report = measure(

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, LaunchChoices, SizeChoices
+from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.capture.choices import CaptureChoices
 from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, predict_command, train_command
 from datagen.disk.errors import UsageError
@@ -63,7 +63,7 @@ def build(
     *,
     choices: BuildChoices = BuildChoices(),  # noqa: B008
     size: SizeChoices = SizeChoices(),  # noqa: B008
-    jobs: LaunchChoices = LaunchChoices(),  # noqa: B008
+    cluster: ShardChoices = ShardChoices(),  # noqa: B008
     file: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Render a scene and peel its layers; if interrupted, the same command resumes.
@@ -76,7 +76,7 @@ def build(
     from datagen.build.shards import count_missing
 
     hush(choices.quiet)
-    built = build_scenes(scene, choices, size, jobs, file)
+    built = build_scenes(scene, choices, size, cluster, file)
     if choices.json:
         tell_json(
             {

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Literal
 from datagen.build.choices import FilmChoices
 from datagen.data.paths import FITTED, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
+from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device
@@ -78,6 +79,12 @@ def _train_command(method: str, words: Sequence[str]) -> Command:
 
 
 def _train_method(method: str, asked: "Asked") -> None:
+    if asked.cluster.launcher is not None:
+        from model.run.jobs import train_in_job
+
+        out = train_in_job(method, asked)
+        _end(out, run=out)
+        return
     from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.train_flags import configure, folder_name
 
@@ -319,8 +326,11 @@ def sweep(
     seed: tuple[int, ...] = (),
     jobs: int = 1,
     dry_run: bool = False,
+    cluster: LaunchChoices = LaunchChoices(),  # noqa: B008
 ) -> None:
     """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
+
+    With --launcher slurm, each run is a Slurm job.
 
     Args:
         experiment: A TOML file (its format is described in model/run/sweep.py), or one of table1, table2, square,
@@ -338,7 +348,15 @@ def sweep(
         for arguments in asked.runs:
             tell(command_line(arguments))
         return
-    raise_failures(asked, run_experiment(asked, devices=find_devices(jobs)))
+    if cluster.launcher is None:
+        failures = run_experiment(asked, devices=find_devices(jobs))
+    else:
+        from model.run.jobs import train_experiment_in_jobs
+
+        if jobs != 1:
+            raise UsageError("--jobs: is for runs on this machine; leave it out with --launcher slurm")
+        failures = train_experiment_in_jobs(asked, cluster)
+    raise_failures(asked, failures)
     next_command("eval report")
 
 

@@ -45,7 +45,7 @@ HOMES = {
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
     "pycolmap": {"datagen/capture/structure.py"},
-    "submitit": {"datagen/build/launch.py"},
+    "submitit": {"datagen/machine/launch.py"},
     "viser": {"model/view/server.py", "model/view/stage.py", "model/view/view.py"},
 }
 

@@ -1,11 +1,11 @@
 """What `datagen build` and `datagen add` do: build datasets from a scene, and add variants to one."""
 
 import dataclasses
+from pathlib import Path
 
 from datagen.build.build import build_dataset, refuse_imported, summary
 from datagen.build.build_variant import build_variant, peel_variants
-from datagen.build.choices import AddChoices, BuildChoices, LaunchChoices, SizeChoices
-from datagen.build.launch import build_in_jobs
+from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import count_missing, parse_shard
@@ -17,16 +17,18 @@ from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import TWINS
 from datagen.disk.errors import UsageError
 from datagen.disk.ownership import DATASET, refuse_strangers
+from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.random_names import RANDOM, RandomName
 from datagen.terminal.command import say, say_all
+from datagen.terminal.parsing import flag_words
 from datagen.terminal.preview import preview
 
 
 def build_scenes(
-    scene: str, choices: BuildChoices, size: SizeChoices, launch: LaunchChoices, imports: ImportChoices
+    scene: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> list[Dataset]:
     """Builds the dataset of a scene; of `random`, as many as `choices` count.
 
@@ -54,7 +56,7 @@ def build_scenes(
 
 
 def _build_scene(
-    name: str, choices: BuildChoices, size: SizeChoices, launch: LaunchChoices, imports: ImportChoices
+    name: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> Dataset:
     config = _configure(choices, size)
     place = choices.out or DATA_ROOT / name
@@ -68,7 +70,7 @@ def _build_scene(
     config = fit_to_scene(config, scene, keep_resolution=size.resolution is not None, keep_views=are_views_chosen)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
-        build_in_jobs(name, root, choices, size, launch, imports)
+        _build_in_jobs(name, root, config, choices, size, launch, imports)
     part = None if choices.shard is None else parse_shard(choices.shard)
     made = build_dataset(
         scene,
@@ -89,6 +91,42 @@ def _build_scene(
         say_all(summary(made, TRUTH))
         _preview(made, choices.preview)
     return made
+
+
+SAMPLE_S = 2e-6
+"""CPU time of a build per pixel and sample, peeling included: 619 s for the demo on a slow processor."""
+CEILING_FACTOR = 8
+"""So many times the samples to start from are expected, at most, until a test view reaches its --ceiling."""
+
+
+def _build_in_jobs(
+    scene: str,
+    root: Path,
+    config: DatasetConfig,
+    choices: BuildChoices,
+    size: SizeChoices,
+    launch: ShardChoices,
+    imports: ImportChoices,
+) -> None:
+    """Builds all parts of a dataset at `root` in jobs, and returns when all have succeeded.
+
+    Raises:
+        HyalineError: the cluster took no job, or a job failed.
+    """
+    tests = config.interpolating.samples + config.extrapolating.samples
+    samples = config.train.samples + tests * (1 if config.ceiling_db is None else CEILING_FACTOR)
+    kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
+    words = ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
+    parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
+    failures = run_in_jobs(
+        "datagen",
+        {f"part {part}": [*words, "--shard", part] for part in parts},
+        root.parent / f"{root.name}-jobs",
+        launch,
+        cpus=choices.workers,
+        cpu_s=SAMPLE_S * samples * config.resolution.pixels / launch.shards,
+    )
+    raise_failures(str(root), failures, launch.shards)
 
 
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:

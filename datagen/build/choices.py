@@ -1,10 +1,9 @@
 """The flags of `datagen build`, `datagen add` and `datagen film`."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
-from datagen.disk.errors import UsageError
+from datagen.machine.launch import LaunchChoices
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,34 +60,11 @@ class SizeChoices:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LaunchChoices:
+class ShardChoices(LaunchChoices):
     """Build in jobs, on a cluster or on this machine."""
 
-    launcher: Literal["slurm", "local"] | None = None
-    """Build in --shards jobs, wait for them, and check the whole: slurm (on a cluster, from a machine that sees the
-    same folder) or local (all at once on this machine). Needs the extra `cluster`. Logs: DATASET-jobs/."""
     shards: int = 4
-    """Number of jobs."""
-    slurm_partition: str | None = None
-    """Slurm partition. Default: the cluster's."""
-    slurm_time: int = 240
-    """Time limit of each Slurm job in minutes; whatever a job finishes by then is kept."""
-    slurm_cpus: int | None = None
-    """CPUs of each Slurm job. Default: as many as --workers."""
-    slurm_gpus: int = 0
-    """GPUs of each Slurm job."""
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            flag, value = f"--{item.name.replace('_', '-')}", getattr(self, item.name)
-            if item.name == "launcher" or value == item.default:
-                continue
-            if isinstance(value, int) and value < 1:
-                raise UsageError(f"{flag}: is {value}; expected at least 1")
-            if self.launcher is None:
-                raise UsageError(f"{flag}: goes with --launcher; give slurm or local")
-            if self.launcher == "local" and item.name.startswith("slurm_"):
-                raise UsageError(f"{flag}: goes with --launcher slurm; leave it out")
+    """Number of jobs; each builds one part of all views."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -107,6 +107,11 @@ class SplitConfig:
                 f"at most {MAX_VIEWS:,} and {MAX_SPP:,}"
             )
 
+    @property
+    def samples(self) -> int:
+        """Samples of one pixel, summed over the views."""
+        return self.views * (self.spp or 0)
+
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetConfig:

@@ -7,6 +7,7 @@ import contextlib
 import functools
 import gc
 import os
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -114,20 +115,29 @@ def start_workers() -> None:
     dr.set_thread_count(_num_threads)
 
 
+_one_at_a_time = threading.Lock()
+
+
 @contextlib.contextmanager
-def short_lived_workers() -> Iterator[None]:
+def short_lived_workers(*, none: bool = False) -> Iterator[None]:
     """Ends Dr.Jit's worker threads after this block, until the next one begins. Call `use_mitsuba` first.
 
     Idle workers spin for some 20 ms after each kernel (Dr.Jit 1.5), on cores that torch's threads wait for: training on
-    light paths took a fifth longer on two cores. Starting and ending a worker takes 0.1 ms.
+    light paths took a fifth longer on two cores. Starting and ending a worker takes 0.1 ms. Threads that enter the
+    block take turns, because all kernels use the same workers.
+
+    Args:
+        none: kernels in the block run on the calling thread alone.
     """
     import drjit as dr
 
-    start_workers()
-    try:
-        yield
-    finally:
-        dr.set_thread_count(1)
+    with _one_at_a_time:
+        if not none:
+            start_workers()
+        try:
+            yield
+        finally:
+            dr.set_thread_count(1)
 
 
 @contextlib.contextmanager

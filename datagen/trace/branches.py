@@ -63,22 +63,42 @@ class _State(NamedTuple):
     active: "mi.Bool"
 
 
-def follow_branches(scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth):
-    """One kernel for all vertices of all branches of `count` rays from `o` along `d`.
+class Kept(NamedTuple):
+    """What is kept of branches, where only their ends matter."""
+
+    stacked: tuple[int, ...]
+    """Number of first vertices kept of each of the first branches."""
+    has_details: bool
+    """Whether ends have a position, a mirrored direction and a slope of uv."""
+
+
+EXIT = 256
+"""Marks the end of a branch that leaves the scene; at other ends is one more than the shape's index."""
+
+
+def follow_branches(
+    scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth, kept: Kept | None
+):
+    """One kernel for all branches of `count` rays from `o` along `d`.
 
     Args:
         rows: two numbers in [0, 1) for each ray. If those of consecutive rays, which belong to one pixel, are an R2
             sequence, the rays share the facets of a rough surface evenly.
         shift: seed of the shifts of `rows` from step to step.
+        kept: what is kept besides the ends of branches; None for all vertices.
 
     Returns:
-        Flat arrays by the field names of `TracedPaths`.
+        Flat arrays: those of `_Outputs`, by the field names of `TracedPaths`; or those of `_EndOutputs`.
     """
     import drjit as dr
 
     limits = Limits(max_branches, max_vertices, max_depth)
     kernel = Kernel(scene, SurfaceTables(*tables), media, limits, rows, shift)
-    outputs = _Outputs(count, limits, disperses=kernel.tables.disperses)
+    disperses = kernel.tables.disperses
+    if kept is None:
+        outputs = _Outputs(count, limits, disperses=disperses)
+    else:
+        outputs = _EndOutputs(count, limits, Kept(*kept), disperses=disperses)
 
     # Dr.Jit's loops take plain tuples.
     def is_tracing(*state):
@@ -124,7 +144,7 @@ def _no_start(kernel: Kernel, count: int) -> _Start:
     )
 
 
-def _advance(kernel: Kernel, outputs: "_Outputs", state: _State) -> _State:
+def _advance(kernel: Kernel, outputs: "_Outputs | _EndOutputs", state: _State) -> _State:
     """One step: the next surface, what it records, and where the ray goes on."""
     hit = meet(kernel, state.o, state.d, state.last_face, state.active)
     sides = sides_of(kernel, hit, state.solids)
@@ -229,8 +249,10 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
     )
 
 
-class _Outputs:
-    """Flat arrays of all places of all branches, which the steps fill."""
+class _Arrays:
+    """Flat arrays that the steps fill."""
+
+    arrays: "dict[str, mi.Float | mi.UInt32]"
 
     def __init__(self, count: int, limits: Limits, *, disperses: bool) -> None:
         import drjit as dr
@@ -238,9 +260,37 @@ class _Outputs:
 
         self._count, self._limits = count, limits
         self._ray = dr.arange(mi.UInt32, count)
+        self.arrays = {"disperses": dr.zeros(mi.UInt32, count)} if disperses else {}
+
+    def record_dispersion(self, kernel: Kernel, sides: Sides) -> None:
+        """Records that the ray hits glass that disperses."""
+        import drjit as dr
+        import mitsuba as mi
+
+        borders = sides.is_glass & ~sides.is_void
+        media = (medium_of(kernel.media, side) for side in (sides.here, sides.beyond))
+        parts = [dr.gather(mi.Bool, kernel.tables.parts_colors, medium, borders) for medium in media]
+        self._store("disperses", [mi.UInt32(1)], self._ray, borders & (parts[0] | parts[1]))
+
+    def _store(self, name: str, values, index, mask) -> None:
+        import drjit as dr
+
+        components = list(values)  # Interleaved as NumPy needs them, which saves a copy of the whole.
+        for component, value in enumerate(components):
+            dr.scatter(self.arrays[name], value, index * len(components) + component, mask)
+
+
+class _Outputs(_Arrays):
+    """All places of all branches."""
+
+    def __init__(self, count: int, limits: Limits, *, disperses: bool) -> None:
+        import drjit as dr
+        import mitsuba as mi
+
+        super().__init__(count, limits, disperses=disperses)
         ends = limits.max_branches * count
         places = ends * limits.max_vertices
-        self.arrays = {
+        self.arrays |= {
             "object_id": dr.zeros(mi.UInt32, places),
             "uv": dr.zeros(mi.Float, 2 * places),
             "uv_slope": dr.zeros(mi.Float, 2 * places),
@@ -253,8 +303,6 @@ class _Outputs:
             "end_direction": dr.zeros(mi.Float, 3 * ends),
             "end_throughput": dr.zeros(mi.Float, 3 * ends),
         }
-        if disperses:
-            self.arrays["disperses"] = dr.zeros(mi.UInt32, count)
 
     def record(self, hit: Hit, sides: Sides, state: _State) -> None:
         """Records a vertex, or the end outside the scene. Later vertices replace the one in the last place."""
@@ -285,19 +333,61 @@ class _Outputs:
         }.items():
             self._store(name, values, end, missed)
 
-    def record_dispersion(self, kernel: Kernel, sides: Sides) -> None:
-        """Records that the ray hits glass that disperses."""
+
+class _EndOutputs(_Arrays):
+    """The ends of all branches, on a surface that lets no light pass or outside the scene, and a few first vertices."""
+
+    def __init__(self, count: int, limits: Limits, kept: Kept, *, disperses: bool) -> None:
         import drjit as dr
         import mitsuba as mi
 
-        borders = sides.is_glass & ~sides.is_void
-        media = (medium_of(kernel.media, side) for side in (sides.here, sides.beyond))
-        parts = [dr.gather(mi.Bool, kernel.tables.parts_colors, medium, borders) for medium in media]
-        self._store("disperses", [mi.UInt32(1)], self._ray, borders & (parts[0] | parts[1]))
+        super().__init__(count, limits, disperses=disperses)
+        self._kept = kept
+        ends, slots = limits.max_branches * count, sum(kept.stacked) * count
+        self.arrays |= {
+            "end": dr.zeros(mi.UInt32, ends),
+            "place": dr.empty(mi.Float, 3 * ends),
+            "throughput": dr.empty(mi.Float, 3 * ends),
+        }
+        if kept.has_details:
+            self.arrays |= {
+                "position": dr.empty(mi.Float, 3 * ends),
+                "reflected": dr.empty(mi.Float, 3 * ends),
+                "uv_slope": dr.empty(mi.Float, 2 * ends),
+            }
+        if slots:
+            self.arrays |= {
+                "stack_shape": dr.zeros(mi.UInt32, slots),
+                "stack_uv": dr.zeros(mi.Float, 2 * slots),
+                "stack_throughput": dr.zeros(mi.Float, slots),
+                "stack_cosine": dr.zeros(mi.Float, slots),
+            }
 
-    def _store(self, name: str, values, index, mask) -> None:
+    def record(self, hit: Hit, sides: Sides, state: _State) -> None:
+        """Records the end of a branch: on a surface uv and cosine, outside the scene the direction; and a vertex."""
         import drjit as dr
+        import mitsuba as mi
 
-        components = list(values)  # Interleaved as NumPy needs them, which saves a copy of the whole.
-        for component, value in enumerate(components):
-            dr.scatter(self.arrays[name], value, index * len(components) + component, mask)
+        real = hit.counts & ~sides.is_void
+        missed = state.active & ~hit.found
+        stops = real & ~sides.is_glass & ~sides.is_thin
+        end = state.branch * self._count + self._ray
+        arriving = -dr.dot(state.d, hit.facing)
+        cosine = dr.clip(arriving, 0, 1)
+        on_surface = mi.Vector3f(hit.uv.x, hit.uv.y, cosine)
+        self._store("end", [dr.select(missed, EXIT, hit.shape + 1)], end, stops | missed)
+        self._store("place", dr.select(missed, state.d, on_surface), end, stops | missed)
+        self._store("throughput", state.beta, end, stops | missed)
+        if self._kept.has_details:
+            self._store("position", hit.p, end, stops)
+            self._store("reflected", state.d + 2 * arriving * hit.facing, end, stops)
+            self._store("uv_slope", uv_slope(hit, state.d), end, stops)
+        first, slots = 0, sum(self._kept.stacked)
+        for branch, number in enumerate(self._kept.stacked):
+            is_kept = real & (state.branch == branch) & (state.vertex < number)
+            slot = self._ray * slots + first + state.vertex
+            self._store("stack_shape", [hit.shape + 1], slot, is_kept)
+            self._store("stack_uv", hit.uv, slot, is_kept)
+            self._store("stack_throughput", [dr.mean(state.beta)], slot, is_kept)
+            self._store("stack_cosine", [cosine], slot, is_kept)
+            first += number

@@ -9,7 +9,7 @@ of the largest throughput first. Light of branches beyond `max_branches` is not 
 it.
 
 Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
-way; `trace_colors` also follows red and blue, only for rays that hit such glass.
+way; `trace_ends` also follows red and blue, only for rays that hit such glass.
 
 Vectorised variants only. Call `use_mitsuba` first.
 """
@@ -17,12 +17,12 @@ Vectorised variants only. Call `use_mitsuba` first.
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportArgumentType=false, reportCallIssue=false
 
-import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numba
 import numpy as np
-from jaxtyping import Bool, Float32, Int64, UInt8
+from jaxtyping import Bool, Float32, Int32, Int64, UInt8, UInt32
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
@@ -30,7 +30,7 @@ from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
-from datagen.trace.branches import follow_branches
+from datagen.trace.branches import EXIT, Kept, follow_branches
 from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
@@ -80,7 +80,48 @@ class TracedPaths(LightPaths):
     """Whether some branch of the ray hits glass that disperses."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FirstVertices:
+    """The first vertices of some branches of each ray, branch by branch."""
+
+    object_id: UInt8[np.ndarray, "ray slot"]
+    """0 where there is no vertex."""
+    uv: Float32[np.ndarray, "ray slot 2"]
+    throughput: Float32[np.ndarray, "ray slot"]
+    """Mean over the colour channels."""
+    cosine: Float32[np.ndarray, "ray slot"]
+    """As in `PathEnds`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PathEnds:
+    """Where the branches of a bundle of rays end, ray by ray, and their first vertices."""
+
+    ray: Int64[np.ndarray, " end"]
+    """Index of the ray; a ray has one end for each branch that ends on a surface that lets no light pass."""
+    object_id: UInt8[np.ndarray, " end"]
+    uv: Float32[np.ndarray, "end 2"]
+    cosine: Float32[np.ndarray, " end"]
+    """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
+    throughput: Float32[np.ndarray, "end 3"]
+    position: Float32[np.ndarray, "end 3"] | None = None
+    reflected: Float32[np.ndarray, "end 3"] | None = None
+    """The arriving direction, mirrored at the surface."""
+    uv_slope: Float32[np.ndarray, "end 2"] | None = None
+    """As in `TracedPaths`."""
+    exit_ray: Int64[np.ndarray, " exit"]
+    """Index of the ray; a ray has one for each branch that leaves the scene."""
+    exit_direction: Float32[np.ndarray, "exit 3"]
+    exit_throughput: Float32[np.ndarray, "exit 3"]
+    stack: FirstVertices | None
+    """None if no vertices were asked for."""
+
+
+Arrays = dict[str, np.ndarray]
+
 RED, GREEN, BLUE = range(3)
+ONLY = np.eye(3, dtype=np.float32)
+"""Weights of the colour channels in light of one."""
 
 
 class LightPathTracer:
@@ -167,6 +208,94 @@ class LightPathTracer:
             facets: where each ray starts to choose among facets, in [0, 1)^2. None: consecutive rays share them evenly.
             channel: the colour channel whose index of refraction counts; throughput is given for all channels anyway.
         """
+        count = len(directions)
+        arrays = self._run(origins, directions, limits, None, seed=seed, facets=facets, channel=channel)
+
+        def array(name: str, *shape: int) -> np.ndarray:
+            return arrays[name].reshape(shape)
+
+        ends = limits.max_branches, count
+        places = limits.max_branches, limits.max_vertices, count
+        return TracedPaths(
+            object_id=self._object_id[array("object_id", *places)],
+            uv=array("uv", *places, 2),
+            direction=array("direction", *places, 3),
+            position=array("position", *places, 3),
+            normal=array("normal", *places, 3),
+            throughput=array("throughput", *places, 3),
+            uv_slope=array("uv_slope", *places, 2),
+            medium_length=array("medium_length", *places),
+            has_left=array("has_left", *ends).astype(bool),
+            end_direction=array("end_direction", *ends, 3),
+            end_throughput=array("end_throughput", *ends, 3),
+            disperses=array("disperses", count).astype(bool) if self._tables.disperses else np.zeros(count, bool),
+        )
+
+    def trace_ends(
+        self,
+        origins: Float32[np.ndarray, "ray 3"],
+        directions: Float32[np.ndarray, "ray 3"],
+        limits: Limits = LIMITS,
+        *,
+        stacked: tuple[int, ...] = (),
+        has_details: bool = False,
+        seed: int = 0,
+        facets: Float32[np.ndarray, "ray 2"] | None = None,
+    ) -> PathEnds:
+        """The ends of all branches, each colour channel taking its own way through glass that disperses.
+
+        Rays that hit such glass are traced again for red and blue; then each of their ends has only one colour's light.
+
+        Args:
+            stacked: number of first vertices to keep of each of the first branches, of green light.
+            has_details: whether ends have a position, a mirrored direction and a slope of uv.
+        """
+        count = len(directions)
+        limits = limits._replace(max_vertices=1)
+
+        def run(rays: np.ndarray | slice, stacked: tuple[int, ...], facets: np.ndarray | None, channel: int) -> Arrays:
+            kept = Kept(stacked, has_details)
+            return self._run(origins[rays], directions[rays], limits, kept, seed=seed, facets=facets, channel=channel)
+
+        arrays = run(slice(None), stacked, facets, GREEN)
+        parted = np.flatnonzero(arrays["disperses"]) if self._tables.disperses else np.zeros(0, np.int64)
+        if not len(parted):
+            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, None)]
+        else:
+            # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
+            piece = max(1, count // PIECES)
+            filled = np.concatenate([parted, np.full(-len(parted) % piece, parted[0])])
+            spread = (_spread_evenly(count) if facets is None else facets)[filled]
+            bundles = [(arrays, np.arange(count), np.where(arrays["disperses"][:, None], ONLY[GREEN], np.float32(1)))]
+            for channel in (RED, BLUE):
+                weight = np.tile(ONLY[channel], (len(filled), 1))
+                bundles.append((run(filled, (), spread, channel), parted, weight))
+            parts = [
+                _pack(values, limits.max_branches, rays, self._object_id, weight) for values, rays, weight in bundles
+            ]
+        slots = count, sum(stacked)
+        stack = None
+        if stacked:
+            stack = FirstVertices(
+                object_id=self._object_id[arrays["stack_shape"]].reshape(slots),
+                uv=arrays["stack_uv"].reshape(*slots, 2),
+                throughput=arrays["stack_throughput"].reshape(slots),
+                cosine=arrays["stack_cosine"].reshape(slots),
+            )
+        return PathEnds(**_joined(parts), stack=stack)
+
+    def _run(
+        self,
+        origins: Float32[np.ndarray, "ray 3"],
+        directions: Float32[np.ndarray, "ray 3"],
+        limits: Limits,
+        kept: Kept | None,
+        *,
+        seed: int,
+        facets: Float32[np.ndarray, "ray 2"] | None,
+        channel: int,
+    ) -> Arrays:
+        """What the kernel gives, by name."""
         import drjit as dr
         import mitsuba as mi
 
@@ -190,61 +319,10 @@ class LightPathTracer:
                 dr.opaque(mi.UInt32, seed),
                 count,
                 *limits,
+                None if kept is None else tuple(kept),
             )
         dr.eval(outputs)
-
-        def array(name: str, *shape: int) -> np.ndarray:
-            return outputs[name].numpy().reshape(shape)
-
-        ends = limits.max_branches, count
-        places = limits.max_branches, limits.max_vertices, count
-        return TracedPaths(
-            object_id=self._object_id[array("object_id", *places)],
-            uv=array("uv", *places, 2),
-            direction=array("direction", *places, 3),
-            position=array("position", *places, 3),
-            normal=array("normal", *places, 3),
-            throughput=array("throughput", *places, 3),
-            uv_slope=array("uv_slope", *places, 2),
-            medium_length=array("medium_length", *places),
-            has_left=array("has_left", *ends).astype(bool),
-            end_direction=array("end_direction", *ends, 3),
-            end_throughput=array("end_throughput", *ends, 3),
-            disperses=array("disperses", count).astype(bool) if self._tables.disperses else np.zeros(count, bool),
-        )
-
-    def trace_colors(
-        self,
-        origins: Float32[np.ndarray, "ray 3"],
-        directions: Float32[np.ndarray, "ray 3"],
-        limits: Limits = LIMITS,
-        *,
-        seed: int = 0,
-        facets: Float32[np.ndarray, "ray 2"] | None = None,
-    ) -> TracedPaths:
-        """The paths of rays, each colour channel taking its own way through glass that disperses.
-
-        If no ray hits such glass, this is `trace`. Otherwise there are three times as many branches: those of `trace`,
-        then, for the rays that hit it, the branches of red and of blue light. Branches of these rays carry only their
-        own channel; those of other rays carry all three, and their further branches are empty.
-        """
-
-        def trace(index: np.ndarray | slice, facets: np.ndarray | None, channel: int) -> TracedPaths:
-            rays = origins[index], directions[index]
-            return self.trace(*rays, limits, seed=seed, facets=facets, channel=channel)
-
-        count = len(directions)
-        paths = trace(slice(None), facets, GREEN)
-        parted = np.flatnonzero(paths.disperses)
-        if not len(parted):
-            return paths
-        # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
-        piece = max(1, count // PIECES)
-        filled = np.concatenate([parted, np.full(-len(parted) % piece, parted[0])])
-        spread = _spread_evenly(count) if facets is None else facets
-        others = [_only(trace(filled, spread[filled], channel), channel) for channel in (RED, BLUE)]
-        green = _only(paths, GREEN, paths.disperses)
-        return _side_by_side(green, others, parted)
+        return {name: values.numpy() for name, values in outputs.items()}
 
 
 def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
@@ -252,28 +330,69 @@ def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
     return (r2_steps(count) % 1).astype(np.float32)
 
 
-def _only(paths: TracedPaths, channel: int, rays: Bool[np.ndarray, " ray"] | slice = slice(None)) -> TracedPaths:
-    """The paths with some rays restricted to one channel."""
-    weight = np.zeros(3, np.float32)
-    weight[channel] = 1
-    for throughput in (paths.throughput, paths.end_throughput):
-        throughput[..., rays, :] *= weight
-    return paths
+def _pack(
+    arrays: Arrays,
+    branches: int,
+    rays: Int64[np.ndarray, " ray"],
+    object_id: UInt8[np.ndarray, " shape"],
+    weight: Float32[np.ndarray, "traced 3"] | None,
+) -> Arrays:
+    """The ends as fields of `PathEnds`, ray by ray.
+
+    Args:
+        rays: what to call each of the first traced rays; others, which pad a bundle, are left out.
+        object_id: by one more than a shape's index.
+        weight: a factor on each traced ray's throughput.
+    """
+    end = arrays["end"].reshape(branches, -1)
+    surfaces, exits = (np.empty(branches * len(rays), np.int32) for _ in range(2))
+    num_surfaces, num_exits = _list_ends(end, len(rays), EXIT, surfaces, exits)
+    surfaces, exits = surfaces[:num_surfaces], exits[:num_exits]
+
+    def rows(name: str, index: np.ndarray) -> np.ndarray:
+        values = arrays[name].reshape(end.size, -1)[index]
+        return values if weight is None or name != "throughput" else values * weight[index % end.shape[1]]
+
+    place = rows("place", surfaces)
+    names = [name for name in ("position", "reflected", "uv_slope") if name in arrays]
+    return {
+        "ray": rays[surfaces % end.shape[1]],
+        "object_id": object_id[arrays["end"][surfaces]],
+        "uv": place[:, :2],
+        "cosine": place[:, 2],
+        "throughput": rows("throughput", surfaces),
+        **{name: rows(name, surfaces) for name in names},
+        "exit_ray": rays[exits % end.shape[1]],
+        "exit_direction": rows("place", exits),
+        "exit_throughput": rows("throughput", exits),
+    }
 
 
-def _side_by_side(paths: TracedPaths, others: list[TracedPaths], rays: Int64[np.ndarray, " parted"]) -> TracedPaths:
-    """The paths with those of `others` as further branches of some of the rays."""
+@numba.njit(cache=True, nogil=True)
+def _list_ends(
+    end: UInt32[np.ndarray, "branch traced"],
+    num_rays: int,
+    exit_mark: int,
+    surfaces: Int32[np.ndarray, " most"],
+    exits: Int32[np.ndarray, " most"],
+) -> tuple[int, int]:
+    """Lists the places in `end` of the first rays' ends on surfaces and outside, ray by ray; how many there are."""
+    num_surfaces = num_exits = 0
+    for ray in range(num_rays):
+        for branch in range(len(end)):
+            if end[branch, ray] == exit_mark:
+                exits[num_exits] = branch * end.shape[1] + ray
+                num_exits += 1
+            elif end[branch, ray] > 0:
+                surfaces[num_surfaces] = branch * end.shape[1] + ray
+                num_surfaces += 1
+    return num_surfaces, num_exits
 
-    def joined(name: str) -> np.ndarray:
-        values = getattr(paths, name)
-        axis = 1 if name in ("has_left", "end_direction", "end_throughput") else 2  # The axis of rays.
-        parts = [values]
-        for other in others:
-            part = np.zeros_like(values)
-            placed = np.moveaxis(part, axis, 0)
-            placed[rays] = np.moveaxis(getattr(other, name), axis, 0)[: len(rays)]
-            parts.append(part)
-        return np.concatenate(parts)
 
-    names = [field.name for field in dataclasses.fields(paths) if field.name != "disperses"]
-    return dataclasses.replace(paths, **{name: joined(name) for name in names})
+def _joined(parts: list[Arrays]) -> Arrays:
+    """The ends of several bundles, ray by ray."""
+    if len(parts) == 1:
+        return parts[0]
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    orders = {name: np.argsort(joined[name], kind="stable") for name in ("ray", "exit_ray")}
+    return {name: values[orders["exit_ray" if name.startswith("exit_") else "ray"]] for name, values in joined.items()}

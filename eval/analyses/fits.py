@@ -28,6 +28,7 @@ CAPTURE = "capture"
 """Layout of datasets of photographs, whose scene has stand-ins for glass."""
 BESIDE_AXIS = 1e-4
 """Metres from the axis where the floor is measured: on it, edges meet."""
+ABSORPTIONS = ("absorption_red", "absorption_green", "absorption_blue")
 Section = Float[np.ndarray, "segment 2 2"]
 """Ends of line segments: distance from the axis and height, in metres."""
 
@@ -151,8 +152,10 @@ def _measure(dataset: Dataset, fit: Fit) -> tuple[Measured, ...]:
         truth, true = truths.get(item.name), {}
         pairs = [None if truth is None or mesh is None else shape_errors(mesh, truth) for mesh in meshes[item.name]]
         if item.name in materials:
-            surface = materials[item.name].surface()
-            true = {"ior": surface.ior, "roughness": surface.roughness}
+            material = materials[item.name]
+            true = {"ior": material.surface().ior, "roughness": material.surface().roughness}
+            if (medium := material.medium) is not None:
+                true |= dict(zip(ABSORPTIONS, medium.absorption, strict=True))
         if pairs[0] is not None and pairs[0].true_thickness is not None:
             true["wall"] = pairs[0].true_thickness
         if truth is not None and item.axis is not None:

@@ -8,14 +8,14 @@ again     the textures once more, from all pixels with the glass that was found,
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
 import torch
-from jaxtyping import Float64, Int
+from jaxtyping import Bool, Float64, Int
 from scipy import ndimage
 
 from datagen.build.build import peel_dataset
@@ -29,7 +29,7 @@ from datagen.disk.records import Json
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.terminal.command import choose, say, track
-from model.fit import pictures, room
+from model.fit import drinks, pictures, room
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import choose_outside
@@ -37,6 +37,7 @@ from model.fit.search import (
     alternatives,
     count_cells,
     count_searches,
+    find_absorption,
     find_roughness,
     grid_row,
     refine,
@@ -88,15 +89,21 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
+        if hidden := [dataset.objects[each - 1].name for each in unknown if not sightings.sees(each).any()]:
+            raise HyalineError(
+                f"{dataset.root}: no training picture shows {hidden[0]} first, so it cannot be fitted; name the "
+                f"others with --unknown, and {hidden[0]} is taken as known"
+            )
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)
         scene = load_scene(dataset.root / "scene", is_sealed=True)
+        known = known_meshes(meshes, unknown)
         work = _Work(
             dataset=dataset,
             choices=choices,
             scene=scene,
-            known=known_meshes(meshes, unknown),
-            sightings=sightings,
+            known=known,
+            sightings=drinks.find_filling(sightings, known),
             folder=folder,
         )
         found = work.run()
@@ -179,42 +186,56 @@ class _Work:
         return room.room_state(room.learn(pixels, rows, self.choices.steps, seed=self.choices.seed))
 
     def _find_outsides(self) -> Objects:
-        found = {}
+        found: Objects = {}
+        holders = drinks.find_holders(self.sightings)
+        for vessel in set(holders.values()):
+            inside = next(drink for drink, holder in holders.items() if holder == vessel)
+            outside = self._find_outside(vessel, drinks.merged(self.sightings, {inside: vessel}))
+            if (glass := drinks.with_drink(outside.glass, self.sightings, inside, vessel)) is not None:
+                found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
+                say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
+        held = {item.drink_id for item in found.values()}
         for object_id in self.sightings.unknown:
-            if not self.sightings.sees(object_id).any():
-                raise HyalineError(
-                    f"{self.dataset.root}: no training picture shows {self._name(object_id)}, so it cannot be fitted"
-                )
-            try:
-                outside = choose_outside(
-                    self.sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
-                )
-            except HyalineError as error:
-                raise HyalineError(f"{self._name(object_id)}: {error}") from None
-            found[object_id] = FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
-            wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
-            say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
+            if object_id not in found and object_id not in held:
+                found[object_id] = self._find_outside(object_id, self.sightings)
         self._show_outsides(found)
-        return found
+        return dict(sorted(found.items()))
+
+    def _find_outside(self, object_id: int, sightings: Sightings) -> FoundGlass:
+        try:
+            outside = choose_outside(
+                sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
+            )
+        except HyalineError as error:
+            raise HyalineError(f"{self._name(object_id)}: {error}") from None
+        wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
+        say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
+        return FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
 
     def _stands_on(self, point: Float64[np.ndarray, "3"], reach: float) -> float | None:
         from datagen.trace.peel import Peeler
 
-        if not any(map(is_there, self.known)):
+        below = known_meshes(self.known, self.sightings.filling)
+        if not any(map(is_there, below)):
             return None
         start = point + reach * UP
-        hits = Peeler(self.known).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
+        hits = Peeler(below).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
         is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
         return float(start @ UP - hits.t[0, 0]) if is_near else None
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)
         for object_id, item in found.items():
-            misses = drawn.misses(object_id, self._rows(object_id, GRID_PIXELS))
-            cells = list(track(scan(item.glass, misses), label=self._name(object_id), total=count_cells(item.glass)))
+            ids = item.ids(object_id)
+            rows = self._rows(ids, GRID_PIXELS)
+            misses = drawn.misses(ids, rows)
+            start = item.glass
+            if item.drink_id is not None:
+                start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
+            cells = list(track(scan(start, misses), label=self._name(object_id), total=count_cells(start)))
             best, second = alternatives(cells)
             glass = find_roughness(best.glass, misses)
-            drawn.put(object_id, glass)
+            drawn.put(ids, glass)
             words = f"  {self._name(object_id)}: {in_words(best.glass)}"
             if second is not best:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
@@ -242,11 +263,10 @@ class _Work:
         first = 0 if stage == "search" else ROUNDS
         for number in range(first, first + rounds):
             for object_id in found:
-                rows = self._rows(object_id, SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
-                misses = drawn.misses(object_id, rows)
-                is_even = (rows // self.dataset.config.resolution.pixels) % 2 == 0
                 item = found[object_id]
-                for glass, name, value in refine(item.glass, misses, is_even, number=number):
+                rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
+                misses = drawn.misses(item.ids(object_id), rows)
+                for glass, name, value in refine(item.glass, misses, self._is_even(rows), number=number):
                     item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                     yield
                 loss = float(misses(item.glass).mean())
@@ -258,15 +278,20 @@ class _Work:
     def _name(self, object_id: int) -> str:
         return self.dataset.objects[object_id - 1].name
 
-    def _rows(self, object_id: int, count: int) -> Int[np.ndarray, " pixel"]:
-        """Some of the pixels that see an object first."""
-        rows = np.flatnonzero(self.sightings.sees(object_id))
+    def _rows(self, object_ids: Sequence[int], count: int) -> Int[np.ndarray, " pixel"]:
+        """Some of the pixels that see one of some objects first."""
+        rows = np.flatnonzero(np.isin(self.sightings.first, object_ids))
         return np.sort(np.random.default_rng(self.choices.seed).permutation(rows)[:count])
+
+    def _is_even(self, rows: Int[np.ndarray, " pixel"]) -> Bool[np.ndarray, " pixel"]:
+        """Whether pixels are of even views."""
+        return (rows // self.dataset.config.resolution.pixels) % 2 == 0
 
     def _pixels(self, found: Objects) -> LightPathPixels:
         meshes, materials = list(self.known), [item.material for item in self.scene.objects]
         for object_id, item in found.items():
-            meshes[object_id - 1], materials[object_id - 1] = item.glass.mesh(), item.glass.material()
+            for each, body in zip(item.ids(object_id), item.glass.bodies(), strict=True):
+                meshes[each - 1], materials[each - 1] = body
         return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials))
 
     def _room(self, textures: dict[str, State], found: Objects) -> room.Room:
@@ -287,7 +312,8 @@ class _Work:
 
         rows = []
         for object_id, item in found.items():
-            seen, row, peeler = self.sightings.sees(object_id), [], Peeler((item.glass.mesh(),))
+            seen, row = np.isin(self.sightings.first, item.ids(object_id)), []
+            peeler = Peeler((item.glass.mesh(),))
             for view in pictures.choose_views(seen):
                 box = pictures.box_around(seen[view])
                 origin, directions = self.sightings.cameras[view].rays()
@@ -302,9 +328,9 @@ class _Work:
         index = np.arange(len(self.sightings.first) * height * width).reshape(-1, height, width)
         rows = []
         for object_id, item in found.items():
-            drawn.put(object_id, item.glass)
-        for object_id in found:
-            seen, row = self.sightings.sees(object_id), []
+            drawn.put(item.ids(object_id), item.glass)
+        for object_id, item in found.items():
+            seen, row = np.isin(self.sightings.first, item.ids(object_id)), []
             for view in pictures.choose_views(seen):
                 box = pictures.box_around(seen[view])
                 pixels = index[view][box]

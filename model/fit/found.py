@@ -31,11 +31,17 @@ class FoundGlass:
     """Its outside as masks show it, solid."""
     unexplained: float
     """Share of the rays at the mask's edge that the outside explains wrongly."""
+    drink_id: int | None = None
+    """Of the object that it holds."""
     numbers: dict[str, Found] = field(default_factory=dict)
     history: tuple[dict[str, Json], ...] = ()
     """The numbers after each round, and the mean penalty of the object's pixels."""
     cells: tuple[tuple[float, ...], ...] = ()
     """Wall, floor, corner and penalty of the cells of the grid, the best first; a wall of 0: solid."""
+
+    def ids(self, object_id: int) -> tuple[int, ...]:
+        """Of the bodies of its glass."""
+        return (object_id,) if self.drink_id is None else (object_id, self.drink_id)
 
     def state(self) -> dict[str, State]:
         numbers = {name: dataclasses.asdict(found) for name, found in self.numbers.items()}
@@ -43,6 +49,7 @@ class FoundGlass:
         return {
             **shapes,
             "unexplained": self.unexplained,
+            "drink_id": self.drink_id,
             "numbers": numbers,
             "history": list(self.history),
             "cells": list(self.cells),
@@ -54,6 +61,7 @@ class FoundGlass:
             glass=from_state(state["glass"]),
             hull=from_state(state["hull"]),
             unexplained=state["unexplained"],
+            drink_id=state.get("drink_id"),
             numbers={name: Found(**values) for name, values in state["numbers"].items()},
             history=tuple(state["history"]),
             cells=tuple(state["cells"]),
@@ -80,6 +88,9 @@ def from_state(state: object) -> Any:
     return state.numpy() if isinstance(state, torch.Tensor) else state
 
 
+DRINK_NUMBERS = ("level", "drink_")
+"""How the names of a drink's numbers begin, among those of its vessel."""
+
 Objects = dict[int, FoundGlass]
 """By object id."""
 
@@ -105,11 +116,18 @@ def in_words(glass: Glass) -> str:
     else:
         assert glass.floor is not None
         parts.insert(0, f"wall {1000 * glass.wall:.2f} mm, floor {1000 * glass.floor:.1f} mm")
-    if any(glass.absorption):
-        parts.append("absorption " + ", ".join(f"{value:.1f}" for value in glass.absorption) + " 1/m")
+    parts += _tint_in_words(glass.absorption)
     if glass.roughness is not None:
         parts.append(f"roughness {glass.roughness:.2f}")
-    return ", ".join(parts)
+    words = ", ".join(parts)
+    if isinstance(glass, Revolution) and glass.drink_ior is not None and glass.level is not None:
+        drink = [f"index {glass.drink_ior:.3f}", *_tint_in_words(glass.drink_absorption)]
+        words += f"; filled to {1000 * glass.level:.1f} mm: {', '.join(drink)}"
+    return words
+
+
+def _tint_in_words(absorption: tuple[float, float, float]) -> list[str]:
+    return ["absorption " + ", ".join(f"{value:.1f}" for value in absorption) + " 1/m"] if any(absorption) else []
 
 
 def write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], found: Objects) -> None:
@@ -118,8 +136,9 @@ def write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], fo
     assignment = [TRUTH] * len(meshes)
     materials: dict[str, Json] = {}
     for object_id, item in found.items():
-        meshes[object_id - 1], assignment[object_id - 1] = item.glass.mesh(), FITTED
-        materials[dataset.objects[object_id - 1].name] = material_json(item.glass.material())
+        for each, (mesh, material) in zip(item.ids(object_id), item.glass.bodies(), strict=True):
+            meshes[each - 1], assignment[each - 1] = mesh, FITTED
+            materials[dataset.objects[each - 1].name] = material_json(material)
     write_proxies(dataset, geometry, tuple(meshes), (None,) * len(meshes), tuple(assignment), materials)
 
 
@@ -128,6 +147,7 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
     objects: list[Json] = []
     for object_id, item in found.items():
         glass = item.glass
+        of_drink = {key: key.removeprefix("drink_") for key in item.numbers if key.startswith(DRINK_NUMBERS)}
         objects.append(
             {
                 "name": dataset.objects[object_id - 1].name,
@@ -136,11 +156,20 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
                 "outline": glass.outline().tolist() if isinstance(glass, Revolution) else None,
                 "hull_outline": item.hull.outline().tolist() if isinstance(item.hull, Revolution) else None,
                 "unexplained": item.unexplained,
-                "numbers": {name: _interval(name, number) for name, number in item.numbers.items()},
+                "numbers": _intervals({key: each for key, each in item.numbers.items() if key not in of_drink}),
                 "history": list(item.history),
                 "grid": [dict(zip(("wall", "floor", "corner", "loss"), cell, strict=True)) for cell in item.cells],
             }
         )
+        if item.drink_id is not None:
+            objects.append(
+                {
+                    "name": dataset.objects[item.drink_id - 1].name,
+                    "kind": "drink",
+                    "axis": _axis_json(glass),
+                    "numbers": _intervals({short: item.numbers[key] for key, short in of_drink.items()}),
+                }
+            )
     return {"objects": objects}
 
 
@@ -150,6 +179,9 @@ def _axis_json(glass: Glass) -> Json:
     return {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
 
 
-def _interval(name: str, found: Found) -> Json:
-    low, high = interval(name, found)
-    return {"value": found.value, "low": low, "high": high}
+def _intervals(numbers: dict[str, Found]) -> dict[str, Json]:
+    found: dict[str, Json] = {}
+    for name, number in numbers.items():
+        low, high = interval(name, number)
+        found[name] = {"value": number.value, "low": low, "high": high}
+    return found

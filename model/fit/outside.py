@@ -7,9 +7,10 @@ the ray's distance from the axis. The least bound of all rays is the visual hull
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Bool, Float, Float64, Int
 from scipy import interpolate, optimize
 
+from datagen.disk.errors import HyalineError
 from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 from model.fit.views import NearRays
 
@@ -55,9 +56,14 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
 
     Args:
         order: how many rays at each height may miss the object by mistake.
+
+    Raises:
+        HyalineError: the masks do not show its edge.
     """
     center, radius = find_center(rays)
     edge = rays.at_edges()
+    if (~edge.hits).sum() <= order or not edge.hits.any():
+        raise HyalineError("masks do not show its shape: no ray passes beside it")
     axis = Axis(point=center, direction=up)
     coarse = np.linspace(-radius, radius, COARSE)
 
@@ -85,6 +91,8 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
     rho = crossings(rays, axis, heights)
     radii = _hull_radii(rho, rays.hits, order=order)
     inside = rho[rays.hits] <= radii
+    place, least = _closest(rays, axis, heights)
+    inside[np.arange(len(inside)), place] |= least <= radii[place]
     explained = inside.any(axis=1)
     if not explained.any():
         return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), bounds=radii, unexplained=1.0)
@@ -119,11 +127,31 @@ def _hull_radii(
     return np.partition(missing, order, axis=0)[order]
 
 
+def _closest(
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]
+) -> tuple[Int[np.ndarray, " hit"], Float64[np.ndarray, " hit"]]:
+    """Where rays that meet the object come closest to the axis: the place of the nearest height, and the distance.
+
+    A flat ray may pass through the object between two heights.
+    """
+    o, d = rays.origins[rays.hits] - axis.point, rays.directions[rays.hits]
+    along_o, along_d = o @ axis.direction, d @ axis.direction
+    across_o, across_d = o - along_o[:, None] * axis.direction, d - along_d[:, None] * axis.direction
+    t = -np.einsum("rc,rc->r", across_o, across_d) / np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
+    height = along_o + t * along_d
+    place = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
+    is_on = (place >= 0) & (place < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
+    least = np.where(is_on, np.linalg.norm(across_o + t[:, None] * across_d, axis=1), np.inf)
+    return np.clip(place, 0, len(heights) - 1), least
+
+
 def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
     """Mean distance in metres by which rays that meet the object miss its hull."""
     rho = crossings(rays, axis, heights)
     radii = _hull_radii(rho, rays.hits, order=order)
-    gaps = np.maximum(rho[rays.hits] - np.where(np.isfinite(radii), radii, 0), 0).min(axis=1)
+    radii = np.where(np.isfinite(radii), radii, 0)
+    place, least = _closest(rays, axis, heights)
+    gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)
     return float(np.minimum(gaps, FAR * heights[-1]).mean())
 
 

@@ -2,7 +2,7 @@
 
 import contextlib
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -90,7 +90,7 @@ def load_pixels(
 def learn(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], steps: int, *, seed: int) -> LightPathRenderer:
     """Learns textures and sky from some of the pixels."""
     torch.manual_seed(seed)
-    sizes = texel_widths(pixels, len(pixels.is_opaque) - 1, pixels.resolution.mean_side)
+    sizes = texel_widths(pixels, pixels.num_objects, pixels.resolution.mean_side)
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
     optimisation = pixels.config.optimisation()
     groups = renderer.groups(optimisation)
@@ -114,9 +114,10 @@ class Room:
     renderer: LightPathRenderer
     pixels: LightPathPixels
 
-    def put(self, object_id: int, glass: Glass) -> None:
-        """Puts a glass in an object's place; it has as many vertices as the one there."""
-        self.pixels.tracer.change({object_id - 1: (glass.mesh(), glass.material())})
+    def put(self, object_ids: Sequence[int], glass: Glass) -> None:
+        """Puts a glass, and what it holds, in the place of objects; with as many vertices as those there."""
+        bodies = zip(object_ids, glass.bodies(), strict=True)
+        self.pixels.tracer.change({object_id - 1: body for object_id, body in bodies})
 
     def draw(self, rows: Int[np.ndarray, " pixel"]) -> Float32[np.ndarray, "pixel 3"]:
         """sRGB colours of some pixels, in [0, 1]."""
@@ -125,12 +126,12 @@ class Room:
             rays = [self.renderer.radiance(self.pixels.take(part, None)) for part in parts]
             return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
 
-    def misses(self, object_id: int, rows: Int[np.ndarray, " pixel"]) -> Misses:
-        """How far some pixels are from the pictures, as a function of the glass in an object's place."""
+    def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"]) -> Misses:
+        """How far some pixels are from the pictures, as a function of the glass in the place of objects."""
         truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
-            self.put(object_id, glass)
+            self.put(object_ids, glass)
             return penalty(self.draw(rows) - truth)
 
         return miss

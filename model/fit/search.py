@@ -69,6 +69,8 @@ NUMBERS: dict[str, Number] = {
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
+    "level": Number(low=1e-5, high=10.0, reach=0.06, least=0.02),
+    "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
 """In the order in which they are searched."""
 
@@ -116,14 +118,18 @@ def _cells(outside: Glass) -> list[Glass]:
 
 
 def find_absorption(
-    glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+    glass: Glass, name: str, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
 ) -> tuple[Glass, tuple[Found, Found, Found]]:
-    """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures."""
-    now = np.array(glass.absorption)
+    """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures.
+
+    Args:
+        name: `absorption`, or `drink_absorption` of what a vessel holds.
+    """
+    now = np.array(getattr(glass, name))
     tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-0.6, 0.6, STEPS)))
     values = np.array(tried)[:, None] * (1 if not now.any() else np.where(now > 0, now, now.max()))
     values = np.broadcast_to(values, (len(tried), 3))
-    drawn = [misses(dataclasses.replace(glass, absorption=as_vector(row))) for row in values]
+    drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
 
     def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
         means = np.stack([miss[pixels].mean(axis=0) for miss in drawn])
@@ -133,7 +139,7 @@ def find_absorption(
     if not now.any() and not _explains_more(drawn):
         best = even = odd = now
     found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
-    return dataclasses.replace(glass, absorption=as_vector(best)), (found[0], found[1], found[2])
+    return dataclasses.replace(glass, **{name: as_vector(best)}), (found[0], found[1], found[2])
 
 
 def _explains_more(drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
@@ -169,9 +175,10 @@ def refine(
     Yields:
         The glass after each search, the name of the number, and what was found.
     """
-    glass, channels = find_absorption(glass, misses, is_even)
-    for channel, found in zip(CHANNELS, channels, strict=True):
-        yield glass, f"absorption_{channel}", found
+    for name in _absorptions(glass):
+        glass, channels = find_absorption(glass, name, misses, is_even)
+        for channel, found in zip(CHANNELS, channels, strict=True):
+            yield glass, f"{name}_{channel}", found
     for name in _searched(glass):
         glass, found = _search(glass, name, reach_of(name, number), misses, is_even)
         yield glass, name, found
@@ -179,7 +186,11 @@ def refine(
 
 def count_searches(glass: Glass) -> int:
     """How much `refine` yields."""
-    return len(CHANNELS) + len(_searched(glass))
+    return len(CHANNELS) * len(_absorptions(glass)) + len(_searched(glass))
+
+
+def _absorptions(glass: Glass) -> tuple[str, ...]:
+    return ("absorption",) if getattr(glass, "drink_ior", None) is None else ("absorption", "drink_absorption")
 
 
 def _searched(glass: Glass) -> list[str]:

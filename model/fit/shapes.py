@@ -25,6 +25,9 @@ POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
 MOST_FLOOR = 0.95
 """Highest floor of a hollow, in parts of the height."""
 
+DRINK_REACH = 0.3
+"""How far a drink reaches into its glass, in parts of the thinnest wall."""
+
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
 
@@ -53,6 +56,9 @@ def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2
     return np.stack([first, np.cross(direction, first)])
 
 
+Body = tuple[Mesh, Material]
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Glass:
     """What is found of an object: its material here, its shape in the records derived from this one."""
@@ -66,6 +72,10 @@ class Glass:
     @property
     def kind(self) -> str:
         raise NotImplementedError
+
+    def bodies(self) -> tuple[Body, ...]:
+        """The object, and what it holds."""
+        return ((self.mesh(), self.material()),)
 
     def mesh(self) -> Mesh:
         """A closed mesh, with as many vertices and faces whatever the numbers are."""
@@ -94,6 +104,11 @@ class Revolution(Glass):
     """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
     foot: float | None = None
     """How far the rounding between the flat bottom and the side reaches, in metres."""
+    level: float | None = None
+    """Height of a drink's surface above the outside's lowest point, in metres; None: the vessel is empty."""
+    drink_ior: float | None = None
+    drink_absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1/m, by colour channel."""
 
     @property
     def kind(self) -> str:
@@ -136,6 +151,31 @@ class Revolution(Glass):
 
     def mesh(self) -> Mesh:
         return revolved(self.axis, self.outline())
+
+    def bodies(self) -> tuple[Body, ...]:
+        if self.drink_ior is None:
+            return super().bodies()
+        # Where the drink reaches into the wall, its lower priority lets the glass win.
+        drink = Dielectric(ior=self.drink_ior, absorption=self.drink_absorption, priority=-1)
+        return (*super().bodies(), (revolved(self.axis, self.drink_outline()), drink))
+
+    def drink_outline(self) -> Outline:
+        """The section of the drink, which reaches into floor and wall."""
+        assert self.wall is not None
+        assert self.taper is not None
+        assert self.floor is not None
+        assert self.level is not None
+        inside = self.outline()[OUTSIDE + RIM - 1 :][::-1]
+        low, high = inside[0, 1], inside[-1, 1]
+        surface = float(np.clip(self.outside[:, 1].min() + self.level, low + 0.02 * (high - low), high - 1e-6))
+        inside = _cut(inside, surface)
+        tangents = np.gradient(inside, axis=0)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+        outward = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        line = inside + DRINK_REACH * min(self.wall, self.wall * self.taper, self.floor) * outward
+        line[0, 0], line[-1, 1] = 0.0, surface
+        line[:, 1] = np.minimum(line[:, 1], surface)
+        return np.concatenate([line, [(0.0, surface)]])
 
 
 def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:

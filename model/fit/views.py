@@ -32,8 +32,12 @@ class Sightings:
     """The straight ray meets an unknown object somewhere, perhaps behind other glass."""
     depth: Float32[np.ndarray, "view h w"]
     """Metres along the ray to the first surface of known shape; infinite where there is none."""
+    met: UInt8[np.ndarray, "view h w"]
+    """Id of the object which that surface belongs to; 0 where there is none."""
     unknown: tuple[int, ...]
     """Ids of the objects of unknown shape."""
+    filling: tuple[int, ...] = ()
+    """Ids of known objects that stand in unknown ones, as a straw does in a glass."""
 
     def rays(self) -> tuple[Float32[np.ndarray, "view 3"], Float32[np.ndarray, "view h w 3"]]:
         """Origins and unit directions."""
@@ -44,8 +48,10 @@ class Sightings:
         return self.first == object_id
 
     def is_open(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
-        """The ray meets no other unknown object first, so that it is known whether it misses this one."""
-        return ~np.isin(self.first, [other for other in self.unknown if other != object_id])
+        """The ray meets neither another unknown object first nor what stands in one, so that it is known whether it
+        misses this one."""
+        others = [other for other in self.unknown if other != object_id]
+        return ~(np.isin(self.first, others) | ((self.first == 0) & np.isin(self.met, self.filling)))
 
 
 def read_sightings(
@@ -64,23 +70,29 @@ def read_sightings(
     cameras = dataset.cameras("train")
     known = known_meshes(meshes, unknown)
     peeler = Peeler(known) if any(map(is_there, known)) else None
-    first, touched, depth = [], [], []
+    known_ids = np.array([place + 1 for place, mesh in enumerate(known) if is_there(mesh)] + [0], np.uint8)
+    first, touched, depth, met = [], [], [], []
     for view in dataset.views("train"):
-        seen, met = _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
+        seen, anywhere = (
+            _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
+        )
         first.append(seen)
-        touched.append(met)
+        touched.append(anywhere)
         origin, directions = cameras[view.index].rays()
         flat = directions.reshape(-1, 3)
         if peeler is None:
             depth.append(np.full(directions.shape[:2], np.inf, np.float32))
+            met.append(np.zeros(directions.shape[:2], np.uint8))
             continue
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
+        met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
     return Sightings(
         cameras=cameras,
         first=np.stack(first),
         touched=np.stack(touched),
         depth=np.stack(depth).astype(np.float32),
+        met=np.stack(met),
         unknown=unknown,
     )
 

@@ -59,6 +59,11 @@ class Losses:
         )
         self.inpainter = make_inpainter() if config.inpaint else None
 
+    @property
+    def draws_pixels_alone(self) -> bool:
+        """True if every step's pixels are a random batch alone, without patches."""
+        return self.perceptual is None and self.adversary is None
+
     def is_adversarial(self, step: int) -> bool:
         return self.adversary is not None and step >= self.first_adversarial_step
 

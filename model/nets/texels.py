@@ -32,7 +32,7 @@ STRIPE = 6
 
 
 @numba.njit
-def _taps(uv, places, slot, place):
+def taps(uv, places, slot, place):
     """Rows of the four texels around a slot's point and their weights: those of `model.nets.texture.bilinear_taps`."""
     u, v = uv[slot, 0], uv[slot, 1]
     base, size, stride = places[0, place], places[1, place], places[2, place]
@@ -61,7 +61,7 @@ def _list_hits(block, uv, object_id, places):
         place = np.int32(object_id[slot]) - 1
         if place < 0:
             continue
-        of_slot = _taps(uv, places, slot, place)
+        of_slot = taps(uv, places, slot, place)
         slots[count] = slot
         for tap in range(4):
             rows[count, tap], weights[count, tap] = of_slot[0][tap], of_slot[1][tap]

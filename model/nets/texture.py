@@ -15,6 +15,7 @@ from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from datagen.disk.errors import HyalineError, NumericsError
+from model.nets.lazy_adam import LazyAdam
 from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
 from model.settings.network_parts import TextureSharing
 
@@ -95,10 +96,14 @@ def sample(
     object_id: UInt8[Tensor, "ray layer"],
     layouts: Sequence[TextureLayout],
     scales: Sequence[float],
+    lazy: Sequence[LazyAdam | None] = (),
 ) -> Float32[Tensor, "ray layer c"]:
     """The scaled sum of the bilinear features of every layer in several tables; zeros where it is empty (object id 0).
 
     Gradients flow to tables and uv. They are summed in a fixed order, so that a run on a CPU repeats bit by bit.
+
+    Args:
+        lazy: for each table what moves its texels, and gets its gradient instead of autograd; None: autograd.
     """
     flat_uv, flat_id = uv.flatten(0, 1), object_id.flatten()
     # On a GPU such a uv makes the loss NaN; compiled loops would use it as the position of some texel.
@@ -111,7 +116,9 @@ def sample(
         ]
         features = torch.stack(levels).sum(dim=0) if len(levels) > 1 else levels[0]
     else:
-        features = _CompiledSample.apply(flat_uv, flat_id, tuple(layouts), tuple(scales), *tables)
+        features = _CompiledSample.apply(
+            flat_uv, flat_id, tuple(layouts), tuple(scales), tuple(lazy) or (None,) * len(tables), *tables
+        )
     return features.view(*object_id.shape, tables[0].shape[1])
 
 
@@ -125,13 +132,17 @@ class _CompiledSample(torch.autograd.Function):
         object_id: Tensor,
         layouts: tuple[TextureLayout, ...],
         scales: tuple[float, ...],
+        lazy: tuple[LazyAdam | None, ...],
         *tables: Tensor,
     ) -> Tensor:
         ctx.save_for_backward(uv, object_id, *tables)
+        ctx.lazy = lazy  # pyright: ignore[reportAttributeAccessIssue]
         ctx.levels = [(places_of(layout), np.float32(scale)) for layout, scale in zip(layouts, scales, strict=True)]  # pyright: ignore[reportAttributeAccessIssue]
         result = torch.zeros(len(object_id), tables[0].shape[1])
         slots = uv.detach().contiguous().numpy(), object_id.numpy()
-        for table, (places, scale) in zip(tables, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+        for table, owner, (places, scale) in zip(tables, lazy, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
+            if owner is not None:
+                owner.read(*slots, places, is_training=any(ctx.needs_input_grad))  # pyright: ignore[reportAttributeAccessIssue]
             add_look_ups(result.numpy(), table.detach().contiguous().numpy(), *slots, places, scale)
         return result
 
@@ -140,14 +151,19 @@ class _CompiledSample(torch.autograd.Function):
         uv, object_id, *tables = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
         above = upstream[0].contiguous().numpy()
         slots = uv.detach().contiguous().numpy(), object_id.numpy()
-        gradients = [torch.zeros(table.shape) for table in tables]
+        lazy = ctx.lazy  # pyright: ignore[reportAttributeAccessIssue]
+        gradients = [
+            torch.zeros(table.shape) if owner is None else owner.gradient
+            for table, owner in zip(tables, lazy, strict=True)
+        ]
         uv_gradient = torch.zeros(uv.shape) if ctx.needs_input_grad[0] else None  # pyright: ignore[reportAttributeAccessIssue]
         for table, gradient, (places, scale) in zip(tables, gradients, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
             add_gradient(gradient.numpy(), above, *slots, places, scale, torch.get_num_threads())
             if uv_gradient is not None:
                 texels = table.detach().contiguous().numpy()
                 add_uv_gradient(uv_gradient.numpy(), above, texels, *slots, places, scale)
-        return uv_gradient, None, None, None, *gradients
+        kept = [gradient if owner is None else None for gradient, owner in zip(gradients, lazy, strict=True)]
+        return uv_gradient, None, None, None, None, *kept
 
 
 @functools.cache
@@ -213,11 +229,13 @@ class NeuralTextures(nn.Module):
         super().__init__()
         self.layout = layout
         self.table = nn.Parameter(torch.full((self.layout.num_texels, features), start))
+        self.lazy: LazyAdam | None = None
+        """What moves the texels while training; None: the optimiser of all other parameters."""
 
     def forward(
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
-        return sample([self.table], uv, object_id, [self.layout], [1.0])
+        return sample([self.table], uv, object_id, [self.layout], [1.0], [self.lazy])
 
 
 class TexturePyramid(nn.ModuleList):
@@ -241,7 +259,8 @@ class TexturePyramid(nn.ModuleList):
         self, uv: Float32[Tensor, "ray layer 2"], object_id: UInt8[Tensor, "ray layer"]
     ) -> Float32[Tensor, "ray layer c"]:
         layouts = [level.layout for level in self.levels()]
-        return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts))
+        lazy = [level.lazy for level in self.levels()]
+        return sample(self.tables(), uv, object_id, layouts, level_scales(len(self), self.finer_counts), lazy)
 
     def tables(self) -> list[Float32[Tensor, "_ c"]]:
         """The texels of each level, finest first."""

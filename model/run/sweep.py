@@ -12,9 +12,9 @@
 Blocks add up; a run that is in two of them is trained once. The files of the paper's tables are in `model/experiments/`
 and are known by name: `model sweep table1`.
 
-Each run is trained in a process of its own, one per device or several side by side. A sweep keeps no state: the runs'
-own folders show what is finished, so a sweep that was stopped or killed continues when it is started again, and ends in
-the same bytes.
+Each run is trained in a process of its own, one per device or several side by side, or in a Slurm job of its own
+(`model/run/jobs.py`). A sweep keeps no state: the runs' own folders show what is finished, so a sweep that was stopped
+or killed continues when it is started again, and ends in the same bytes.
 """
 
 import dataclasses
@@ -25,7 +25,6 @@ import os
 import queue
 import shlex
 import subprocess
-import sys
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -34,15 +33,18 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_toml, shown
+from datagen.machine.launch import LaunchChoices, own_command
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say
+from datagen.terminal.parsing import flags_of
 from model.methods.table import METHODS
 from model.run.train_flags import flags_of_method, parse_train
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
-KEPT_FLAGS = ("out", "label", "overwrite")
-"""Flags that an experiment may not set: runs go to the default folder of `model train`, and stopped runs resume."""
+KEPT_FLAGS = ("out", "label", "overwrite", *flags_of(LaunchChoices))
+"""Flags that an experiment may not set: runs go to the default folder of `model train`, stopped runs resume, and where
+runs are trained is for `model sweep` to say."""
 
 MAX_RUNS = 1000
 """Upper limit on an experiment's runs; larger grids are probably mistakes."""
@@ -146,7 +148,7 @@ def _values(block: Mapping[str, object], key: str, where: str) -> list[object]:
 
 def _check_key(key: str, method: str, where: str) -> None:
     if key in KEPT_FLAGS:
-        raise HyalineError(f"{where}: {key} cannot be set; a run's folder is the one that `model train` gives it")
+        raise HyalineError(f"{where}: {key} cannot be set in an experiment; leave it out")
     flags = flags_of_method(method)
     if key not in (*flags, "dataset"):
         near = difflib.get_close_matches(key[:100], list(flags), n=1, cutoff=0.5)
@@ -174,10 +176,6 @@ def _flag(key: str, value: object, method: str, where: str) -> tuple[str, ...]:
             f"{where}: {key} is {shown(value)}, which `model train` does not take; see `model train {method} --help`"
         ) from None
     return arguments
-
-
-CHILD = "from datagen.machine.processes import die_with; die_with({parent}); from model.cli import main; main()"
-"""`model`, which ends when the sweep is killed: else it would still be writing when the sweep is started again."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,7 +295,7 @@ def _train_in_child(
     device = environment.get("CUDA_VISIBLE_DEVICES")
     say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
     child = subprocess.Popen(
-        [sys.executable, "-P", "-c", CHILD.format(parent=os.getpid()), "train", *arguments],
+        [*own_command("model"), "train", *arguments],
         env=os.environ | environment,
         stderr=subprocess.PIPE,
         text=True,

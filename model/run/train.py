@@ -4,7 +4,7 @@ import contextlib
 import math
 import signal
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import cast
@@ -19,6 +19,7 @@ from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
+from model.batches.ahead import Ahead, TracedPixels
 from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
@@ -26,10 +27,12 @@ from model.losses.patch_losses import Losses
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
+from model.nets.texture import NeuralTextures
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.run.logs import LogChoices, Logs
 from model.run.predict import predict_pixels
 from model.run.preparation import (
+    Adam,
     build_renderer,
     check_inpainting,
     choose_held_out,
@@ -40,9 +43,9 @@ from model.run.preparation import (
     told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings.optimisation import LrDecay
+from model.settings.optimisation import LrDecay, PixelOptimisation
 from model.settings.run_flags import Memory
-from model.settings.runtime import keep_freed_memory
+from model.settings.runtime import keep_freed_memory, use_few_threads
 from model.settings.state import State
 
 CHECKPOINT_EVERY_S = 60.0
@@ -79,6 +82,8 @@ def train(
         Stopped: a signal has arrived; the message names the step.
     """
     keep_freed_memory()
+    if device.type == "cpu" and isinstance(config.net.optimisation(), PixelOptimisation):
+        use_few_threads(config.batch // config.updates)
     check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_inpainting(config)
@@ -99,7 +104,13 @@ def train(
         testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    optimizer = make_optimizer(groups, beta1=config.beta1)
+    optimizer = make_optimizer(
+        groups,
+        beta1=config.beta1,
+        # Processes average whole tables of gradients.
+        renderer=renderer if processes.count == 1 else None,
+        pixels=config.batch // config.updates,
+    )
     run = Run(
         config=config,
         inputs=inputs,
@@ -134,7 +145,7 @@ class Run:
     processes: Processes
     renderer: Renderer
     groups: list[ParameterGroup]
-    optimizer: torch.optim.Optimizer
+    optimizer: Adam
     losses: Losses
     training: PixelSource
     testing: PixelSource | None
@@ -218,10 +229,14 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
     first = progress.step
     steps: Iterable[int] = range(first, config.steps)
     run.renderer.train()
-    with contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs, hold_signals() as held:
+    with (
+        contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs,
+        hold_signals() as held,
+        batches_ahead(run) as ahead,
+    ):
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
-            is_stopped = take_step(run, progress, step, held)
+            is_stopped = take_step(run, progress, step, held, ahead)
             logs.add_loss(progress.step, progress.loss)
             if processes.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
                 add_metrics(run, progress, logs)
@@ -239,20 +254,42 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
                 )
     if processes.is_first:
+        run.optimizer.catch_up()
         rng = processes.generator(config.seed, config.steps, 0)
         batch, updates = config.batch // config.updates, config.steps * config.updates
         run.renderer.finish(run.training, batch=batch, updates=updates, rng=rng)
         save_weights(run)
 
 
-def take_step(run: Run, progress: Progress, step: int, held: Held) -> bool:
+@contextlib.contextmanager
+def batches_ahead(run: Run) -> Iterator[Ahead | None]:
+    """Has the rays of coming steps traced by a second thread; None where rays are not traced, or the losses draw more
+    than random pixels."""
+    if not isinstance(run.training, TracedPixels) or not run.losses.draws_pixels_alone:
+        yield None
+        return
+    config = run.config
+
+    def draw(step: int) -> list[np.random.Generator]:
+        return [run.processes.generator(config.seed, step, update) for update in range(config.updates)]
+
+    ahead = Ahead(run.training, draw, size=run.processes.share(config.batch // config.updates))
+    with contextlib.closing(ahead):
+        yield ahead
+
+
+def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead | None) -> bool:
     """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
-    config, processes, renderer = run.config, run.processes, run.renderer
+    config, processes, renderer, training = run.config, run.processes, run.renderer, run.training
     batch = config.batch // config.updates
+    if ahead is not None:
+        assert isinstance(training, TracedPixels)
+        ahead.begin(step, is_last=step + 1 == config.steps)
+        training = training.taken_from(ahead)
     is_stopped = False
     for update in range(config.updates):
         rng = processes.generator(config.seed, step, update)
-        loss = run.losses.loss(renderer.loss, renderer, run.training, processes.share(batch), rng, step=step)
+        loss = run.losses.loss(renderer.loss, renderer, training, processes.share(batch), rng, step=step)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         processes.average_gradients(renderer)
@@ -352,6 +389,11 @@ def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> N
     """
     sums = {name: value.grad.sum() for name, value in renderer.named_parameters() if value.grad is not None}
     bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
+    bad += [
+        f"{name}.table"
+        for name, part in renderer.named_modules()
+        if isinstance(part, NeuralTextures) and part.lazy is not None and not part.lazy.is_finite()
+    ]
     if not math.isfinite(loss) or bad:
         what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
         raise NumericsError(

@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.cameras import Lens, look_at
+from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import r2_steps
 from model.fit.views import Sightings
 
@@ -22,14 +22,7 @@ def sightings_of(meets: Meets, *, views: int = 40, size: int = 64, wrong: float 
         wrong: share of the pixels beside an edge whose mask is wrong; every tenth mask is a pixel too wide, too.
     """
     rng = np.random.default_rng(0)
-    around, up = (r2_steps(views) % 1).T
-    azimuth, sine = 2 * np.pi * around, 0.15 + 0.75 * up
-    direction = np.stack([np.cos(azimuth), np.sin(azimuth), sine / np.sqrt(1 - sine**2)], axis=1)
-    places = direction / np.linalg.norm(direction, axis=1, keepdims=True)
-    aims = np.array([0, 0, 0.05]) + rng.uniform(-0.03, 0.03, (views, 3))
-    cameras = Lens(fov_x=math.radians(22), width=size, height=size).cameras(
-        np.stack([look_at(place, aim) for place, aim in zip(places, aims)])
-    )
+    cameras = views_around(views=views, size=size)
     masks, depths = [], []
     for view in range(views):
         origin, directions = (values.astype(np.float64) for values in cameras[view].rays())
@@ -45,7 +38,20 @@ def sightings_of(meets: Meets, *, views: int = 40, size: int = 64, wrong: float 
         first=seen.astype(np.uint8),
         touched=seen,
         depth=np.stack(depths).astype(np.float32),
+        met=np.zeros(seen.shape, np.uint8),
         unknown=(1,),
+    )
+
+
+def views_around(*, views: int, size: int) -> Cameras:
+    """Square views from around and above of what stands at the origin."""
+    around, up = (r2_steps(views) % 1).T
+    azimuth, sine = 2 * np.pi * around, 0.15 + 0.75 * up
+    direction = np.stack([np.cos(azimuth), np.sin(azimuth), sine / np.sqrt(1 - sine**2)], axis=1)
+    places = direction / np.linalg.norm(direction, axis=1, keepdims=True)
+    aims = np.array([0, 0, 0.05]) + np.random.default_rng(0).uniform(-0.03, 0.03, (views, 3))
+    return Lens(fov_x=math.radians(22), width=size, height=size).cameras(
+        np.stack([look_at(place, aim) for place, aim in zip(places, aims)])
     )
 
 

@@ -186,8 +186,7 @@ def drawn_by_python(
         tints = tints_of(dataclasses.replace(every_surface(), objects=objects), own_uv=True)
         meshes, materials = (tuple(getattr(item, part) for item in objects) for part in ("mesh", "material"))
         tracer = LightPathTracer(meshes, materials, tints)
-        opaque = np.array([False, *(not item.material.is_glass for item in objects)])
-        pixels = dataclasses.replace(pixels, tracer=tracer, is_opaque=opaque)
+        pixels = dataclasses.replace(pixels, tracer=tracer)
     assert isinstance(pixels, LightPathPixels)
     return predict_pixels(renderer, pixels).reshape(*SHAPE, 3)
 

@@ -108,6 +108,11 @@ class LightPathConfig(MethodConfig):
         return self.compositing == "physics"
 
     @property
+    def needs_details(self) -> bool:
+        """True if the ends of paths need a position, a mirrored direction and a slope of uv."""
+        return self.relief or self.directions or self.position_octaves > 0
+
+    @property
     def paired_rays(self) -> bool:
         """True if a pixel's training rays come in independent pairs, which measure its noise, instead of one in each
         cell of a grid, which is less noisy."""

@@ -6,11 +6,7 @@ int asked;    // Of the task PATH: which end of which segment,
 vec4 answer;  // and where that is.
 
 bool parted;      // Glass that parts colours is on the way.
-int most, depth;  // Branches that are followed, and surfaces after which each is given up.
-
-// The stack network is told of few branches, which are given up early. Where the first one went farther, the second one
-// may be another than it would have been: by the queue, or by the dice of a rough surface.
-bool stacks, is_stack_wrong;
+bool stacks;  // Whether the stack network is told of the first vertices.
 
 // A branch that waits to be followed.
 struct Start {
@@ -25,13 +21,10 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
     vec3 radiance = vec3(0.0), beta = vec3(1.0);
     Start queue[QUEUE];
     for (int i = 0; i < QUEUE; i++) queue[i].weight = 0.0;
-    bool went_far = false;
-    is_stack_wrong = most < STACK_BRANCHES;
     uint solids = NO_SOLIDS;
     int left_face = NO_FACE, left_object = 0, branch = 0, vertex = 0;
 
-    for (int step = 0; step < most * depth + SPARE_STEPS; step++) {
-        if (branch == 0 && vertex == STACK_DEPTH) went_far = true;
+    for (int step = 0; step < BRANCHES * MAX_DEPTH + SPARE_STEPS; step++) {
         Hit hit = find(OBJECTS_ROOT, o, d, left_face, left_object);
         bool missed = hit.face == NO_FACE, is_over = missed;
         if (task == PATH && step == asked / 2 && asked % 2 == 0) {
@@ -113,7 +106,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 
             // A further branch, where light also comes by reflection. Of a full queue the weakest one falls out.
             float weight = max(m_beta.r, max(m_beta.g, m_beta.b));
-            if (most > 1 && !is_void && kind != ENDS && !total && weight > MIN_THROUGHPUT) {
+            if (BRANCHES > 1 && !is_void && kind != ENDS && !total && weight > MIN_THROUGHPUT) {
                 if (branch == 0 && vertex == 0) weight = FIRST_MIRROR;
                 int weakest = 0;
                 for (int i = 1; i < QUEUE; i++) if (queue[i].weight < queue[weakest].weight) weakest = i;
@@ -130,20 +123,18 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             }
             if (goes_through) solids = beyond;
             left_face = hit.face, left_object = hit.object;
-            if (went_far && branch == 1 && vertex == 0 && is_rough) is_stack_wrong = true;
             if (!is_void) vertex++;
-            is_over = !passes || !is_void && vertex == depth;
+            is_over = !passes || !is_void && vertex == MAX_DEPTH;
             // A facet's refracted ray that does not come out on the other side is lost.
             if (ROUGH_GLASS == 1 && !is_void && beta == vec3(0.0)) is_over = true;
         }
 
         // The end of this branch: the next one, or none.
         if (is_over) {
-            if (branch + 1 >= most) break;
+            if (branch + 1 >= BRANCHES) break;
             int best = 0;
             for (int i = 1; i < QUEUE; i++) if (queue[i].weight > queue[best].weight) best = i;
             if (queue[best].weight <= 0.0) break;
-            if (branch == 0 && went_far && queue[best].weight != FIRST_MIRROR) is_stack_wrong = true;
             o = queue[best].o, d = queue[best].d, beta = queue[best].beta;
             left_face = queue[best].face, left_object = queue[best].object, solids = queue[best].solids;
             queue[best].weight = 0.0;
@@ -156,20 +147,18 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 // The same of all colours, which go ways of their own through glass that parts them.
 vec3 trace_colors(vec3 o, vec3 d, vec2 row, uint ray) {
     vec3 radiance;
-    // Green, or all colours at once; what the stack network is told, where that is wrong; red; blue. The call stands
-    // here once, for it takes long to compile.
-    for (int turn = 0; turn < (DISPERSES == 1 ? 4 : COMPOSITE == 1 && STACK_HIDDEN > 0 ? 2 : 1); turn++) {
-        if (turn == 1 && (STACK_HIDDEN == 0 || COMPOSITE == 0 || !is_stack_wrong) || turn > 1 && !parted) continue;
-        channel = turn == 2 ? 0 : turn == 3 ? 2 : 1;
-        most = turn == 1 ? STACK_BRANCHES : BRANCHES, depth = turn == 1 ? STACK_DEPTH : MAX_DEPTH;
-        stacks = turn < 2;
+    // Green, or all colours at once; red; blue. The call stands here once, for it takes long to compile.
+    for (int turn = 0; turn < (DISPERSES == 1 ? 3 : 1); turn++) {
+        if (turn > 0 && !parted) continue;
+        channel = turn == 1 ? 0 : turn == 2 ? 2 : 1;
+        stacks = turn == 0;
         if (turn == 0) parted = false;
 #if STACK_HIDDEN > 0
         if (stacks) begin_stack();
 #endif
         vec3 found = trace(o, d, row, ray);
         if (turn == 0) radiance = found;
-        if (turn > 1) radiance[channel] = found[channel];
+        else radiance[channel] = found[channel];
         if (task == PATH) break;
     }
     channel = 1;

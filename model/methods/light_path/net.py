@@ -196,8 +196,11 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         slots: list[tuple[Tensor, Tensor]] = []
         if self.config.composite:
             ends = paths.ends
-            uv = self._shifted(ends.uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])
-            slots.append((uv[:, 0], ends.surface))
+            uv = ends.uv
+            if self.relief is not None:
+                assert ends.uv_slope is not None
+                uv = self._shifted(uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])[:, 0]
+            slots.append((uv, ends.surface))
         stack = paths.stack if self.stack_net is not None else None
         if stack is not None:
             slots.append((self._relieved(stack).flatten(0, 1), stack.surface.flatten()))
@@ -222,8 +225,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         uv_slope: Float32[Tensor, "ray slot 2"],
     ) -> Float32[Tensor, "ray slot 2"]:
         """The uv at which the rays meet the learned relief below (or above) the surfaces."""
-        if self.relief is None:
-            return uv
+        assert self.relief is not None
         return (uv + RELIEF_DEPTH * self.relief(uv, surface) * uv_slope).clamp(0, 1)
 
     def _over(self, stack: Stack, features: Tensor, opacity_logits: Float32[Tensor, "ray straight"]) -> Tensor:
@@ -246,12 +248,14 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
     def _decode(
-        self, features: Tensor, cosine: Tensor, reflected: Tensor, position: Tensor
+        self, features: Tensor, cosine: Tensor, reflected: Tensor | None, position: Tensor | None
     ) -> Float32[Tensor, "end 3"]:
         inputs = [features, cosine[:, None]]
         if self.config.directions:
+            assert reflected is not None
             inputs.append(spherical_harmonics(reflected))
         for octave in range(self.config.position_octaves):
+            assert position is not None
             angle = position * (torch.pi * 2**octave)
             inputs += [torch.sin(angle), torch.cos(angle)]
         # The first features are added as colour: a texel learns its own at once, the decoder what depends on the view.

@@ -51,8 +51,6 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "SPARE_STEPS": SPARE_STEPS,
         "SAME_INDEX": SAME_INDEX,
         "MANY_RAYS": MANY_RAYS,
-        "STACK_BRANCHES": len(STACKED_VERTICES),
-        "STACK_DEPTH": max(STACKED_VERTICES),
         "STACKED_FIRST": stacked_first,
         "STACKED_SECOND": stacked_second,
         "STACK_HIDDEN": fours(config.stack_hidden),

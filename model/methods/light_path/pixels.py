@@ -2,13 +2,14 @@
 
 import dataclasses
 import functools
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
@@ -19,12 +20,13 @@ from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits
+from model.batches.ahead import Ahead, Draw
 from model.batches.rays import black, read_colors
 from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
-    from datagen.trace.light_path import LightPathTracer, TracedPaths
+    from datagen.trace.light_path import LightPathTracer, PathEnds, TracedPaths
 
 
 STACKED_VERTICES = (4, 2)
@@ -40,13 +42,14 @@ class Ends:
     surface: UInt8[Tensor, " end"]
     """Texture to look up: shell k of n of object i is surface (i - 1) n + k + 1. Paths meet the outermost shell."""
     uv: Float32[Tensor, "end 2"]
-    position: Float32[Tensor, "end 3"]
     throughput: Float32[Tensor, "end 3"]
     cosine: Float32[Tensor, " end"]
     """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
-    reflected: Float32[Tensor, "end 3"]
+    position: Float32[Tensor, "end 3"] | None
+    """None, like the next two, where the configuration uses none of them."""
+    reflected: Float32[Tensor, "end 3"] | None
     """The arriving direction, mirrored at the surface."""
-    uv_slope: Float32[Tensor, "end 2"]
+    uv_slope: Float32[Tensor, "end 2"] | None
     """Change of uv per metre of depth below the surface."""
 
 
@@ -71,11 +74,11 @@ class Stack:
     cosine: Float32[Tensor, "ray slot"]
     direction: Float32[Tensor, "ray 3"]
     """Direction of the camera's ray."""
-    position: Float32[Tensor, "ray straight 3"] | None
+    position: Float32[Tensor, "ray straight 3"] | None = None
     """Hit point of each straight layer; None without straight layers."""
-    reflected: Float32[Tensor, "ray straight 3"] | None
+    reflected: Float32[Tensor, "ray straight 3"] | None = None
     """The ray's direction, mirrored at the surface of each straight layer."""
-    uv_slope: Float32[Tensor, "ray straight 2"] | None
+    uv_slope: Float32[Tensor, "ray straight 2"] | None = None
     """Change of uv per metre of depth below the surface of each straight layer."""
 
 
@@ -107,9 +110,10 @@ class LightPathPixels(RayPixels):
     tracer: "LightPathTracer"
     straight_tracer: "LightPathTracer | None"
     """The same surfaces, all passed in a straight line; None if the configuration has no straight layers."""
-    is_opaque: Bool[np.ndarray, "object"]
-    """By object id: True if paths end on it; False for id 0, which means empty."""
+    num_objects: int
     config: LightPathConfig
+    ahead: "Ahead[LightPathBatch] | None" = None
+    """Where the next training batch comes from; None if it is traced when it is asked for."""
 
     @property
     def chunk(self) -> int:
@@ -123,23 +127,109 @@ class LightPathPixels(RayPixels):
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The paths of the rays through these pixels; without `rng`, as many rays as for rendering."""
+        if rng is not None:
+            return self.take_all([(index, rng)])[0] if self.ahead is None else self.ahead.next(rng)
+        pixels, samples = index.flatten().cpu().numpy(), self.config.render_samples
+        origins, directions = self.rays.through(pixels, samples, None)
+        return self._trace(origins, directions, [0, len(directions)], samples)[0]
+
+    def taken_from(self, ahead: "Ahead[LightPathBatch]") -> Self:
+        """The same pixels; `take` with a generator gives the next batch that was made ahead."""
+        return dataclasses.replace(self, ahead=ahead)
+
+    def take_all(self, draws: Sequence[Draw], *, beside_torch: bool = False) -> list[LightPathBatch]:
+        """Training batches traced together, which takes two thirds of the time of one after the other."""
         config = self.config
-        pixels = index.flatten().cpu().numpy()
-        samples, seed, facets = config.render_samples, 0, None
-        if rng is None:
-            origins, directions = self.rays.through(pixels, samples, None)
-        else:
-            samples, seed = config.train_samples, int(rng.integers(1 << 31))
-            through = self.rays.through_pairs if config.paired_rays else self.rays.through
-            origins, directions = through(pixels, samples, rng)
-            facets = self._facets(len(pixels), samples, rng)
-        # Only the ends of branches are needed: one place holds the last vertex.
-        with short_lived_workers():
-            limits = Limits(max_branches=config.branches, max_vertices=1)
-            paths = self.tracer.trace_colors(origins, directions, limits, seed=seed, facets=facets)
-            stack = self._stack(origins, directions, seed, facets) if config.stack_hidden else None
-        return LightPathBatch(
-            num_pixels=index.numel(), samples=samples, ends=self._ends(paths), sky=self._sky(paths), stack=stack
+        samples = config.train_samples
+        through = self.rays.through_pairs if config.paired_rays else self.rays.through
+        seeds, rays, facets = [], [], []
+        for index, rng in draws:
+            pixels = index.flatten().cpu().numpy()
+            seeds.append(int(rng.integers(1 << 31)))
+            rays.append(through(pixels, samples, rng))
+            facets.append(self._facets(len(pixels), samples, rng))
+        origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
+        starts = np.cumsum([0, *(len(part) for part in facets)]).tolist()
+        # The first batch's seed turns the dice of all; their facets are their own.
+        return self._trace(
+            origins,
+            directions,
+            starts,
+            samples,
+            seed=seeds[0],
+            facets=np.concatenate(facets),
+            beside_torch=beside_torch,
+        )
+
+    def _trace(
+        self,
+        origins: np.ndarray,
+        directions: np.ndarray,
+        starts: list[int],
+        samples: int,
+        *,
+        seed: int = 0,
+        facets: np.ndarray | None = None,
+        beside_torch: bool = False,
+    ) -> list[LightPathBatch]:
+        """The paths of the rays between each two of `starts`."""
+        config = self.config
+        straight = None
+        with short_lived_workers(none=beside_torch):
+            # The stack meets the facets that the paths meet: if a pixel's facets were always spread evenly, its ray
+            # pairs would not be independent, and `--debias` would reward the network for contrasts that cancel.
+            paths = self.tracer.trace_ends(
+                origins,
+                directions,
+                # Without physics only the first vertices count.
+                Limits(config.branches)
+                if config.composite
+                else Limits(len(STACKED_VERTICES), max_depth=max(STACKED_VERTICES)),
+                stacked=STACKED_VERTICES if config.stack_hidden else (),
+                has_details=config.needs_details,
+                seed=seed,
+                facets=facets,
+            )
+            if config.stack_hidden and config.straight_layers:
+                assert self.straight_tracer is not None
+                straight = _straight(self.straight_tracer, origins, directions, config.straight_layers)
+        stack = self._stack(paths, directions, straight)
+        return [
+            LightPathBatch(
+                num_pixels=(last - first) // samples,
+                samples=samples,
+                ends=self._ends(paths, first, last),
+                sky=self._sky(paths, first, last),
+                stack=None if stack is None else _rays_of(stack, first, last),
+            )
+            for first, last in itertools.pairwise(starts)
+        ]
+
+    def _ends(self, paths: "PathEnds", first: int, last: int) -> Ends:
+        here = slice(*np.searchsorted(paths.ray, (first, last)))
+        details = {
+            name: None if values is None else self._tensor(values[here])
+            for name, values in (
+                ("position", paths.position),
+                ("reflected", paths.reflected),
+                ("uv_slope", paths.uv_slope),
+            )
+        }
+        return Ends(
+            ray=self._tensor(paths.ray[here] - first),
+            surface=self._tensor(_surface_of(paths.object_id[here], self.config.shells)),
+            uv=self._tensor(paths.uv[here]),
+            throughput=self._tensor(paths.throughput[here]),
+            cosine=self._tensor(paths.cosine[here]),
+            **details,
+        )
+
+    def _sky(self, paths: "PathEnds", first: int, last: int) -> Sky:
+        here = slice(*np.searchsorted(paths.exit_ray, (first, last)))
+        return Sky(
+            ray=self._tensor(paths.exit_ray[here] - first),
+            direction=self._tensor(paths.exit_direction[here]),
+            throughput=self._tensor(paths.exit_throughput[here]),
         )
 
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
@@ -153,58 +243,33 @@ class LightPathPixels(RayPixels):
             points = (rng.random((num_pixels, 1, 2)) + r2_steps(samples)) % 1
         return points.reshape(-1, 2).astype(np.float32)
 
-    def _ends(self, paths: "TracedPaths") -> Ends:
-        branch, ray = np.nonzero(~paths.has_left & self.is_opaque[paths.object_id[:, 0]])
-        place = (branch, 0, ray)
-        cosine, reflected = _mirrored(paths.direction[place], paths.normal[place])
-        return Ends(
-            ray=self._tensor(ray),
-            surface=self._tensor(_surface_of(paths.object_id[place], self.config.shells)),
-            uv=self._tensor(paths.uv[place]),
-            position=self._tensor(paths.position[place]),
-            throughput=self._tensor(paths.throughput[place]),
-            cosine=self._tensor(cosine),
-            reflected=self._tensor(reflected),
-            uv_slope=self._tensor(paths.uv_slope[place]),
-        )
-
-    def _sky(self, paths: "TracedPaths") -> Sky:
-        place = np.nonzero(paths.has_left)
-        return Sky(
-            ray=self._tensor(place[1]),
-            direction=self._tensor(paths.end_direction[place]),
-            throughput=self._tensor(paths.end_throughput[place]),
-        )
-
-    def _stack(self, origins: np.ndarray, directions: np.ndarray, seed: int, facets: np.ndarray | None) -> Stack:
-        # With the paths' own facets: if a pixel's facets were always spread evenly, its ray pairs would not be
-        # independent, and `--debias` would reward the network for contrasts that cancel between them.
-        limits = Limits(len(STACKED_VERTICES), max_vertices=max(STACKED_VERTICES), max_depth=max(STACKED_VERTICES))
-        paths = self.tracer.trace(origins, directions, limits, seed=seed, facets=facets)
-        places = [(branch, vertex) for branch, count in enumerate(STACKED_VERTICES) for vertex in range(count)]
-        slots = [_slot(paths, *place) for place in places]
-        for slot in slots:
-            slot["surface"] = _surface_of(slot["surface"], self.config.shells)
-        straight_layers = []
-        if self.config.straight_layers:
-            assert self.straight_tracer is not None
-            straight = _straight(self.straight_tracer, origins, directions, self.config.straight_layers)
-            straight_layers = [_slot(straight, 0, layer) for layer in range(self.config.straight_layers)]
-        slots += straight_layers
-
-        def column(key: str, slots: list[dict[str, np.ndarray]]) -> Tensor:
-            return self._tensor(np.stack([slot[key] for slot in slots], axis=1))
-
-        return Stack(
-            surface=column("surface", slots),
-            uv=column("uv", slots),
-            throughput=column("throughput", slots),
-            cosine=column("cosine", slots),
-            direction=self._tensor(directions),
-            position=column("position", straight_layers) if straight_layers else None,
-            reflected=column("reflected", straight_layers) if straight_layers else None,
-            uv_slope=column("uv_slope", straight_layers) if straight_layers else None,
-        )
+    def _stack(self, paths: "PathEnds", directions: np.ndarray, straight: "TracedPaths | None") -> Stack | None:
+        if paths.stack is None:
+            return None
+        columns = {
+            "surface": _surface_of(paths.stack.object_id, self.config.shells),
+            "uv": paths.stack.uv,
+            "throughput": paths.stack.throughput,
+            "cosine": paths.stack.cosine,
+        }
+        if straight is not None:
+            cosine, reflected = _mirrored(straight.direction[0], straight.normal[0])
+            further = {
+                "surface": straight.object_id[0],
+                "uv": straight.uv[0],
+                "throughput": straight.throughput[0].mean(axis=-1),
+                "cosine": cosine,
+            }
+            for name, values in further.items():
+                columns[name] = np.concatenate([columns[name], np.moveaxis(values, 0, 1)], axis=1)
+            for name, values in (
+                ("position", straight.position[0]),
+                ("reflected", reflected),
+                ("uv_slope", straight.uv_slope[0]),
+            ):
+                columns[name] = np.moveaxis(values, 0, 1)
+        columns["direction"] = directions
+        return Stack(**{name: self._tensor(values) for name, values in columns.items()})
 
     def _tensor(self, values: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
@@ -260,7 +325,7 @@ def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, 
         tracer=surfaces.tracer,
         straight_tracer=surfaces.straight_tracer,
         rays=SubpixelRays(cameras=cameras),
-        is_opaque=surfaces.is_opaque,
+        num_objects=surfaces.num_objects,
         rgb=black(cameras),
         config=config,
         device=torch.device("cpu"),
@@ -279,31 +344,24 @@ def _scaled(mesh: Mesh, scale: float) -> Mesh:
     return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
 
 
-def _slot(paths: "TracedPaths", branch: int, vertex: int) -> dict[str, np.ndarray]:
-    """Inputs of the stack network at one vertex of all rays."""
-    cosine, reflected = _mirrored(paths.direction[branch, vertex], paths.normal[branch, vertex])
-    return {
-        "surface": paths.object_id[branch, vertex],
-        "uv": paths.uv[branch, vertex],
-        "throughput": paths.throughput[branch, vertex].mean(axis=-1),
-        "cosine": cosine,
-        "position": paths.position[branch, vertex],
-        "reflected": reflected,
-        "uv_slope": paths.uv_slope[branch, vertex],
-    }
+def _rays_of(stack: Stack, first: int, last: int) -> Stack:
+    """The stack of some of the rays."""
+    return Stack(**{name: value[first:last] for name, value in vars(stack).items() if value is not None})
 
 
-def _surface_of(object_id: UInt8[np.ndarray, " vertex"], shells: int) -> UInt8[np.ndarray, " vertex"]:
+def _surface_of(object_id: UInt8[np.ndarray, "*vertex"], shells: int) -> UInt8[np.ndarray, "*vertex"]:
     """The outermost shell of each object; 0 stays 0."""
+    if shells == 1:
+        return object_id
     return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
 
 
 def _mirrored(
-    direction: Float32[np.ndarray, "vertex 3"], normal: Float32[np.ndarray, "vertex 3"]
-) -> tuple[Float32[np.ndarray, " vertex"], Float32[np.ndarray, "vertex 3"]]:
+    direction: Float32[np.ndarray, "*vertex 3"], normal: Float32[np.ndarray, "*vertex 3"]
+) -> tuple[Float32[np.ndarray, "*vertex"], Float32[np.ndarray, "*vertex 3"]]:
     """The cosine, in [0, 1], at which rays arrive at surfaces, and their directions mirrored there."""
-    cosine = -np.einsum("vc,vc->v", direction, normal)
-    return np.clip(cosine, 0, 1), direction + 2 * cosine[:, None] * normal
+    cosine = -np.einsum("...c,...c", direction, normal)
+    return np.clip(cosine, 0, 1), direction + 2 * cosine[..., None] * normal
 
 
 def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
@@ -316,7 +374,7 @@ class _Surfaces:
 
     tracer: "LightPathTracer"
     straight_tracer: "LightPathTracer | None"
-    is_opaque: Bool[np.ndarray, "object"]
+    num_objects: int
 
 
 # Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.
@@ -337,5 +395,5 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
     return _Surfaces(
         tracer=LightPathTracer(meshes, materials, tints),
         straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
-        is_opaque=np.array([False, *(not material.is_glass for material in materials)]),
+        num_objects=len(materials),
     )

@@ -17,7 +17,7 @@ from support.commands import run
 from support.synthetic import synthetic_scene
 
 from datagen.build.build import _start_beside_others, open_or_start
-from datagen.build.choices import LaunchChoices
+from datagen.build.choices import ShardChoices
 from datagen.build.shards import Shard, parse_shard
 from datagen.build.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig, square
@@ -149,10 +149,10 @@ done
 name() { echo "$1" | sed "s/%A/77/; s/%a/$SLURM_ARRAY_TASK_ID/; s/%t/0/"; }
 exec "$@" >"$(name "$out")" 2>"$(name "$err")"
 """,
-    "sacct": """#!/bin/sh
-echo "JobID|State|NodeList"
-for task in 0 1; do echo "77_$task|RUNNING|here"; done
+    "squeue": """#!/bin/sh
+for task in 0 1; do echo "77_$task|RUNNING|None"; done
 """,
+    "scancel": "#!/bin/sh\n",
 }
 
 
@@ -175,9 +175,11 @@ def test_the_launcher_sends_parts_to_slurm(
 
     answer = build(scene_folder, out, *asked, "--slurm-partition", "many", "--slurm-gpus", "1")
     assert answer.status == 0, answer.err
+    assert "(slurm, jobs 2; each: CPUs 2, minutes 30)" in answer.err and "slurm: 2 running" in answer.err
     assert tree(out) == tree(built)
     submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
-    for option in ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1"):
+    options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue")
+    for option in options:
         assert f"#SBATCH {option}\n" in submitted
 
 
@@ -242,7 +244,7 @@ def test_a_part_that_cannot_be_is_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--shards", "3"), "--shards: goes with --launcher; give slurm or local"),
+        (("--shards", "3"), "--shards: goes with --launcher; give that, too, or leave it out"),
         (("--launcher", "local", "--slurm-gpus", "1"), "--slurm-gpus: goes with --launcher slurm; leave it out"),
         (("--launcher", "local", "--shards", "0"), "--shards: is 0; expected at least 1"),
         (("--launcher", "local", "--shard", "1/2"), "--launcher: builds all parts; leave out --shard"),
@@ -271,4 +273,4 @@ def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_pat
 
 def test_the_choices_of_a_launch_are_checked() -> None:
     with pytest.raises(HyalineError, match="--slurm-time: is 0; expected at least 1"):
-        LaunchChoices(launcher="slurm", slurm_time=0)
+        ShardChoices(launcher="slurm", slurm_time=0)

@@ -79,7 +79,7 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --resolution wide", 1, "resolution: is 'wide'; expected a width and height such as 320x240"),
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
         ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
-        ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give slurm or local"),
+        ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give that, too, or leave it out"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: does not go with --shard, which deletes nothing"),
         ("datagen build --twins", 2, "datagen build --twins is now `datagen add DATASET --twins`"),

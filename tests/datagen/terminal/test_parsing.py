@@ -10,7 +10,7 @@ import pytest
 from support.commands import call, parsed
 from support.synthetic import write_synthetic_dataset
 
-from datagen.build.choices import AddChoices, BuildChoices, LaunchChoices, SizeChoices
+from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
 from datagen.terminal.parsing import CommandGroup, collect, flag_words
 
@@ -82,7 +82,7 @@ def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
     [
         BuildChoices(preset="tiny", out=Path("a b"), overwrite=True, count=3, family="table", seed=-1),
         SizeChoices(resolution="32x16", ceiling=45.5),
-        LaunchChoices(launcher="slurm", shards=2),
+        ShardChoices(launcher="slurm", shards=2),
         AddChoices(edit=("no-glass", "move:a:0,0,-1"), larger=(2, 3)),
     ],
 )

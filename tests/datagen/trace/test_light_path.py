@@ -317,6 +317,50 @@ def test_uv_slopes_lead_to_where_the_ray_meets_a_deeper_surface(height: float) -
     assert np.abs(depth * surface.uv_slope[0, 0] - expected).max() < 2e-6
 
 
+def test_ends_and_first_vertices_are_those_of_whole_paths() -> None:
+    """Of a glass ball, a pane and rough metal above a coated floor, in a kernel of their own."""
+    ball, lump = (mesh_of(trimesh.creation.icosphere(3, 0.5).apply_translation((x, 0, 0.6))) for x in (0, 1.2))
+    meshes = ball, lump, quad(1.5), quad(0.0)
+    metal, floor = Conductor(color=(0.9, 0.8, 0.7), roughness=0.2), Plastic(color=(0.5, 0.4, 0.3))
+    materials = Dielectric(ior=1.5), metal, ThinDielectric(ior=1.5), floor
+    tracer = LightPathTracer(meshes, materials)
+    rng = np.random.default_rng(1)
+    origins = np.tile(np.float32([0.5, -2.5, 1.2]), (600, 1))
+    directions = rng.uniform((-0.6, 0.6, -0.6), (0.6, 1, 0.4), (600, 3))
+    directions = (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+    facets = rng.random((600, 2)).astype(np.float32)
+    given = {"seed": 3, "facets": facets}
+    found = tracer.trace_ends(origins, directions, Limits(6), stacked=(4, 2), has_details=True, **given)
+    last = tracer.trace(origins, directions, Limits(6, max_vertices=1), **given)
+    first = tracer.trace(origins, directions, Limits(6), **given)
+
+    ray, branch = np.nonzero((np.isin(last.object_id[:, 0], (2, 4)) & ~last.has_left).T)
+    place = branch, 0, ray
+    assert np.array_equal(found.ray, ray) and len(ray) > 150
+    cosine = -np.einsum("ec,ec->e", last.direction[place], last.normal[place])
+    mirrored = last.direction[place] + 2 * cosine[:, None] * last.normal[place]
+    assert np.array_equal(found.object_id, last.object_id[place])
+    for name in ("uv", "throughput", "position", "uv_slope"):
+        np.testing.assert_allclose(getattr(found, name), getattr(last, name)[place], rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(found.cosine, cosine.clip(0, 1), atol=1e-5)
+    np.testing.assert_allclose(found.reflected, mirrored, atol=1e-5)
+
+    ray, branch = np.nonzero(last.has_left.T)
+    assert np.array_equal(found.exit_ray, ray) and len(ray) > 150
+    np.testing.assert_allclose(found.exit_direction, last.end_direction[branch, ray], atol=1e-5)
+    np.testing.assert_allclose(found.exit_throughput, last.end_throughput[branch, ray], atol=1e-5)
+
+    assert found.stack is not None
+    places = [(branch, vertex) for branch, number in enumerate((4, 2)) for vertex in range(number)]
+    for slot, place in enumerate(places):
+        is_there = first.object_id[place] > 0
+        assert np.array_equal(found.stack.object_id[:, slot], first.object_id[place])
+        np.testing.assert_allclose(found.stack.uv[is_there, slot], first.uv[place][is_there], atol=1e-5)
+        np.testing.assert_allclose(found.stack.throughput[:, slot], first.throughput[place].mean(axis=-1), atol=1e-5)
+        cosine = -np.einsum("rc,rc->r", first.direction[place], first.normal[place]).clip(-1, 0)
+        np.testing.assert_allclose(found.stack.cosine[:, slot], cosine, atol=1e-5)
+
+
 @pytest.mark.parametrize("offset", [0, 1, 5, 16])
 def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: int) -> None:
     tracer = LightPathTracer((wide(0.0),), (GREY,))

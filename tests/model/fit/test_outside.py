@@ -31,6 +31,7 @@ def sightings_of(mask: np.ndarray, taken: Cameras) -> Sightings:
         first=mask.astype(np.uint8),
         touched=mask,
         depth=np.full(mask.shape, np.inf, np.float32),
+        met=np.zeros(mask.shape, np.uint8),
         unknown=(1,),
     )
 

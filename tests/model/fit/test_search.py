@@ -75,9 +75,9 @@ def test_rounds_find_every_number_and_its_interval() -> None:
 
 def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
     clear = dataclasses.replace(TRUTH, absorption=(0.0, 0.0, 0.0))
-    glass, _ = find_absorption(clear, misses_of(clear), IS_EVEN)
+    glass, _ = find_absorption(clear, "absorption", misses_of(clear), IS_EVEN)
     assert glass.absorption == (0.0, 0.0, 0.0)
-    glass, found = find_absorption(clear, misses_of(TRUTH), IS_EVEN)
+    glass, found = find_absorption(clear, "absorption", misses_of(TRUTH), IS_EVEN)
     assert glass.absorption[1] == 0.0
     assert found[0].value == pytest.approx(6, rel=0.3)
     assert found[2].value == pytest.approx(20, rel=0.3)

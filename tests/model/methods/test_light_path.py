@@ -1,5 +1,6 @@
 """Tests the method `light-path`: its rays, its physics, its training."""
 
+import contextlib
 import dataclasses
 import math
 from pathlib import Path
@@ -16,8 +17,9 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.images import srgb_from_linear
 from datagen.data.paths import TRUTH
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from model.batches.ahead import Ahead
 from model.batches.rays import linear_curve, srgb_curve
 from model.losses.pixel_losses import difference
 from model.methods.light_path.config import LightPathConfig, default_light_path
@@ -131,22 +133,53 @@ def test_paired_training_rays_lie_opposite_each_other_and_pairs_are_independent(
     assert np.abs(np.histogram(first, bins=5, range=(0, 1))[0] / 1000 - 0.2).max() < 0.05
 
 
+def test_batches_made_ahead_are_those_of_their_step_and_errors_of_the_other_thread_arrive(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pixels = pixels_of(dataset)
+
+    def draw(step: int) -> list[np.random.Generator]:
+        return [np.random.default_rng([step, update]) for update in range(2)]
+
+    with contextlib.closing(Ahead(pixels, draw, size=40)) as ahead:
+        for step in (3, 4, 5):
+            ahead.begin(step, is_last=step == 5)
+            expected_rngs = draw(step)
+            indices = [torch.from_numpy(rng.integers(len(pixels.rgb), size=40)) for rng in expected_rngs]
+            expected = pixels.take_all(list(zip(indices, expected_rngs)))
+            for index, expected_rng, batch, rng in zip(indices, expected_rngs, expected, draw(step)):
+                assert np.array_equal(rng.integers(len(pixels.rgb), size=40), index)
+                found = pixels.taken_from(ahead).take(index, rng)
+                assert rng.random() == expected_rng.random()
+                for part in ("ends", "sky", "stack"):
+                    for name, values in vars(getattr(batch, part)).items():
+                        assert values is None or torch.equal(getattr(getattr(found, part), name), values), name
+
+    def fail(*_: object, **__: object) -> None:
+        raise NumericsError("no paths today")
+
+    monkeypatch.setattr(pixels.tracer, "trace_ends", fail)
+    with (
+        contextlib.closing(Ahead(pixels, draw, size=40)) as ahead,
+        pytest.raises(NumericsError, match="no paths today"),
+    ):
+        ahead.begin(0, is_last=False)
+
+
 @pytest.mark.parametrize("paired", [True, False])
-def test_the_stack_meets_the_facets_that_the_paths_meet(
+def test_rays_of_a_pixel_meet_facets_in_pairs_or_spread_evenly(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch, *, paired: bool
 ) -> None:
     pixels = pixels_of(dataset, debias=float(paired))
-    traced, given = pixels.tracer.trace, []
+    traced, given = pixels.tracer.trace_ends, []
 
-    def trace(*rays: object, seed: int, facets: np.ndarray, **channel: int) -> object:
-        given.append((seed, facets))
-        return traced(*rays, seed=seed, facets=facets, **channel)
+    def trace(*rays: object, facets: np.ndarray, **choices: object) -> object:
+        given.append(facets)
+        return traced(*rays, facets=facets, **choices)  # pyright: ignore[reportArgumentType]
 
-    monkeypatch.setattr(pixels.tracer, "trace", trace)
+    monkeypatch.setattr(pixels.tracer, "trace_ends", trace)
     pixels.take(torch.arange(100, 600), np.random.default_rng(2))
-    (seed, facets), (stack_seed, stack_facets) = given
-    assert seed == stack_seed
-    assert np.array_equal(facets, stack_facets)
+    (facets,) = given
     points = facets.reshape(500, 4, 2)
     if paired:
         first, second = points.reshape(500, 2, 2, 2)[:, :, 0].transpose(1, 2, 0)
@@ -169,7 +202,8 @@ def test_where_everything_shines_alike_glass_disappears(dataset: Dataset) -> Non
 def test_texels_shine_alike_in_all_directions_unless_the_decoder_sees_them(
     dataset: Dataset, *, sees_directions: bool
 ) -> None:
-    paths = pixels_of(dataset).take(torch.arange(256), None)
+    paths = pixels_of(dataset, directions=True).take(torch.arange(256), None)
+    assert paths.ends.reflected is not None
     turned = dataclasses.replace(paths, ends=dataclasses.replace(paths.ends, reflected=paths.ends.reflected.roll(1, 1)))
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), directions=sees_directions))
     with torch.no_grad():
@@ -324,10 +358,12 @@ def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
     assert (above.grad > 0).all()
 
 
+@pytest.mark.parametrize("texture_size", [24, 80])  # The larger ones are moved lazily.
 def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, texture_size: int
 ) -> None:
-    assert_resumes(monkeypatch, SMALL, dataset, tmp_path, stop=8)
+    config = dataclasses.replace(SMALL, net=dataclasses.replace(NET, texture_sizes=(texture_size,) * 2))
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=8)
     assert read_run(tmp_path / "whole").knowledge == "true geometry, materials (all but diffuse colours)"
 
 
