@@ -89,18 +89,17 @@ def peel(
 
 def truth(
     scene: str = "glass_table",
-    light: Literal["soft", "scene", "lamp"] = "soft",
+    light: Literal["soft", "scene"] = "soft",
     size: int = 128,
     rounds: int = 7,
     json: bool = False,
 ) -> None:
-    """Rendering until noise allows 45 dB, or 40 under a small lamp: `datagen build` against Mitsuba's defaults.
+    """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
 
     Args:
         scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear,
             and drinks and what else has a priority are left out.
-        light: An even sky, the scene's own lights, or (for the glass table) a small lamp, whose light falls
-            through glass. The lamp takes several minutes: noise is estimated at 256 and 1,024 samples.
+        light: An even sky, or the scene's own lights.
         size: Width and height in pixels.
         rounds: Turns of each.
         json: Print JSON instead of tables.
@@ -109,7 +108,7 @@ def truth(
 
     use_mitsuba()
     from benchmarks.harness import show
-    from benchmarks.truth import LAMP_CEILING_DB, LAMP_GATE, bench_truth, under_small_lamp, under_soft_light
+    from benchmarks.truth import bench_truth, under_soft_light
     from datagen.data.config import DatasetConfig, SplitConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
@@ -127,20 +126,7 @@ def truth(
         extrapolating=split,
     )
     cameras = make_cameras(description.cameras, config)["train"]
-    if light == "lamp":
-        report = bench_truth(
-            under_small_lamp(description),
-            cameras,
-            low_spp=256,
-            high_spp=1024,
-            mean_spp=2048,
-            rounds=rounds,
-            ceiling_db=LAMP_CEILING_DB,
-            gate=LAMP_GATE,
-        )
-    else:
-        report = bench_truth(description, cameras, rounds=rounds)
-    show(report, as_json=json)
+    show(bench_truth(description, cameras, rounds=rounds), as_json=json)
 
 
 def scale(
