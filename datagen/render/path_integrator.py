@@ -8,9 +8,10 @@ borders on the same medium everywhere; here a glass surface borders on the mediu
 If glass disperses, its index of refraction depends on the colour: a path keeps all three channels until it first hits
 such glass, and continues with one of them; the paths of a pixel are divided evenly among the channels.
 
-Two things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). And light is sampled only where there
+Three things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). Light is sampled only where there
 is something to aim at, a lamp or a small bright part of the sky: a soft sky is found as well by the rays that materials
-send out, for half the rays.
+send out, for half the rays. And where glass or a mirror is between a lamp and a matt surface, which light sampling
+cannot see through, half of the rays follow a map of caustics (render/caustics.py).
 Import this module after `use_mitsuba`; vectorised variants only.
 """
 
@@ -24,6 +25,7 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float32
 
+from datagen.render.caustics import CausticMap, Spot
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.contact import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
@@ -35,6 +37,9 @@ Lanes = Any
 MAX_VANISHED = 64
 """Largest number of vanished surfaces on one path, where a solid of higher priority fills both sides: they are not
 bounces, but a path must end."""
+
+GUIDED_SHARE = 0.5
+"""Share of the rays from a matt surface that follow the map of caustics, where it has entries."""
 
 
 class PathTracer:
@@ -61,7 +66,7 @@ class PathTracer:
         aims: whether emitters are sampled at each rough vertex, too.
         """
         self._scene = scene
-        self._tables = _Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+        self.tables = Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
 
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
@@ -77,14 +82,14 @@ class PathTracer:
         place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
         place += points.sample_2d(scramble, index, mi.UInt32(0), mi.Bool(True))
         ray, _ = sensor.sample_ray(0, 0, place / mi.Point2f(width, height), mi.Point2f(0.5))
-        colors = _share_out_channels(index, spp, scramble) if self._tables.disperses else None
-        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, colors, self._tables)
+        colors = _share_out_channels(index, spp, scramble) if self.tables.disperses else None
+        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, colors, self.tables)
         dr.eval(radiance)
         channels = [np.array(channel).reshape(height, width, spp) for channel in radiance]
         return np.stack([channel.mean(axis=2, dtype=np.float64) for channel in channels], axis=-1).astype(np.float32)
 
 
-class _Tables:
+class Tables:
     """The kernel's options and lookup tables: the rank of a shape by its registry id, and the media.
 
     Not a dataclass: Dr.Jit 1.5 would treat it as loop state and assign its fields.
@@ -124,6 +129,8 @@ class _Tables:
         self.parts_colors = mi.Bool(media.parts_colors)
         self.ior = mi.Float(media.iors.ravel() if self.disperses else media.ior)
         self.absorption = mi.Float(media.absorption.ravel())
+        self.caustics: CausticMap | None = None
+        """Set it before the first picture (render/photons.py)."""
 
 
 def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
@@ -160,16 +167,16 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         si = scene.ray_intersect(ray, mi.RayFlags.All, depth == 0, active)
         hit = si.is_valid()
 
-        offset, transmitted = _pass_medium(tables, solids, ray, si, active & hit)
+        offset, transmitted = pass_medium(tables, solids, ray, si, active & hit)
         throughput *= transmitted
 
         # The media on both sides of glass.
-        is_glass, with_it, without_it = _solids_around(tables, solids, si.shape, active & hit)
+        is_glass, with_it, without_it = solids_around(tables, solids, si.shape, active & hit)
         sides = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (sides[0] == sides[1]) if tables.media.is_nested else mi.Bool(False)
 
-        eta = _ratio_of_indices(tables, sides, colors, is_glass)
-        throughput, has_all = _part_colors(tables, sides, colors, is_glass & ~vanishes, throughput, has_all)
+        eta = ratio_of_indices(tables, sides, colors, is_glass)
+        throughput, has_all = part_colors(tables, sides, colors, is_glass & ~vanishes, throughput, has_all)
 
         # Light that the ray hits, weighted against light sampling at the last vertex.
         weight = mi.Float(1)
@@ -188,7 +195,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         dimension += 3
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
-        alpha, tint = _surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
+        alpha, tint = surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light sampled from here; smooth glass has no such term.
             active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
@@ -197,7 +204,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             ds, light = scene.sample_emitter_direction(si, place, False, active_light)
             active_light &= _is_lit(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
-            value, pdf, bsdf_sample, bsdf_weight = bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, is_rough)
+            value, pdf, bsdf_sample, bsdf_weight = _scatter(tables, context, si, bsdf, wo, sample1, sample2, is_rough)
             value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, tint, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
@@ -206,7 +213,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
 
         # Glass reflects or refracts. Where its surface vanishes, both media are the same and nothing is reflected.
         samples = sample1, sample2
-        is_reflected, glass_wo, glass_share = _meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
+        is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
@@ -214,7 +221,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
         to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
         d = dr.select(vanishes, ray.d, to_world)
-        ray = dr.select(active, mi.Ray3f(_start_off(si, offset, d), d), ray)
+        ray = dr.select(active, mi.Ray3f(start_off(si, offset, d), d), ray)
         previous = mi.Interaction3f(si)
         _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, tint, (bsdf_weight, bsdf_sample.pdf))
         previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
@@ -225,7 +232,41 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
     return radiance + dr.select(escaped, throughput * _sky(scene, ray, escaped), 0)
 
 
-def _pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
+def _scatter(tables, context, si, bsdf, wo, sample1, sample2, active) -> tuple[Lanes, Lanes, Lanes, Lanes]:
+    """As `bsdf.eval_pdf_sample`; from matt surfaces with known caustics, a share of the rays follows the map of them.
+
+    Both ways to choose a direction are one density, so that either may find what the other was meant for.
+    """
+    caustics: CausticMap | None = tables.caustics
+    if caustics is None:
+        return bsdf.eval_pdf_sample(context, si, wo, sample1, sample2, active)
+    spot = caustics.find(si.p, active)
+    has_spot = active & is_matt(bsdf) & (spot.first < spot.end)
+    is_guided = has_spot & (sample1 < GUIDED_SHARE)
+    own_sample1 = dr.select(has_spot, (sample1 - GUIDED_SHARE) / (1 - GUIDED_SHARE), sample1)
+    value, pdf, bsdf_sample, weight = bsdf.eval_pdf_sample(context, si, wo, own_sample1, sample2, active)
+    pdf = _mixed_pdf(caustics, spot, si, wo, pdf, has_spot)
+    followed = si.to_local(caustics.sample(spot, sample1 / GUIDED_SHARE, sample2, is_guided))
+    chosen = dr.select(is_guided, followed, bsdf_sample.wo)
+    chosen_value, chosen_pdf = bsdf.eval_pdf(context, si, chosen, has_spot)
+    chosen_pdf = _mixed_pdf(caustics, spot, si, chosen, chosen_pdf, has_spot)
+    bsdf_sample.wo = chosen
+    bsdf_sample.pdf = dr.select(has_spot, chosen_pdf, bsdf_sample.pdf)
+    return value, pdf, bsdf_sample, dr.select(has_spot, chosen_value / dr.maximum(chosen_pdf, 1e-30), weight)
+
+
+def _mixed_pdf(caustics: CausticMap, spot: Spot, si, wo, bsdf_pdf, has_spot) -> Lanes:
+    """The density of a direction that the material or the map chooses; the material alone where nothing is known."""
+    mixed = dr.lerp(bsdf_pdf, caustics.pdf(spot, si.to_world(wo), has_spot), GUIDED_SHARE)
+    return dr.select(has_spot, mixed, bsdf_pdf)
+
+
+def is_matt(bsdf) -> Lanes:
+    """Whether a material scatters light widely, with a gloss or without."""
+    return mi.has_flag(bsdf.flags(), mi.BSDFFlags.DiffuseReflection)
+
+
+def pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
     """The distance off the next surface at which rays start, and the transmittance of the medium on the way to it.
 
     The length that a ray skipped when it started off a thin wall's other face counts. A ray in glass always hits
@@ -237,14 +278,14 @@ def _pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
     return offset, dr.select(hit, dr.exp(-sigma_a * dr.select(hit, length, 0)), 1)
 
 
-def _start_off(si, offset, d) -> Lanes:
+def start_off(si, offset, d) -> Lanes:
     """The origin of a ray that leaves a surface along `d`; Mitsuba's `spawn_ray` would start 0.1 mm off."""
     return si.p + si.n * dr.mulsign(offset, dr.dot(si.n, d))
 
 
 def _is_lit(scene, tables, si, offset, ds, active) -> Lanes:
     """Whether nothing is between a surface and the point of a light; the ray ends just short of the light."""
-    o = _start_off(si, offset, ds.d)
+    o = start_off(si, offset, ds.d)
     way = ds.p + ds.n * tables.lamp_offset - o
     length = dr.norm(way)
     ray = mi.Ray3f(o, way / length)
@@ -260,7 +301,7 @@ def _sky(scene, ray, escaped) -> Lanes:
     return scene.environment().eval(sky, escaped)
 
 
-def _solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
+def solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
     """Whether a shape is glass, and the solids on its inner and outer side, where `hit`."""
     rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, shape), hit)
     is_glass = hit & (rank >= 0)
@@ -268,7 +309,7 @@ def _solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
     return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
-def _part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tuple[Lanes, Lanes]:
+def part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tuple[Lanes, Lanes]:
     """The throughput, reduced to one channel where a path first hits dispersive glass; which paths still have all."""
     if not tables.disperses:
         return throughput, has_all
@@ -279,14 +320,14 @@ def _part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tup
     return throughput * dr.select(parts, one, 1), has_all & ~parts
 
 
-def _ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
+def ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
     """Index of refraction inside over that outside; in the path's own channel if glass disperses."""
     places = [3 * side + colors[0] for side in sides] if tables.disperses else sides
     inner, outer = (dr.gather(mi.Float, tables.ior, place, is_glass) for place in places)
     return inner / outer
 
 
-def _surface_of_glass(tables, si, eta, is_solid) -> tuple[Lanes, Lanes]:
+def surface_of_glass(tables, si, eta, is_solid) -> tuple[Lanes, Lanes]:
     """GGX alpha of rough glass, 0 elsewhere, and the transmitted share of refracted light."""
     shape = dr.reinterpret_array(mi.UInt32, si.shape)
     alpha, tint = mi.Float(0), mi.Spectrum(1)
@@ -312,7 +353,7 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[La
     return dr.select(alpha > 0, value, otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
 
 
-def _meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
+def meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
     """Whether glass reflects, the new direction in the surface's frame, and the factor of radiance."""
     if tables.has_rough_glass:
         is_reflected, wo, share = _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
@@ -322,7 +363,7 @@ def _meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes,
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`_meet_glass` for smooth glass."""
+    """`meet_glass` for smooth glass."""
     reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
     is_reflected = (sample <= reflectance) & ~vanishes
     wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
@@ -330,7 +371,7 @@ def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]
 
 
 def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`_meet_glass` for rough glass, by one of its facets; alpha = 0 is smooth."""
+    """`meet_glass` for rough glass, by one of its facets; alpha = 0 is smooth."""
     side = dr.sign(mi.Frame3f.cos_theta(wi))
     facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
     reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)

@@ -90,6 +90,10 @@ class Renderer:
                 has_lamps=has_lamps,
                 aims=has_lamps or aims_at_sky,
             )
+            if has_lamps:
+                from datagen.render.photons import map_caustics
+
+                self._tracer.tables.caustics = map_caustics(self._scene, self._tracer.tables)
 
     def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
         """Linear radiance (h, w, 3) float32 and the samples per pixel actually drawn (scalar Mitsuba rounds them)."""

@@ -22,6 +22,7 @@ from model.batches.traced_layers import SubpixelRays
 from model.fit.search import Misses, penalty
 from model.fit.shapes import Glass
 from model.methods.light_path.config import LightPathConfig
+from model.methods.light_path.method import sky_height
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
 from model.run.preparation import make_optimizer
@@ -82,7 +83,7 @@ def load_pixels(
         rays=SubpixelRays(cameras=dataset.cameras("train")),
         num_objects=len(meshes),
         rgb=read_colors(dataset, "train", views, with_images=True),
-        config=LightPathConfig(stack_hidden=0).sized((2,) * len(meshes)),
+        config=LightPathConfig(stack_hidden=0, environment_size=sky_height(scene)).sized((2,) * len(meshes)),
         device=torch.device("cpu"),
     )
 

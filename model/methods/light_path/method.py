@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, check_has_meshes
+from datagen.data.dataset import check_has_meshes
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import EnvironmentMap, image_bytes
+from datagen.scene.description import EnvironmentMap, Scene, image_bytes
 from datagen.scene.folder import load_scene
 from datagen.scene.images import read_map
 from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
@@ -27,13 +27,13 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     check_has_meshes(inputs.dataset)
     size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:
-        config = dataclasses.replace(config, environment_size=_sky_height(inputs.dataset))
+        scene = load_scene(inputs.dataset.root / "scene", is_sealed=True)
+        config = dataclasses.replace(config, environment_size=sky_height(scene))
     return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
 
 
-def _sky_height(dataset: Dataset) -> int:
+def sky_height(scene: Scene) -> int:
     """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
     if isinstance(scene.environment, EnvironmentMap):
         height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
     else:
