@@ -64,9 +64,9 @@ class Folder:
     objects: tuple[str, ...]
     """Names of the objects of glass, in the order of a shot's masks."""
     points: Float[np.ndarray, "point 3"]
-    """Of opaque surfaces, in the cameras' world; there may be none."""
+    """Points on opaque surfaces in the cameras' world; possibly empty."""
     has_unit: bool
-    """The cameras' world is upright and in metres unless the user says otherwise: a transforms file's."""
+    """True if the cameras' world is upright and in metres, as in a transforms file."""
     cameras: str
     """Where the cameras come from."""
     points_file: Path | None = None
@@ -80,7 +80,7 @@ class Folder:
 
 
 def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"], None]) -> Folder:
-    """What a folder names; no picture is decoded.
+    """Lists the contents of a folder without decoding pictures.
 
     Args:
         find_cameras: writes a model of COLMAP for pictures without cameras into FOLDER/colmap.

@@ -175,7 +175,7 @@ def redrawn(picture: UInt8[np.ndarray, "h w 3"], taken: TakenLens, lens: Lens) -
 
 
 def redrawn_mask(mask: Bool[np.ndarray, "h w"], taken: TakenLens, lens: Lens) -> Bool[np.ndarray, "height width"]:
-    """A mask as another lens would see it: pixels of which it covers at least half."""
+    """Resamples a mask for another lens; a pixel is set if the mask covers at least half of it."""
     return _looked_up(mask.astype(np.float32)[..., None], taken, lens)[..., 0] >= 0.5
 
 

@@ -16,7 +16,7 @@ LEAST_VIEWS = 3
 LEAST_PIXELS = 8
 """Smaller masks are left out: they say little, and are often wrong."""
 GAP = 0.0005
-"""Metres between glass and what it stands on."""
+"""Gap in metres between glass and its support."""
 SIDE = 40
 """Points a side of the grid that is carved."""
 MAX_OUTSIDE = 0.1
@@ -36,7 +36,7 @@ class Outline:
     radii: tuple[float, float, float]
 
     def around(self, points: Float[np.ndarray, "point 3"], *, times: float) -> Bool[np.ndarray, " point"]:
-        """True for points in the ellipsoid, made so many times larger."""
+        """True for points in the ellipsoid after scaling it by a factor."""
         return (((points - self.center) / (times * np.array(self.radii))) ** 2).sum(axis=1) < 1
 
     def standing_on(self, height: float) -> "Outline":
@@ -84,7 +84,7 @@ def _outline(
                 "those of the pictures"
             )
         low, high = inside.min(axis=0) - cell, inside.max(axis=0) + cell
-    # A point of the grid stands for its cell; the outermost few are where masks err.
+    # Each grid point represents its cell; masks are least reliable at the outermost ones.
     low, high = np.percentile(inside, (0.4, 99.6), axis=0) + np.array([[-0.5], [0.5]]) * cell
     return Outline(name=name, center=tuple((low + high) / 2), radii=tuple((high - low) / 2))
 

@@ -1,4 +1,4 @@
-"""The opaque room around glass, fitted to points: a floor, what the glass stands on, walls, and boxes for the rest.
+"""Fits an opaque room to points: a floor, the support of the glass, walls, and boxes for everything else.
 
 Points are in metres with z up. Of every surface only its front counts, which a texture is learned for; what no points
 show (plain walls) is left to the sky.
@@ -20,7 +20,7 @@ Flat = Float[np.ndarray, "_ 2"]
 NEAR = 0.012
 """Distance from a surface that counts as on it, over the cameras' distance; so are the next lengths."""
 FARTHER = 2.5
-"""Walls are farther away than what stands before them, and points on them less exact."""
+"""Tolerance for walls: they are far away, so points on them are less accurate."""
 CELL = 0.05
 """Side of the cells by whose contact points are one thing."""
 LEAST_WALL = (0.5, 0.2)
@@ -35,7 +35,7 @@ BINS = 10
 """Parts of a wall; points lie on most of them, as they do not on a line through two things."""
 MAX_WALLS, MAX_BOXES = 4, 24
 MARGIN = 0.15
-"""Share by which a floor or wall is larger than the points on it show."""
+"""Margin added around the points of a floor or wall, relative to their extent."""
 SLAB = 0.04
 """Thickness of a table top over its narrow side."""
 RANSAC_TRIES = 3000
@@ -51,7 +51,7 @@ class Part:
 
 @dataclass(frozen=True, kw_only=True)
 class Room:
-    """All parts, and what the glass stands on."""
+    """All parts, including the support of the glass."""
 
     parts: tuple[Part, ...]
     support: float | None
@@ -116,7 +116,7 @@ def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray,
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
     floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
     parts: list[Part] = []
-    # Cameras above do not see where glass ends, so that its masks' cones reach into what it stands on.
+    # Cameras above cannot see where glass ends, so the masks' cones extend into its support.
     reach = max(4 * near, 0.3 * min(outline.radii[2] for outline in glass))
     counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
     support = max((level for level in levels if abs(level - bottom) < reach), key=counts.__getitem__, default=floor)

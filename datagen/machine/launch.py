@@ -1,4 +1,4 @@
-"""Commands as jobs, on a cluster or on this machine: submits them, waits, and says which did not finish, and why.
+"""Commands as jobs, on a cluster or on this machine: submits them, waits, and reports which failed and why.
 
 submitit hands the jobs to Slurm, or to this machine. Its files and the jobs' logs lie in a folder of their own
 (DATASET-jobs/, or runs/jobs/), which may be deleted when all has ended.

@@ -75,7 +75,7 @@ class CausticMap:
         self._num_steps = int(np.diff(first).max()).bit_length()
 
     def find(self, p: "mi.Point3f", active: "mi.Bool") -> Spot:
-        """What is known at these places."""
+        """Looks up the entries at these places."""
         cell = _cell(p, self._cube)
         return Spot(*(dr.gather(mi.UInt32, self._first, cell + step, active) for step in range(2)))
 

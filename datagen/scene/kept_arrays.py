@@ -16,7 +16,7 @@ from datagen.disk.storage import private_cache, read_hashed, write_hashed
 Arrays = Mapping[str, np.ndarray]
 
 MAX_KEPT_BYTES = 1 << 30
-"""Of each kind; beyond it, the oldest files are deleted."""
+"""Size limit for each kind of file; the oldest are deleted first."""
 
 
 def key_of(arrays: Arrays, makers: Sequence[Path], *facts: object) -> str:

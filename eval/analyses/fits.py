@@ -1,4 +1,4 @@
-"""What `model fit` found, read from its folder, and compared with the truth.
+"""Reads the results of `model fit`, and compares them with the truth.
 
 RUNS/SCENE/NAME/fit.json   sealed: dataset (digest), geometry, and in the end objects and pictures (names of PNGs)
 """
@@ -62,7 +62,7 @@ class Fit:
     objects: tuple[FitObject, ...]
     pictures: tuple[str, ...]
     digest: tuple[str, ...]
-    """Of everything in the folder that a page shows."""
+    """Digests of the files that a page shows."""
 
 
 def read_fits(root: Path, errors: list[HyalineError], *, besides: Path) -> list[Fit]:
@@ -100,7 +100,7 @@ def _fit(folder: Path, content: dict[str, Json]) -> Fit:
 
 
 def _shown(data: Json) -> Json:
-    """What a page shows of the objects in fit.json, which may say more."""
+    """The fields of fit.json's objects that a page shows."""
     if not isinstance(data, list):
         return data
     names = {item.name for item in fields(FitObject)}

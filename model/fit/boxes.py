@@ -40,7 +40,7 @@ ENOUGH = 3e-4
 """A round ends when a step gains less, relative to the misfit."""
 
 BISECTIONS = 20
-"""Of the part of a ray that may meet the box: down to a micrometre."""
+"""Interval halvings along a ray; they narrow it to a micrometre."""
 
 EXPLAINED = 0.1
 """Share of edge pixels that an upright box may get wrong before others are tried from any direction."""
@@ -83,7 +83,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     None if no box resembles the masks, or other objects hide too much of it.
 
     Args:
-        support: height along `up` of the known surface on which it stands, which an upright box does not go below.
+        support: height along `up` of the known surface below it; an upright box ends there.
     """
     rng = np.random.default_rng(0)
     edge = rays.at_edges()

@@ -1,7 +1,7 @@
-"""What stands in vessels: drinks, and how high they reach, from masks; and known things, which hide the vessel.
+"""Finds drinks in vessels and their levels from masks, and known objects inside vessels, such as straws.
 
-A drink is seen first only by rays that come in through its vessel's opening, so all around its mask lies the vessel.
-Whatever else is seen so, such as a marble, is taken for a drink.
+A camera sees a drink first only through its vessel's opening, so the vessel surrounds the drink's mask. Other objects
+seen only through an opening, such as marbles, are mistaken for drinks.
 """
 
 import dataclasses
@@ -17,20 +17,19 @@ from model.fit.shapes import Glass, Revolution
 from model.fit.views import NearRays, Sightings, rays_near
 
 NEAR_CENTER, WIDEST = 0.8, 1.5
-"""Of a thing in a vessel: how far its middle may be from the vessel's, and half its diagonal, in parts of how far the
-vessel reaches."""
+"""Limits for an object inside a vessel: distance between their centres, and half the object's diagonal, both relative
+to the vessel's radius."""
 
 AROUND = 0.9
-"""Share of the pixels around a drink's mask that its vessel covers."""
+"""Least share of the pixels around a drink's mask that show its vessel."""
 
 LEVELS = 200
 
 OPENING = 0.1
-"""Part of the largest radius that is left out at the rim."""
+"""Margin at the rim, relative to the largest radius."""
 
 WRONG = 0.1
-"""Share of the rays through the opening that a level may explain wrongly: mean of those that see the drink and those
-that don't."""
+"""Largest balanced error of a level: the mean of its error rates on rays that see the drink and rays that don't."""
 
 WATER = 1.33
 """First guess of the index."""
@@ -40,7 +39,7 @@ START = (0.05, 0.15, 0.3)
 
 
 def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
-    """The sightings with the known objects that stand in unknown ones marked."""
+    """Marks known objects that are inside unknown ones."""
     filling = set()
     for object_id in sightings.unknown:
         rays = rays_near(sightings, object_id)
@@ -58,7 +57,7 @@ def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
 
 
 def find_holders(sightings: Sightings) -> dict[int, int]:
-    """Ids of the objects that may be drinks, and of what surrounds each."""
+    """Possible drinks by object id, each with the id of the object around it."""
     holders = {}
     hidden = np.isin(sightings.met, sightings.filling) & (sightings.first == 0)
     for object_id in sightings.unknown:
@@ -72,7 +71,7 @@ def find_holders(sightings: Sightings) -> dict[int, int]:
 
 
 def merged(sightings: Sightings, holders: Mapping[int, int]) -> Sightings:
-    """The sightings with every drink's pixels as its vessel's."""
+    """Counts each drink's pixels as its vessel's."""
     first = sightings.first.copy()
     for drink, vessel in holders.items():
         first[sightings.sees(drink)] = vessel
@@ -81,9 +80,9 @@ def merged(sightings: Sightings, holders: Mapping[int, int]) -> Sightings:
 
 
 def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> Revolution | None:
-    """A vessel that holds a drink up to the level that masks show; None if what is inside is no drink.
+    """Adds a drink to a vessel, at the level that masks show; None if the inner object is not a drink.
 
-    Of the rays that come in through the opening, those that cross the drink's surface inside the wall see the drink.
+    A ray through the opening sees the drink if it crosses the drink's surface inside the wall.
     """
     if not isinstance(glass, Revolution) or glass.is_closed:
         return None
@@ -107,7 +106,7 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
 
 
 def _rays_to(sightings: Sightings, drink: int, vessel: int) -> NearRays:
-    """The rays that see a drink, which count as hits, or its vessel."""
+    """Rays that see a drink (hits) or its vessel (misses)."""
     origins, directions = sightings.rays()
     view, row, column = np.nonzero(np.isin(sightings.first, (drink, vessel)))
     return NearRays(

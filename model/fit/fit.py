@@ -51,7 +51,7 @@ from model.settings.state import State
 Skipped = Literal["grid", "search", "again"]
 
 GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
-"""Of each object, from all training views."""
+"""Pixels of each object, drawn from all training views."""
 
 ROUNDS, LAST_ROUNDS = 4, 1
 
@@ -60,7 +60,7 @@ UP = np.array([0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, kw_only=True)
 class FitChoices:
-    """What `model fit` is asked for."""
+    """Options of `model fit`."""
 
     unknown: tuple[str, ...] = ()
     """Names of the objects; none: all that are glass."""
@@ -68,7 +68,7 @@ class FitChoices:
     mask_errors: int = 0
     """Rays at each height of an object that may miss it by mistake."""
     steps: int = 800
-    """Of learning textures."""
+    """Training steps for textures."""
     skip: tuple[Skipped, ...] = ()
     seed: int = 0
 
@@ -127,7 +127,7 @@ def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
 
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:
-    """What the result depends on."""
+    """Everything that determines the result."""
     return {
         "dataset": dataset.seal,
         "geometry": geometry,

@@ -34,7 +34,7 @@ class FitFolder:
 
     root: Path
     asked: dict[str, Json]
-    """What the result depends on."""
+    """Everything that determines the result."""
 
     def begin(self, *, overwrite: bool) -> None:
         """Claims the folder; what another fit left there stays only where this one asks for the same."""
@@ -55,7 +55,7 @@ class FitFolder:
         commit_sealed(self.root / FIT.head, head)
 
     def stage(self, name: str, title: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:
-        """What a stage found, made now unless it is there.
+        """Runs a stage, or reads its stored result.
 
         Args:
             depends_on: digest of what it is found from.

@@ -1,4 +1,4 @@
-"""What a fit knows of each object, as its stages store it, as fit.json says it, and as a geometry."""
+"""The fitted objects: as stages store them, in fit.json, and as a geometry."""
 
 import dataclasses
 from dataclasses import dataclass, field
@@ -32,7 +32,7 @@ class FoundGlass:
     unexplained: float
     """Share of the rays at the mask's edge that the outside explains wrongly."""
     drink_id: int | None = None
-    """Of the object that it holds."""
+    """Id of the drink inside it."""
     numbers: dict[str, Found] = field(default_factory=dict)
     history: tuple[dict[str, Json], ...] = ()
     """The numbers after each round, and the mean penalty of the object's pixels."""
@@ -40,7 +40,7 @@ class FoundGlass:
     """Wall, floor, corner and penalty of the cells of the grid, the best first; a wall of 0: solid."""
 
     def ids(self, object_id: int) -> tuple[int, ...]:
-        """Of the bodies of its glass."""
+        """Object ids of the glass and its drink."""
         return (object_id,) if self.drink_id is None else (object_id, self.drink_id)
 
     def state(self) -> dict[str, State]:
@@ -81,7 +81,7 @@ def to_state(value: object) -> State:
 
 
 def from_state(state: object) -> Any:
-    """What `to_state` stored."""
+    """Restores the value that `to_state` stored."""
     if isinstance(state, dict):
         kind = next(kind for kind in KINDS if kind.__name__ == state["is"])
         return kind(**{name: from_state(value) for name, value in state.items() if name != "is"})
@@ -89,7 +89,7 @@ def from_state(state: object) -> Any:
 
 
 DRINK_NUMBERS = ("level", "drink_")
-"""How the names of a drink's numbers begin, among those of its vessel."""
+"""Prefixes of the drink's numbers among those of its vessel."""
 
 Objects = dict[int, FoundGlass]
 """By object id."""
@@ -143,7 +143,7 @@ def write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], fo
 
 
 def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
-    """What fit.json holds of the objects."""
+    """The objects in fit.json."""
     objects: list[Json] = []
     for object_id, item in found.items():
         glass = item.glass

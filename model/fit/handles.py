@@ -46,20 +46,20 @@ class Attached:
     face_of: Int[np.ndarray, " vertex"]
     """The vessel's face on which a vertex lies; -1: none."""
     shares: Float64[np.ndarray, "vertex 3"]
-    """Of the face's corners in the vertex."""
+    """Barycentric coordinates of each vertex in that face."""
     faces: Int[np.ndarray, "face 3"]
     corner_face: Int[np.ndarray, " face"]
-    """The vessel's face of which each face is a part; -1: none."""
+    """The vessel's face that contains each face; -1: none."""
     corner_shares: Float64[np.ndarray, "face 3 3"]
-    """Of that face's corners in each corner."""
+    """Barycentric coordinates of each corner in the vessel's face."""
     normals: Float32[np.ndarray, "face 3 3"]
-    """Of handles' corners."""
+    """Normals at the corners of handles."""
     uv: Float32[np.ndarray, "face 3 2"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Handled(Revolution):
-    """A vessel of revolution with handles, whose faces are as many whatever its numbers are."""
+    """A vessel of revolution with handles; its face count is independent of its parameters."""
 
     attached: Attached
 

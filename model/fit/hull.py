@@ -21,7 +21,7 @@ COARSE, FINEST = 40, 200
 """Cells along the first grid, and most along the second one."""
 
 FACES = 20_000
-"""About as many faces has a hull."""
+"""Approximate face count of a hull."""
 
 ORDER = 0.02
 """Share of the views that may be wrong about a point: the hull is where no larger share sees past it."""
@@ -30,10 +30,10 @@ LEAST_VIEWS = 3
 """Views that have to look at a point; it is empty otherwise."""
 
 OUT = 0.01
-"""Metres that a point is outside of which no view tells how far."""
+"""Distance in metres assumed for points outside every view's range."""
 
 BLUR = 0.7
-"""Pixels by which the distance to a mask's edge is blurred, which rounds off its stairs."""
+"""Blur of the distance to a mask's edge, in pixels; it smooths stair steps."""
 
 SOFTNESS = (0.6, 0.4, 0.25, 0.15, 0.1, 0.1)
 """Pixels over which a ray turns from meeting the surface to missing it, in one step after the other."""
@@ -74,7 +74,7 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     """The smoothed visual hull of one object.
 
     Args:
-        support: height along `up` of the known surface on which it stands, and below which it does not reach.
+        support: height along `up` of the known surface below it; the hull ends there.
 
     Raises:
         HyalineError: no point is inside all masks.
@@ -98,7 +98,7 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Outline:
-    """What one view tells of an object's place."""
+    """Evidence from one view about the object's extent."""
 
     camera: Camera
     inside: Float32[np.ndarray, "h w"]
@@ -139,7 +139,7 @@ def _carved(
 
 
 def _outlines(sightings: Sightings, object_id: int) -> list[_Outline]:
-    """Of the views that see the object."""
+    """One entry for each view that sees the object."""
     sees, is_open = sightings.sees(object_id), sightings.is_open(object_id)
     outlines = []
     for view in np.flatnonzero(sees.any(axis=(1, 2))):
@@ -254,7 +254,7 @@ class _Contacts:
     pixel: Float64[np.ndarray, " ray"]
     """Width of a pixel there, in metres."""
     hits: Bool[np.ndarray, " ray"]
-    """What the mask says."""
+    """Whether the mask covers the ray."""
 
 
 def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, rays: NearRays) -> _Contacts:

@@ -16,11 +16,11 @@ from model.fit.silhouettes import unexplained
 from model.fit.views import NearRays, Sightings, rays_near
 
 STANDS = 0.1
-"""Between an object's lowest point, as masks show it, and the surface that it stands on, in parts of its radius."""
+"""Largest gap between an object's lowest point, as masks show it, and its support, relative to its radius."""
 
 GAP = 0.01
-"""Air left between an object and the surface that it stands on, in parts of its radius: where two surfaces coincide,
-which of them a ray meets is chance."""
+"""Gap between an object and its support, relative to its radius. Without a gap, rays hit either of the coinciding
+surfaces at random."""
 
 StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
@@ -29,7 +29,7 @@ GOOD = 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried."""
 
 SIMPLER = 0.006
-"""Share of edge pixels by which a simpler kind may be worse: a ball than a revolution or box, and these than a hull."""
+"""Bias towards simpler kinds, as a share of edge pixels: balls over revolutions and boxes, and these over hulls."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +114,7 @@ def _vessel_with_handles(
 
 
 def _support(hull: Hull, stands_on: StandsOn) -> float | None:
-    """Height along `up` of the known surface on which an object stands, with a gap above."""
+    """Height along `up` of an object's support, plus the gap."""
     if not hull.radii.any():
         return None
     lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())

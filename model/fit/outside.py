@@ -27,7 +27,8 @@ WRONG_RAYS = 0.003
 """Share of the rays that meet an object that need not be explained where masks may be wrong."""
 
 FAR = 0.5
-"""Most by which a ray can miss a hull, in parts of the object's reach: wrong mask pixels count little."""
+"""Cap on the distance by which a ray misses a hull, relative to the object's size; it limits the effect of wrong mask
+pixels."""
 
 SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
@@ -186,7 +187,7 @@ BELT = 0.7
 """Half the height of the belt of a ball to which its circle is fitted."""
 
 ROUNDS = 5
-"""Of moving that belt to the ball's middle."""
+"""Iterations that centre the belt on the ball."""
 
 LEAST_HEIGHTS = 8
 """Fewer do not show an outline."""
@@ -196,10 +197,10 @@ NOISE = 0.003
 
 
 def find_outside(hull: Hull, support: float | None) -> Revolution | None:
-    """What a hull shows of the outside of what may be a vessel or solid; None if it shows too little.
+    """Extracts the outside of a vessel or solid from its hull; None if the hull is too short.
 
     Args:
-        support: height along the axis of the known surface on which it stands; None: it stands on nothing.
+        support: height along the axis of the known surface below it; None: there is none.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]

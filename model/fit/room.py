@@ -30,7 +30,7 @@ from model.settings.optimisation import decay
 from model.settings.state import State
 
 BATCH = 1024
-"""Training pixels a step, with as many rays and branches as `light-path` has."""
+"""Training pixels per step; rays and branches are those of `light-path`."""
 
 BRANCHES, RAYS = 24, 9
 """While glass is drawn. With 8 branches a vessel is a tenth too dark, and a wrong wall makes up for it; with 4 rays a
@@ -68,9 +68,9 @@ def _only(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> SomePixel
 def load_pixels(
     dataset: Dataset, scene: Scene, meshes: tuple[Mesh, ...], materials: tuple[Material, ...]
 ) -> LightPathPixels:
-    """The pixels of the training views over a scene in which the objects have these meshes and materials.
+    """Loads the training views' pixels over a scene with these meshes and materials.
 
-    There is no stack network, which would learn to hide wrong glass: with it, an index of 1.50 was found as 1.465.
+    The stack network is off because it would learn to hide wrong glass: with it, an index of 1.50 was found as 1.465.
     """
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
@@ -116,7 +116,7 @@ class Room:
     pixels: LightPathPixels
 
     def put(self, object_ids: Sequence[int], glass: Glass) -> None:
-        """Puts a glass, and what it holds, in the place of objects; with as many vertices as those there."""
+        """Replaces objects by a glass and its drink; vertex counts must match."""
         bodies = zip(object_ids, glass.bodies(), strict=True)
         self.pixels.tracer.change({object_id - 1: body for object_id, body in bodies})
 
@@ -128,7 +128,7 @@ class Room:
             return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
 
     def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"]) -> Misses:
-        """How far some pixels are from the pictures, as a function of the glass in the place of objects."""
+        """The loss of some pixels as a function of the glass that replaces these objects."""
         truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
@@ -139,7 +139,7 @@ class Room:
 
 
 def room_state(renderer: LightPathRenderer) -> dict[str, State]:
-    """What `load_room` reads back."""
+    """The state that `load_room` reads."""
     return {
         "weights": renderer.state_dict(),
         "texture_sizes": list(renderer.config.texture_sizes),

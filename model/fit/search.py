@@ -1,7 +1,7 @@
 """Finds the numbers of a glass by drawing it: a grid first, then one number after the other.
 
-The loss is rugged: a derivative of sharp pixels says nothing about the way to the truth, and the least of a few values
-does. Only for the index a parabola over a wide bracket is better than the least.
+The loss is rugged: derivatives of sharp pixels do not point to the truth, whereas the best of a few values does. Only
+the index is found better by a parabola over a wide bracket.
 """
 
 import dataclasses
@@ -44,7 +44,7 @@ SHRINKS = 0.55
 CHANNELS = ("red", "green", "blue")
 
 Misses = Callable[[Glass], Float[np.ndarray, "pixel 3"]]
-"""How far an object's pixels are from the pictures, by colour channel, when a glass stands in its place."""
+"""Loss of an object's pixels, by colour channel, as a function of the glass that replaces it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +72,7 @@ NUMBERS: dict[str, Number] = {
     "level": Number(low=1e-5, high=10.0, reach=0.06, least=0.02),
     "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
-"""In the order in which they are searched."""
+"""Search ranges, in search order."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ class Found:
 
     value: float
     even: float
-    """What the even views alone say."""
+    """Estimate from the even views alone."""
     odd: float
 
 

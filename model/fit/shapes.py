@@ -1,5 +1,5 @@
-"""Glass of revolution as a few numbers, and its mesh: always of as many vertices and faces, so that a loaded scene can
-be changed."""
+"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant, so that a loaded scene can
+be updated in place."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 """Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
 
 POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
-"""Of every section."""
+"""Points of a whole section."""
 
 MOST_FLOOR = 0.95
 """Highest floor of a hollow, in parts of the height."""
@@ -61,7 +61,7 @@ Body = tuple[Mesh, Material]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Glass:
-    """What is found of an object: its material here, its shape in the records derived from this one."""
+    """A fitted object: its material; derived records add the shape."""
 
     ior: float = 1.5
     absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -74,11 +74,11 @@ class Glass:
         raise NotImplementedError
 
     def bodies(self) -> tuple[Body, ...]:
-        """The object, and what it holds."""
+        """Mesh and material of the object, then of its drink."""
         return ((self.mesh(), self.material()),)
 
     def mesh(self) -> Mesh:
-        """A closed mesh, with as many vertices and faces whatever the numbers are."""
+        """A closed mesh; vertex and face counts are independent of the parameters."""
         raise NotImplementedError
 
     def material(self) -> Material:
@@ -160,7 +160,7 @@ class Revolution(Glass):
         return (*super().bodies(), (revolved(self.axis, self.drink_outline()), drink))
 
     def drink_outline(self) -> Outline:
-        """The section of the drink, which reaches into floor and wall."""
+        """The section of the drink; it extends slightly into floor and wall."""
         assert self.wall is not None
         assert self.taper is not None
         assert self.floor is not None
@@ -207,7 +207,7 @@ def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: 
 
 
 def _with_foot(line: Outline, reach: float) -> Outline:
-    """The line, the corner between its flat bottom and its side rounded by an arc; of as many points."""
+    """The line, the corner between its flat bottom and its side rounded by an arc; the point count is unchanged."""
     flat = int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0])
     side = line[flat - 1 :]
     way = _lengths(side)
@@ -240,7 +240,7 @@ def _arc(start: Float64[np.ndarray, "2"], corner: Float64[np.ndarray, "2"], stop
 
 
 def _cut(line: Outline, height: float) -> Outline:
-    """The line up to a height, of as many points."""
+    """The line up to a height; the point count is unchanged."""
     above = int(np.flatnonzero(line[:, 1] < height)[-1])
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
@@ -276,7 +276,7 @@ def revolved(axis: Axis, outline: Outline) -> Mesh:
     ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
     rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
     ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    # The last column stands where the first one does, at u = 1.
+    # The last column repeats the first, at u = 1.
     angles = (np.arange(SEGMENTS + 1) % SEGMENTS) * (2 * np.pi / SEGMENTS)
     u, v = perpendicular(axis.direction)
     around = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v

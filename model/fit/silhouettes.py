@@ -15,7 +15,7 @@ WRONG = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pull:
-    """What rays want of a shape: the misfit's derivatives by their distances from it."""
+    """Derivatives of the misfit by the rays' distances from a shape."""
 
     slope: Float64[np.ndarray, " ray"]
     curvature: Float64[np.ndarray, " ray"]
@@ -27,7 +27,7 @@ def errors(distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"]
 
     Args:
         distance: least signed distance from the shape along each ray, negative inside.
-        hits: what the mask says.
+        hits: whether the mask covers the ray.
     """
     return np.where(hits, distance, -distance)
 

@@ -1,4 +1,4 @@
-"""What the training views show of objects of unknown shape: the pixels that see one, and the known surfaces behind."""
+"""Masks of unknown objects in the training views, and the known surfaces behind them."""
 
 import dataclasses
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ MARGIN = 4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sightings:
-    """What the rays through the pixel centres of all training views meet."""
+    """First hits of the rays through the pixel centres of all training views."""
 
     cameras: Cameras
     first: UInt8[np.ndarray, "view h w"]
@@ -37,7 +37,7 @@ class Sightings:
     unknown: tuple[int, ...]
     """Ids of the objects of unknown shape."""
     filling: tuple[int, ...] = ()
-    """Ids of known objects that stand in unknown ones, as a straw does in a glass."""
+    """Ids of known objects inside unknown ones, such as a straw in a glass."""
 
     def rays(self) -> tuple[Float32[np.ndarray, "view 3"], Float32[np.ndarray, "view h w 3"]]:
         """Origins and unit directions."""
@@ -48,8 +48,8 @@ class Sightings:
         return self.first == object_id
 
     def is_open(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
-        """The ray meets neither another unknown object first nor what stands in one, so that it is known whether it
-        misses this one."""
+        """True where nothing hides this object: the ray first meets neither another unknown object nor a known one
+        inside an unknown one."""
         others = [other for other in self.unknown if other != object_id]
         return ~(np.isin(self.first, others) | ((self.first == 0) & np.isin(self.met, self.filling)))
 
@@ -153,7 +153,7 @@ class NearRays:
 
 
 def rays_near(sightings: Sightings, object_id: int) -> NearRays:
-    """The rays in and around the mask of one object, without those in which another unknown object hides it."""
+    """Rays in and around the mask of one object, except where another object may hide it."""
     origins, directions = sightings.rays()
     sees = sightings.sees(object_id)
     disc = np.hypot(*np.mgrid[-MARGIN : MARGIN + 1, -MARGIN : MARGIN + 1]) <= MARGIN

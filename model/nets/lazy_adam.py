@@ -93,7 +93,7 @@ class LazyAdam:
         _catch_up_all(*self._arrays())
 
     def state(self) -> State:
-        """What a checkpoint keeps between updates; the table is kept as it is, in part behind."""
+        """State for a checkpoint; the table is stored as is, with pending updates."""
         return {
             "mean": self._mean,
             "square": self._square,

@@ -15,7 +15,7 @@ from model.settings.run_flags import RUNS, RunFlags
 
 JOBS = RUNS / "jobs"
 CPUS = 4
-"""CPUs of each job, unless a flag says so."""
+"""Default CPUs per job."""
 TRAINED_S, DRAWN_S = 120e-6, 300e-6
 """CPU time of a training pixel in a step and of a predicted pixel, by `light-path` on a slow processor."""
 FEW = 64
