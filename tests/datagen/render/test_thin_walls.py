@@ -26,7 +26,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("what is drawn without a libLLVM has walls of 0.2 mm at least", allow_module_level=True)
 
 from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
-from datagen.render.path_integrator import _start_off
+from datagen.render.path_integrator import start_off
 from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.trace.light_path import LightPathTracer
 
@@ -174,7 +174,7 @@ def test_no_ray_meets_the_face_that_it_leaves(mesh: Mesh, place: tuple[float, fl
     offset = RAY_OFFSET / 2 * largest_coordinate(mesh.vertices)
     mirrored = d - 2 * dr.dot(d, si.n) * si.n
     for way in (d, mirrored):
-        following = scene.ray_intersect(mi.Ray3f(_start_off(si, offset, way), way))
+        following = scene.ray_intersect(mi.Ray3f(start_off(si, offset, way), way))
         again = si.is_valid() & following.is_valid() & (following.prim_index == si.prim_index)
         assert not np.array(again).any()
 
