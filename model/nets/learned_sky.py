@@ -85,7 +85,7 @@ def _look_up_map(
 ) -> Float32[Tensor, "exit 3"]:
     """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
     # Wrap around: each end gets a column from the other end.
-    padded = functional.pad(texels[None], (1, 1, 0, 0), mode="circular")
+    padded = torch.cat([texels[..., -1:], texels, texels[..., :1]], dim=-1)[None]
     width = texels.shape[2]
     place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
     found = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)

@@ -67,8 +67,7 @@ def bilinear_taps(
     Texel (row r, column c) has its centre at u = (c + 0.5) / size, v = 1 - (r + 0.5) / size. Outside the outermost
     centres the border texel goes on: `grid_sample(align_corners=False, padding_mode="border")`.
     """
-    of_objects = torch.tensor([layout.bases, layout.sizes, layout.strides], dtype=torch.int32, device=uv.device)
-    base, size, stride = of_objects[:, object_id.int() - 1]
+    base, size, stride = places_on(layout, uv.device)[:, object_id.int() - 1]
     last = size - 1
     zero = torch.zeros((), device=uv.device)
     x = torch.clamp(uv[:, 0] * size - 0.5, zero, last)
@@ -81,6 +80,13 @@ def bilinear_taps(
     texels = torch.stack([upper + left, upper + right, lower + left, lower + right], dim=1)
     weights = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=1)
     return texels, weights
+
+
+@functools.cache
+def places_on(layout: TextureLayout, device: torch.device) -> Int32[Tensor, "3 object"]:
+    """`places_of` on a device, where a copy for every look-up would wait for the processor."""
+    with torch.inference_mode(False):
+        return torch.from_numpy(places_of(layout)).to(device)
 
 
 def texel_centers(size: int) -> Float32[Tensor, "texel 2"]:
@@ -180,40 +186,33 @@ def sample_by_bags(
 ) -> Float32[Tensor, "slot c"]:
     """Bilinear features of every slot in one table, by torch's operations on any device.
 
-    Every slot is a bag of four texels, or an empty bag, whose sum is zero by definition: empty slots cost nothing.
+    Empty slots are looked up with weights of zero: finding the others would make a GPU wait for the processor.
     """
-    hits = (object_id != 0).nonzero().squeeze(1)
-    texels, weights = bilinear_taps(uv[hits], object_id[hits], layout)
-    return _WeightedTexels.apply(table, texels, weights, hits, object_id.numel())
+    is_hit = (object_id != 0)[:, None]
+    texels, weights = bilinear_taps(torch.where(is_hit, uv, 0), object_id, layout)
+    return _WeightedTexels.apply(table, texels, torch.where(is_hit, weights, 0))
 
 
 class _WeightedTexels(torch.autograd.Function):
-    """Sums four weighted rows of a table into row `hits` of a result that is zero elsewhere.
+    """Sums four weighted rows of a table for each slot.
 
     The forward pass is `embedding_bag`; its own backward pass in torch 2.13 sorts the texels and takes twice as long as
     this one.
     """
 
     @staticmethod
-    def forward(
-        ctx: FunctionCtx, table: Tensor, texels: Tensor, weights: Tensor, hits: Tensor, num_results: int
-    ) -> Tensor:
-        ctx.save_for_backward(table, texels, weights, hits)
-        sizes = torch.zeros(num_results, dtype=torch.int32, device=table.device)
-        sizes[hits] = 4
-        starts = torch.cumsum(sizes, 0, dtype=torch.int32) - sizes
-        return functional.embedding_bag(
-            texels.flatten(), table, starts, mode="sum", per_sample_weights=weights.flatten()
-        )
+    def forward(ctx: FunctionCtx, table: Tensor, texels: Tensor, weights: Tensor) -> Tensor:
+        ctx.save_for_backward(table, texels, weights)
+        return functional.embedding_bag(texels, table, mode="sum", per_sample_weights=weights)
 
     @staticmethod
     def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor | None, ...]:
-        table, texels, weights, hits = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
-        above = upstream[0][hits][:, None]
+        table, texels, weights = ctx.saved_tensors  # pyright: ignore[reportAttributeAccessIssue]
+        above = upstream[0][:, None]
         gradient = torch.zeros_like(table)
         gradient.index_add_(0, texels.flatten(), (above * weights[..., None]).flatten(0, 1))
         needs_weights = ctx.needs_input_grad[2]  # pyright: ignore[reportAttributeAccessIssue]
-        return gradient, None, (above * table[texels]).sum(dim=-1) if needs_weights else None, None, None
+        return gradient, None, (above * table[texels]).sum(dim=-1) if needs_weights else None
 
 
 class NeuralTextures(nn.Module):
