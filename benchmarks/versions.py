@@ -108,7 +108,7 @@ def compare_versions(commit: str, *, rounds: int) -> dict[str, list[tuple[float,
     """Processor ms of each quantity in each round: of the commit, and of this working tree.
 
     Raises:
-        HyalineError: there is no such commit, or a command of either version failed.
+        HyalineError: the commit does not exist, or a command of either version failed.
     """
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder) / "tree"

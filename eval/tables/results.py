@@ -236,35 +236,16 @@ def _grids(scene: Stored) -> list[Grid]:
 
 def _fits_grid(title: str, fits: Stored) -> Grid:
     """What `model fit` found of each object, beside the truth in brackets."""
-    rows = []
-    for fit, objects in fits.items():
-        for name, item in objects.items():
-            measured, numbers = item["measured"], item["numbers"]
-            errors, true = measured["errors"] or {}, measured["true"]
-
-            def found(key: str, scale: float, decimals: int, *, numbers: Stored = numbers, true: Stored = true) -> str:
-                if numbers.get(key) is None:
-                    return MISSING
-                value = format_number(scale * numbers[key]["value"], decimals)
-                return f"{value} ({format_number(scale * true[key], decimals)})" if true.get(key) is not None else value
-
-            lengths = (_scaled(errors.get(key), 1000) for key in ("mean_distance", "thickness", "true_thickness"))
-            mean, wall, true_wall = (format_number(length, 2) for length in lengths)
-            normals = format_number(_number(errors.get("normal_deg")), 1)
-            walls = f"{wall} ({true_wall})" if numbers.get("wall") is not None else MISSING
-            tints = [found(f"absorption_{channel}", 1, 1) for channel in ("red", "green", "blue")]
-            tint = MISSING if MISSING in tints else ", ".join(tints)
-            rows.append(
-                (fit, name, item["kind"], mean, normals, walls, found("ior", 1, 3), tint, found("roughness", 1, 2))
-            )
-    texts, columns = (
-        ("fit", "object", "kind"),
-        ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness"),
-    )
+    texts = ("fit", "object", "kind")
+    columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
     return Grid(
         title=title,
         columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
-        rows=tuple(rows),
+        rows=tuple(
+            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
+            for fit, objects in fits.items()
+            for name, item in objects.items()
+        ),
         notes=(
             "True values in brackets. Surface: mean distance of the whole surface, insides too, from the true one. "
             "Normals: median error. Wall: median thickness.",
@@ -272,8 +253,29 @@ def _fits_grid(title: str, fits: Stored) -> Grid:
     )
 
 
-def _scaled(value: float | None, scale: float) -> float | None:
-    return None if value is None else scale * value
+def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
+    """Surface, normals, wall, index, absorption and roughness of one object."""
+    errors, true = measured["errors"] or {}, measured["true"]
+
+    def found(key: str, decimals: int) -> str:
+        if numbers.get(key) is None:
+            return MISSING
+        value = format_number(numbers[key]["value"], decimals)
+        return value if true.get(key) is None else f"{value} ({format_number(true[key], decimals)})"
+
+    def millimetres(key: str) -> str:
+        return format_number(None if errors.get(key) is None else 1000 * errors[key], 2)
+
+    has_wall = numbers.get("wall") is not None
+    tints = [found(f"absorption_{channel}", 1) for channel in ("red", "green", "blue")]
+    return (
+        millimetres("mean_distance"),
+        format_number(_number(errors.get("normal_deg")), 1),
+        f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
+        found("ior", 3),
+        MISSING if MISSING in tints else ", ".join(tints),
+        found("roughness", 2),
+    )
 
 
 def _groups(scene: Stored) -> list[list[str]]:

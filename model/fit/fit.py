@@ -188,8 +188,9 @@ class _Work:
     def _find_outsides(self) -> Objects:
         found: Objects = {}
         holders = drinks.find_holders(self.sightings)
-        for vessel in set(holders.values()):
-            inside = next(drink for drink, holder in holders.items() if holder == vessel)
+        for inside, vessel in holders.items():
+            if vessel in found:
+                continue
             outside = self._find_outside(vessel, drinks.merged(self.sightings, {inside: vessel}))
             if (glass := drinks.with_drink(outside.glass, self.sightings, inside, vessel)) is not None:
                 found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)

@@ -30,7 +30,7 @@ STRAY_RAYS = 0.0005
 """The same for exact masks: without it, a few rays over a rim lengthened a wine glass by a spike of 4 mm."""
 
 FAR = 0.5
-"""Cap on the distance by which a ray misses a hull, relative to the object's size; it limits the effect of wrong mask
+"""Cap on the distance between a ray and a hull, relative to the object's size; it limits the effect of wrong mask
 pixels."""
 
 SLOW = 1e-4

@@ -95,7 +95,7 @@ def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_stat
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
     assert (pdf > 0).mean() > 0.9999, "but for directions rounded across the edge of a bin"
     assert (found[:, 0] > 0.9).mean() == pytest.approx(0.25, abs=0.05)
-    # The mean of 1 / pdf is the solid angle that has any: so many bins.
+    # The mean of 1 / pdf is the solid angle of the bins with photons.
     bins = np.mean(1 / pdf[pdf > 0]) * caustics._num_bins / (4 * math.pi)
     assert bins == pytest.approx(np.mean(np.array(spot.end - spot.first)), rel=0.01)
     elsewhere = caustics.find(mi.Point3f(7, 7, 7), mi.Bool(True))
