@@ -111,10 +111,8 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
 
 def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
     """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera."""
-    o = rays.origins - axis.point
-    along_o, along_d = o @ axis.direction, rays.directions @ axis.direction
-    across_o = o - along_o[:, None] * axis.direction
-    across_d = rays.directions - along_d[:, None] * axis.direction
+    along_o, across_o = _along_and_across(rays.origins - axis.point, axis)
+    along_d, across_d = _along_and_across(rays.directions, axis)
     t = (heights - along_o[:, None]) / np.where(np.abs(along_d) < SLOW, SLOW, along_d)[:, None]
     # |a + t b|^2 by its three dot products, instead of a vector for each ray and height.
     aa, ab, bb = (
@@ -122,6 +120,14 @@ def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
+
+
+def _along_and_across(
+    vectors: Float64[np.ndarray, "ray 3"], axis: Axis
+) -> tuple[Float64[np.ndarray, " ray"], Float64[np.ndarray, "ray 3"]]:
+    """The component of vectors along an axis, and the rest."""
+    along = vectors @ axis.direction
+    return along, vectors - along[:, None] * axis.direction
 
 
 def _hull_radii(
@@ -138,9 +144,8 @@ def _closest(
 
     A flat ray may pass through the object between two heights.
     """
-    o, d = rays.origins[rays.hits] - axis.point, rays.directions[rays.hits]
-    along_o, along_d = o @ axis.direction, d @ axis.direction
-    across_o, across_d = o - along_o[:, None] * axis.direction, d - along_d[:, None] * axis.direction
+    along_o, across_o = _along_and_across(rays.origins[rays.hits] - axis.point, axis)
+    along_d, across_d = _along_and_across(rays.directions[rays.hits], axis)
     t = -np.einsum("rc,rc->r", across_o, across_d) / np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
     height = along_o + t * along_d
     place = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)

@@ -21,6 +21,16 @@ from model.settings.state import State
 
 BETA2, EPSILON = 0.999, 1e-8
 
+Moved = tuple[
+    Float32[np.ndarray, "texel c"],
+    Float32[np.ndarray, "texel c"],
+    Float32[np.ndarray, "texel c"],
+    Int32[np.ndarray, " texel"],
+    int,
+    Float64[np.ndarray, "update 4"],
+]
+"""Table, means, squares, and update up to which each texel has been moved; number of updates, and their history."""
+
 LEAST_SHARE = 1e-9
 """Share of a momentum below which it moves a texel no more."""
 
@@ -54,7 +64,7 @@ class LazyAdam:
     ) -> None:
         """Moves the texels around these points to where they are now; in training they will have a gradient."""
         self._num_read = _read_texels(
-            uv, object_id, places, *self._arrays(), self._is_read, self._read, self._num_read, is_training
+            uv, object_id, places, self._moved(), self._is_read, self._read, self._num_read, is_training
         )
 
     def is_finite(self) -> bool:
@@ -90,7 +100,7 @@ class LazyAdam:
 
     def catch_up(self) -> None:
         """Moves all texels to where they are now."""
-        _catch_up_all(*self._arrays())
+        _catch_up_all(self._moved())
 
     def state(self) -> State:
         """State for a checkpoint; the table is stored as is, with pending updates."""
@@ -119,7 +129,7 @@ class LazyAdam:
         left = [np.where(decay**number > LEAST_SHARE**2, decay**number, 0) for decay in (self._beta1, BETA2)]
         self._history = np.stack([sums, *left, EPSILON * np.sqrt(1 - BETA2**number)], axis=1)
 
-    def _arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, int, np.ndarray]:
+    def _moved(self) -> Moved:
         return (
             self._table.detach().numpy(),
             self._mean.numpy(),
@@ -131,8 +141,9 @@ class LazyAdam:
 
 
 @numba.njit
-def _catch_up(table, mean, square, current, updates, history, row):
+def _catch_up(moved, row):
     """Moves a texel by its momentum in the updates since it was current."""
+    table, mean, square, current, updates, history = moved
     since = current[row]
     if since == updates:
         return
@@ -152,12 +163,7 @@ def _read_texels(
     uv: Float32[np.ndarray, "slot 2"],
     object_id: UInt8[np.ndarray, " slot"],
     places: Int32[np.ndarray, "3 object"],
-    table: Float32[np.ndarray, "texel c"],
-    mean: Float32[np.ndarray, "texel c"],
-    square: Float32[np.ndarray, "texel c"],
-    current: Int32[np.ndarray, " texel"],
-    updates: int,
-    history: Float64[np.ndarray, "update 4"],
+    moved: Moved,
     is_read: UInt8[np.ndarray, " texel"],
     read: Int32[np.ndarray, " texel"],
     num_read: int,
@@ -173,7 +179,7 @@ def _read_texels(
             row = rows[tap]
             if is_read[row]:
                 continue
-            _catch_up(table, mean, square, current, updates, history, row)
+            _catch_up(moved, row)
             if is_training:
                 is_read[row] = 1
                 read[num_read] = row
@@ -183,15 +189,10 @@ def _read_texels(
 
 @numba.njit(cache=True)
 def _catch_up_all(
-    table: Float32[np.ndarray, "texel c"],
-    mean: Float32[np.ndarray, "texel c"],
-    square: Float32[np.ndarray, "texel c"],
-    current: Int32[np.ndarray, " texel"],
-    updates: int,
-    history: Float64[np.ndarray, "update 4"],
+    moved: Moved,
 ) -> None:
-    for row in range(len(table)):
-        _catch_up(table, mean, square, current, updates, history, row)
+    for row in range(len(moved[0])):
+        _catch_up(moved, row)
 
 
 @numba.njit(cache=True)
