@@ -34,6 +34,7 @@ PEERS: dict[str, tuple[str, ...]] = {
     "pycolmap": ("colmap",),
     "webdataset": ("webdataset",),
     "datasets": ("huggingface",),
+    "mlcroissant": ("huggingface",),
 }
 """Loaders, and the formats that each opens."""
 

@@ -208,7 +208,24 @@ def read_datasets(root: Path, questions: Questions) -> Answer:
     return answer
 
 
-def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> Picture:
+def read_mlcroissant(root: Path, questions: Questions) -> Answer:
+    """MLCommons' reader of croissant.json, which it validates; it reads no depth, since it makes all pictures RGB."""
+    import mlcroissant
+
+    dataset = mlcroissant.Dataset(str(root / "croissant.json"))
+    answer = Answer(packages=("mlcroissant",))
+    for records in dataset.metadata.record_sets:
+        role = {"train": "train", "validation": "val"}.get(records.name, "test")
+        for record in dataset.records(records.uuid):
+            row = {key.partition("/")[2]: value for key, value in record.items()}
+            name = row["name"].decode()
+            answer.pictures[name] = _by_convention(row, questions[name], np.asarray(row["image"]))
+            answer.splits.setdefault(role, []).append(name)
+            answer.near_far = row["near"], row["far"]
+    return answer
+
+
+def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray | None = None) -> Picture:
     """A picture with the camera keys of transforms.json."""
     matrix = np.array(lens["transform_matrix"])
     x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
@@ -218,7 +235,7 @@ def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np
         colors=colors,
         origins=np.tile(matrix[:3, 3], (len(places), 1)),
         directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
-        depth=_at(depth, places),
+        depth=None if depth is None else _at(depth, places),
     )
 
 
@@ -230,6 +247,7 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
     "pycolmap": read_pycolmap,
     "webdataset": read_webdataset,
     "datasets": read_datasets,
+    "mlcroissant": read_mlcroissant,
 }
 
 

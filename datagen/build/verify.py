@@ -319,13 +319,17 @@ def build_command(dataset: Dataset, *, scene_is_good: bool) -> str:
     """
     from datagen.scene.finding import is_made_by_code
 
-    config, preset = dataset.config, PRESETS[dataset.config.preset]
-    scene = config.scene
+    scene = dataset.config.scene
     if not is_made_by_code(scene):
         scene = str(dataset.root / "scene") if scene_is_good else "FOLDER"  # That it was built from.
-    words = ["datagen", "build", "--scene", scene, "--preset", config.preset]
-    if dataset.root != DATA_ROOT / scene:
-        words += ["--out", str(dataset.root)]
+    out = [] if dataset.root == DATA_ROOT / scene else ["--out", str(dataset.root)]
+    return shlex.join(build_words(dataset, scene, *out))
+
+
+def build_words(dataset: Dataset, scene: str, *more: str) -> list[str]:
+    """The words of a command that builds a dataset of this configuration from a scene."""
+    config, preset = dataset.config, PRESETS[dataset.config.preset]
+    words = ["datagen", "build", "--scene", scene, "--preset", config.preset, *more]
     usual, pixels = SizeChoices(), config.resolution
     width_and_height = str(pixels.width) if pixels.width == pixels.height else f"{pixels.width}x{pixels.height}"
     lists_cameras = config.interpolating.views != config.extrapolating.views
@@ -340,7 +344,7 @@ def build_command(dataset: Dataset, *, scene_is_good: bool) -> str:
         max_depth=config.max_depth,
     )
     seed = flag_words(BuildChoices(seed=config.seed), BuildChoices())
-    return shlex.join([*words, *flag_words(size, usual), *seed])
+    return [*words, *flag_words(size, usual), *seed]
 
 
 def _unless(default: Value, value: Value) -> Value | None:

@@ -1,6 +1,7 @@
 """Hugging Face: pictures with a table of their cameras, and a dataset card that names every split.
 
-    README.md                   the card: licence, splits, columns, conventions
+    README.md                   the card: what it is, how it was made, splits, columns, conventions, licence, limits
+    croissant.json              the same for search engines and other loaders (datagen/export/croissant.py)
     FOLDER/metadata.jsonl       a line a view: its files, name, lens and pose
     FOLDER/NAME.png             8-bit sRGB
     FOLDER/depth/NAME.png       16 bits, millimetres along the axis to the first surface, glass or not; 0: none
@@ -12,20 +13,41 @@ splits from these names, and leaves out folders without train, validation or tes
 
 import json
 import re
+import shlex
 from collections.abc import Mapping
+from statistics import mean
 
+from datagen.build.verify import build_words
 from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import Dataset
+from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.data.transforms import CONVENTION
 from datagen.disk.records import Json
+from datagen.export.croissant import Table, croissant_bytes
 from datagen.export.files import depth_png, lens_keys, mask_png, rgb_png
 from datagen.export.plan import Part, Plan
 from datagen.export.samples import sample_groups
 from datagen.export.source import ExportView, Source
+from datagen.scene.finding import is_made_by_code
+from datagen.terminal.distribution import VERSION
 
 IMAGES = ("image", "depth", "glass")
 MATRIX = "transform_matrix"
 HUB_LICENSES = r"cc0-1\.0|cc-by(-nc)?(-sa|-nd)?-[234]\.0|mit|apache-2\.0"
 """Those that the hub knows by name, in small letters."""
+
+CROISSANT = "croissant.json"
+RENDERED_LIMITS = """One synthetic scene, whose numbers say little about others. Pinhole cameras without blur, steady
+  light, no sensor; pictures have noise, and radiance above 1 is clipped."""
+IMPORTED_LIMITS = "The noise of the pictures is unknown, and so is all that the folder did not say."
+CITATION = f"""\
+@software{{hyaline,
+  title = {{hyaline: path-traced datasets of transparent objects, deferred neural renderers, and their evaluation}},
+  author = {{{{The hyaline authors}}}},
+  version = {{{VERSION}}},
+}}"""
+"""As in CITATION.cff, which is not installed."""
 
 CARD = """\
 ---
@@ -43,18 +65,48 @@ dataset_info:
 
 # {name}
 
-{count} pictures of a scene with glass from known cameras, path-traced by hyaline.
+{description}
 
     datasets.load_dataset("FOLDER, or its name on the hub")
 
-- Licence: {terms}
-- Splits: {splits}.
-  `validation` is held out of training; `interpolating` lies among the training cameras, `extrapolating` leaves them.
-- `depth` is in millimetres along the axis to the first surface, glass or not; 0: none. `glass` is 255 where glass is
-  seen first.
+## How it was made
+
+{made}
+
+Exported by hyaline {version}: `datagen export {name} --format huggingface`. Digest of the dataset: `{seal}`.
+
+## Splits
+
+| split | views | samples per pixel | noise ceiling |
+|---|---:|---:|---:|
+{splits}
+
+`validation` is held out of training; `interpolating` lies among the training cameras, `extrapolating` leaves them. The
+noise ceiling is the PSNR that a perfect method would reach in spite of the noise of the pictures.
+
+## Units and conventions
+
 - {convention}.
-  `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` are in pixels; the upper left one has its centre at (0.5, 0.5).
+- `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` are in pixels; the upper left one has its centre at (0.5, 0.5).
+- `image` is 8-bit sRGB. `depth` is in millimetres along the axis to the first surface, glass or not; 0: none.
+  `glass` is 255 where glass is seen first.
 - Every surface that is seen lies between `near` and `far`, metres along the ray.
+
+## Limits
+
+- {limits}
+- `depth` and `glass` are those of the ray through a pixel's centre, and tell nothing of what is seen through glass.
+  Shapes, materials, linear radiance and peeled layers are in the packed dataset (`datagen pack`).
+
+## Licence
+
+{terms}
+
+## Citation
+
+```bibtex
+{citation}
+```
 """
 
 
@@ -64,8 +116,10 @@ def plan_huggingface(source: Source) -> Plan:
     views = [_view_part(split, item) for split, items in groups.items() for item in items]
     tables = [_table_part(source, split, items) for split, items in groups.items()]
     card = Part(name="card", files=("README.md",), make=lambda: {"README.md": _card(source, groups)})
+    croissant = Part(name="croissant", files=(CROISSANT,), make=lambda: {CROISSANT: _croissant(source, groups)})
     return Plan(
-        parts=(*views, *tables, card), hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\""
+        parts=(*views, *tables, card, croissant),
+        hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\"",
     )
 
 
@@ -92,10 +146,11 @@ def _view_part(split: str, item: ExportView) -> Part:
 def _table_part(source: Source, split: str, items: list[ExportView]) -> Part:
     file = f"{_folder(split)}/metadata.jsonl"
 
-    def make() -> Mapping[str, bytes]:
-        return {file: "".join(f"{json.dumps(_row(source, item))}\n" for item in items).encode()}
+    return Part(name=f"table-{split}", files=(file,), make=lambda: {file: _table(source, items)})
 
-    return Part(name=f"table-{split}", files=(file,), make=make)
+
+def _table(source: Source, items: list[ExportView]) -> bytes:
+    return "".join(f"{json.dumps(_row(source, item))}\n" for item in items).encode()
 
 
 def _row(source: Source, item: ExportView) -> dict[str, Json]:
@@ -143,8 +198,57 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> bytes:
         data_files="\n".join(f"  - split: {split}\n    path: {_folder(split)}/**" for split in groups),
         features="\n".join(f"  - name: {name}\n    {kind}" for name, kind in columns.items()),
         name=source.dataset.name,
-        count=len(source.pictures),
-        terms=terms,
-        splits=", ".join(f"`{split}` {len(items)}" for split, items in groups.items()),
+        description=_description(source),
+        made=_made(source.dataset),
+        version=VERSION,
+        seal=source.dataset.seal,
+        splits="\n".join(_split_line(split, items) for split, items in groups.items()),
         convention=CONVENTION,
+        limits=RENDERED_LIMITS if source.dataset.imported is None else IMPORTED_LIMITS,
+        terms=terms if terms != OWN_LICENSE else f"[{terms}]({OWN_LICENSE_ADDRESS}): nobody has to ask or to be named.",
+        citation=CITATION,
     ).encode()
+
+
+def _croissant(source: Source, groups: dict[str, list[ExportView]]) -> bytes:
+    tables = {
+        split: Table(
+            folder=_folder(split),
+            names=f"{items[0].view.split}_",
+            data=_table(source, items),
+            columns=_row(source, items[0]),
+        )
+        for split, items in groups.items()
+    }
+    return croissant_bytes(source, tables, description=_description(source), citation=CITATION)
+
+
+def _description(source: Source) -> str:
+    dataset = source.dataset
+    glass = [item.name for item in dataset.objects if item.is_glass]
+    line = BUILT_IN_SCENES.get(dataset.config.scene, "")
+    return (
+        f"{len(source.pictures)} pictures of a scene with glass from known cameras"
+        f"{', path-traced by hyaline' if dataset.imported is None else ''}. {line}{'. ' * bool(line)}"
+        f"Objects: {len(dataset.objects)}, of these glass: {', '.join(glass) or 'none'}."
+    )
+
+
+def _made(dataset: Dataset) -> str:
+    config = dataset.config
+    if (imported := dataset.imported) is not None:
+        return f"Imported by hyaline from a folder in the layout of {imported.layout}; it was not rendered by hyaline."
+    scene = config.scene if is_made_by_code(config.scene) else "SCENE"
+    return (
+        f"Path-traced with Mitsuba 3, {config.resolution.width} x {config.resolution.height} pixels, at most "
+        f"{config.max_depth} segments a path, by `{shlex.join(build_words(dataset, scene))}`. The same version of "
+        "hyaline gives the same bytes again on a machine of the same kind."
+    )
+
+
+def _split_line(split: str, items: list[ExportView]) -> str:
+    records = [item.view.record for item in items]
+    ceilings = [record.ceiling_db for record in records if record.ceiling_db is not None]
+    spps = sorted({record.spp for record in records if record.spp is not None})
+    spp = f"{spps[0]} to {spps[-1]}" if len(spps) > 1 else str(*spps) or "unknown"
+    return f"| `{split}` | {len(items)} | {spp} | {f'{mean(ceilings):.1f} dB' if ceilings else 'unknown'} |"

@@ -11,7 +11,8 @@ import numpy as np
 import OpenEXR
 import pytest
 from PIL import Image
-from support.commands import run
+from support.builds import tree
+from support.commands import parsed, run
 from support.export_readers import (
     ReadView,
     read_blender,
@@ -27,10 +28,13 @@ from support.traced_dataset import BALL, write_traced_dataset
 
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
 from datagen.export.formats import FORMATS, export_dataset
+from datagen.export.plan import EXPORT, RECORDS
 from datagen.export.source import Source
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.terminal.distribution import VERSION
 
 POINTS = 600
 
@@ -394,4 +398,42 @@ def test_hugging_face_finds_every_split_with_its_cameras(dataset: Dataset, tmp_p
     assert len(names) == len(set(names)) == 14
     # What `imagefolder` goes by when it is not given the card.
     assert all(re.search(r"(?<![a-z])(train|validation|test)(?![a-z])", folder) for _, folder in listed)
-    assert "`interpolating` 2" in text and "OpenGL" in text
+    assert "| `interpolating` | 2 | 4 | 50.0 dB |" in text and "OpenGL" in text
+    assert f"Digest of the dataset: `{dataset.seal}`" in text and f"Exported by hyaline {VERSION}" in text
+    line = re.search(r"by `(datagen build [^`]+)`", text)
+    assert line is not None and parsed(line[1])["scene"] == "SCENE", "the command of the card is one"
+    cite = (Path(__file__).parents[3] / "CITATION.cff").read_text()
+    said = dict(re.findall(r"^(title|version): \"?([^\"\n]+)", cite, re.MULTILINE))
+    author = re.search(r"- name: (.+)", cite)
+    assert author is not None
+    assert all(f"= {{{value}}}" in text for value in (said["title"], said["version"], f"{{{author[1]}}}"))
+
+
+def test_croissant_describes_every_file_and_every_column(exports: dict[str, Path], dataset: Dataset) -> None:
+    """Its schema is checked by its own package: `python -m benchmarks peers`."""
+    root = exports["huggingface"]
+    about = json.loads((root / "croissant.json").read_text())
+    files = {item["@id"]: item for item in about["distribution"]}
+    described: list[str] = []
+    for item in files.values():
+        if item["@type"] == "cr:FileObject":
+            assert item["sha256"] == sha256((root / item["contentUrl"]).read_bytes())
+            described.append(item["contentUrl"])
+        else:
+            described += [path.relative_to(root).as_posix() for path in root.glob(item["includes"])]
+    heads = {"README.md", "LICENSE.txt", "croissant.json", EXPORT.head}
+    there = {path for path in tree(root) if not path.startswith(f"{RECORDS}/")} - heads
+    assert sorted(described) == sorted(there)
+    for records in about["recordSet"]:
+        sources = {field["name"]: field["source"] for field in records["field"]}
+        table = files[sources["name"]["fileObject"]["@id"]]
+        first = json.loads((root / table["contentUrl"]).read_text().splitlines()[0])
+        assert {name: source["extract"] for name, source in sources.items()} == {
+            **{name: {"column": name} for name in first},
+            "image": {"fileProperty": "content"},
+        }
+        kinds = {field["name"]: (field["dataType"], field.get("arrayShape")) for field in records["field"]}
+        assert kinds["w"] == ("sc:Integer", None) and kinds["transform_matrix"] == ("sc:Float", "4,4")
+        ids = [field["@id"] for field in records["field"]]
+        assert len(set(ids)) == len(ids) and all(name.startswith(f"{records['@id']}/") for name in ids)
+    assert about["license"] == dataset.license and dataset.seal.startswith(about["version"].partition("+")[2])
