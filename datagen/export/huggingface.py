@@ -53,7 +53,7 @@ CARD = """\
 ---
 {license}
 pretty_name: {title}
-tags: [transparent-objects, glass, refraction, novel-view-synthesis, synthetic]
+tags: [transparent-objects, glass, refraction, novel-view-synthesis{synthetic}]
 configs:
 - config_name: default
   data_files:
@@ -195,6 +195,7 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> bytes:
     return CARD.format(
         license=_license(terms),
         title=json.dumps(f"{source.dataset.name} (hyaline)"),
+        synthetic=", synthetic" if source.dataset.imported is None else "",
         data_files="\n".join(f"  - split: {split}\n    path: {_folder(split)}/**" for split in groups),
         features="\n".join(f"  - name: {name}\n    {kind}" for name, kind in columns.items()),
         name=source.dataset.name,

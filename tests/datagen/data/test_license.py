@@ -12,6 +12,7 @@ from support.gltf import BOX, GltfBuilder
 from support.synthetic import synthetic_scene
 
 from datagen.data.dataset import open_dataset
+from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.disk.storage import load_sealed
 from datagen.export.formats import FORMATS
 from datagen.scene.builtin import SCENES
@@ -137,6 +138,8 @@ def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path:
     said = [json.loads(path.read_text()).get("license") for path in heads]
     assert len(said) == 1 + 5 + 5 + 1 + 3 + 1 + 4 + 2 and set(said) == {terms}
     assert CARD_LICENSES[terms] in (tmp_path / "huggingface" / "README.md").read_text()
+    croissant = json.loads((tmp_path / "huggingface" / "croissant.json").read_text())
+    assert croissant["license"] == (OWN_LICENSE_ADDRESS if terms == OWN_LICENSE else terms)
     run(f"datagen import-dataset {tmp_path / 'nerfstudio'} --out {tmp_path / 'again'}")
     assert open_dataset(tmp_path / "again").license == terms
 
