@@ -21,6 +21,7 @@ from scipy import ndimage
 from datagen.build.build import peel_dataset
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
+from datagen.data.images import to_8bit
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
@@ -38,6 +39,7 @@ from model.fit.search import (
     count_cells,
     count_searches,
     find_absorption,
+    find_index,
     find_roughness,
     grid_row,
     refine,
@@ -235,9 +237,9 @@ class _Work:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
             cells = list(track(scan(start, misses), label=self._name(object_id), total=count_cells(start)))
             best, second = alternatives(cells)
-            glass = find_roughness(best.glass, misses)
+            glass = find_roughness(find_index(best.glass, misses), misses)
             drawn.put(ids, glass)
-            words = f"  {self._name(object_id)}: {in_words(best.glass)}"
+            words = f"  {self._name(object_id)}: {in_words(glass)}"
             if second is not best:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
@@ -268,6 +270,8 @@ class _Work:
                 rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
                 misses = drawn.misses(item.ids(object_id), rows)
                 for glass, name, value in refine(item.glass, misses, self._is_even(rows), number=number):
+                    if (earlier := item.numbers.get(name)) is not None:
+                        value = dataclasses.replace(value, before=earlier.value)
                     item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                     yield
                 loss = float(misses(item.glass).mean())
@@ -307,6 +311,7 @@ class _Work:
             pixels = view * height * width + np.arange(height * width)
             rows.append(pictures.compared(self._picture(view), drawn.draw(pixels).reshape(height, width, 3)))
         self.folder.write_picture("room", pictures.sheet(rows))
+        self.folder.write_picture("sky", pictures.sheet([[to_8bit(drawn.sky(pictures.SKY_HEIGHT))]]))
 
     def _show_outsides(self, found: Objects) -> None:
         from datagen.trace.peel import Peeler

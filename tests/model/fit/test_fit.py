@@ -15,6 +15,7 @@ from datagen.data.geometries import geometry_key, list_geometries, read_assignme
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Dielectric
+from model.fit.pictures import SKY_HEIGHT
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
 
@@ -60,6 +61,8 @@ def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
     assert [row["stage"] for row in item["history"]] == ["search"] * 4
     for name in ("room", "outside", "search"):
         assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
+    sky = np.asarray(Image.open(fitted / "sky.png"))
+    assert sky.shape[1] >= 2 * SKY_HEIGHT and len(np.unique(sky.reshape(-1, 3), axis=0)) > 20
 
 
 def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
