@@ -29,6 +29,7 @@ from datagen.disk.ownership import PROXIES, holding
 from datagen.disk.records import Json
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
+from datagen.scene.materials import ThinDielectric
 from datagen.terminal.command import choose, say, track
 from model.fit import drinks, pictures, room
 from model.fit.fit_folder import FIT, FitFolder
@@ -57,6 +58,9 @@ GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 
 ROUNDS, LAST_ROUNDS = 4, 1
 
+LEAST_VIEWS = 3
+"""Training pictures that must show an object first; fewer never give its shape."""
+
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -65,7 +69,7 @@ class FitChoices:
     """Options of `model fit`."""
 
     unknown: tuple[str, ...] = ()
-    """Names of the objects; none: all that are glass."""
+    """Names of the objects; none: all glass but thin panes."""
     masks: Path | None = None
     mask_errors: int = 0
     """Rays at each height of an object that may miss it by mistake."""
@@ -86,20 +90,18 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         HyalineError: an object has an unknown name or is not glass, or masks are missing.
     """
     check_has_meshes(dataset)
-    unknown = _find_unknown(dataset, choices.unknown)
+    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    unknown = _find_unknown(dataset, scene, choices.unknown)
     root = geometry_root(dataset.root, geometry)
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
-        if hidden := [dataset.objects[each - 1].name for each in unknown if not sightings.sees(each).any()]:
-            raise HyalineError(
-                f"{dataset.root}: no training picture shows {hidden[0]} first, so it cannot be fitted; name the "
-                f"others with --unknown, and {hidden[0]} is taken as known"
-            )
+        shown = _shown(dataset, sightings, must_be_all=bool(choices.unknown))
+        if shown != unknown:
+            sightings = read_sightings(dataset, meshes, shown, choices.masks)
+        known = known_meshes(meshes, sightings.unknown)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)
-        scene = load_scene(dataset.root / "scene", is_sealed=True)
-        known = known_meshes(meshes, unknown)
         work = _Work(
             dataset=dataset,
             choices=choices,
@@ -115,17 +117,38 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
 
 
-def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Ids of the objects of these names, or of all glass."""
+def _find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
     for name in names:
         choose("unknown", name, [item.name for item in dataset.objects])
-    chosen = [item.name in names if names else item.is_glass for item in dataset.objects]
-    for item, is_chosen in zip(dataset.objects, chosen, strict=True):
-        if is_chosen and not item.is_glass:
+    found: list[int] = []
+    for place, item in enumerate(dataset.objects):
+        if item.name in names and not item.is_glass:
             raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
-    if not any(chosen):
+        is_thin = isinstance(scene.objects[place].material, ThinDielectric)
+        if item.name in names or (not names and item.is_glass and not is_thin):
+            found.append(place + 1)
+    if not found:
         raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
-    return tuple(place + 1 for place, is_chosen in enumerate(chosen) if is_chosen)
+    return tuple(found)
+
+
+def _shown(dataset: Dataset, sightings: Sightings, *, must_be_all: bool) -> tuple[int, ...]:
+    """Ids of the unknown objects that enough pictures show first; the others cannot be fitted.
+
+    Args:
+        must_be_all: refuse objects that too few pictures show, instead of taking them as known.
+    """
+    views = {each: int(sightings.sees(each).any(axis=(1, 2)).sum()) for each in sightings.unknown}
+    hidden = [dataset.objects[each - 1].name for each, count in views.items() if count < LEAST_VIEWS]
+    if len(hidden) == len(views) or (hidden and must_be_all):
+        raise HyalineError(
+            f"{dataset.root}: fewer than {LEAST_VIEWS} training pictures show {hidden[0]} first, so it cannot be "
+            f"fitted; name the others with --unknown, and {hidden[0]} is taken as known"
+        )
+    if hidden:
+        say(f"taken as known, because too few pictures show them first: {', '.join(hidden)}")
+    return tuple(each for each, count in views.items() if count >= LEAST_VIEWS)
 
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:

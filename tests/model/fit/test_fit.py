@@ -80,6 +80,20 @@ def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_pa
         assert answer.status == 0, answer.err
 
 
+def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
+    masks = tmp_path / "masks"
+    for name, seen in (("ball", True), ("slab", False)):
+        (masks / name).mkdir(parents=True)
+        for view in dataset.views("train"):
+            mask = np.full(dataset.config.resolution.shape, seen) & (view.object_ids()[0] == 2)
+            Image.fromarray(mask).save(masks / name / f"{view.index:04d}.png")
+    skipped = "--steps 2 --skip grid --skip search --skip again --name fitted-all"
+    answer = call(f"model fit {dataset.root} {skipped} --masks {masks} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    assert "taken as known, because too few pictures show them first: slab" in answer.err + answer.out
+    assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
+
+
 def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:
     before = geometry_key(dataset, "fitted")
     times = {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")}
