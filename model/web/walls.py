@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
 from datagen.data.meshes import Mesh, is_there, open_edges
+from datagen.machine.mitsuba_variant import use_mitsuba
 
 DIRECTIONS, MOST_OPEN = 16, 1
 """A point is inside a vessel if at most so many of these horizontal directions lead out of it."""
@@ -31,7 +32,8 @@ class Wall:
 
 
 def find_wall(mesh: Mesh) -> Wall | None:
-    """The wall of a closed mesh that has an inner side; None for solid glass. Call `use_mitsuba` first."""
+    """The wall of a closed mesh that has an inner side; None for solid glass."""
+    use_mitsuba(quiet=True)
     from datagen.trace.peel import Peeler
 
     if not is_there(mesh) or open_edges(mesh):
