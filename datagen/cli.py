@@ -19,7 +19,7 @@ from datagen.data.paths import (
 from datagen.disk.errors import UsageError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.import_choices import ImportChoices
-from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell, tell_json
+from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
@@ -57,6 +57,8 @@ def commands() -> CommandGroup:
         "peel": peel,
         "film": film,
         "export": export,
+        "pack": pack,
+        "unpack": unpack,
         "look": look,
         "verify": verify,
         "scenes": scenes,
@@ -301,6 +303,35 @@ def export(
     next_command(hint)
 
 
+def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
+    """Pack a finished dataset into one tar file, every byte verified; if interrupted, the same command resumes.
+
+    Args:
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
+        out: File to write, which ends in .tar. Default: exports/NAME.tar.
+        overwrite: Replace an existing file.
+    """
+    from datagen.export.pack import pack_dataset
+
+    path = pack_dataset(find_dataset(dataset), out, overwrite=overwrite)
+    tell(str(path))
+    next_command(shlex.join(["datagen", "unpack", str(path)]))
+
+
+def unpack(file: Path, /, *, out: Path | None = None) -> None:
+    """Unpack a packed dataset, every byte verified; if interrupted, the same command resumes.
+
+    Args:
+        file: A file from `datagen pack`.
+        out: Folder to write. Default: data/SCENE.
+    """
+    from datagen.export.pack import unpack_archive
+
+    root = unpack_archive(file, out)
+    tell(str(root))
+    next_command(shlex.join(["datagen", "look", str(root)]))
+
+
 def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
     """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, light paths, noise, objects.
 
@@ -336,22 +367,11 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
         quiet: Print no remarks.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks, commands (repairs).
     """
-    from datagen.build.verify import verify_dataset
+    from datagen.build.verify import tell_findings, verify_dataset
 
     hush(quiet)
     root = find_dataset(dataset)
-    found = verify_dataset(root)
-    say_all(found.remarks)
-    if json:
-        tell_json({"dataset": str(root), **found._asdict()})
-    else:
-        for problem in found.problems:
-            tell(problem)
-    if found.problems:
-        commands = ", then ".join(f"`{command}`" for command in found.commands)
-        fail(f"{root}: {len(found.problems)} problems, listed above; repair them with {commands}")
-    if not json:
-        tell(f"{root}: {found.verified} files verified")
+    tell_findings(root, verify_dataset(root), as_json=json)
 
 
 def scenes() -> None:
@@ -371,18 +391,10 @@ def doctor(*, quiet: bool = False, json: bool = False) -> None:
         quiet: Print no advice on what to type next.
         json: Print the result as JSON: findings (each with what, found and remedy).
     """
-    from dataclasses import asdict
-
-    from datagen.machine.doctor import examine
+    from datagen.machine.doctor import examine, tell_findings
 
     hush(quiet)
     findings = examine()
-    if json:
-        tell_json({"findings": [asdict(finding) for finding in findings]})
-        return
-    for finding in findings:
-        print(f"{finding.what:10} {finding.found}")
-        if finding.remedy:
-            print(f"{'':10} install it with: {finding.remedy}")
-    if not any(finding.remedy for finding in findings):
+    tell_findings(findings, as_json=json)
+    if not json and not any(finding.remedy for finding in findings):
         next_command(build_command())

@@ -10,12 +10,12 @@ from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import count_missing, parse_shard
 from datagen.data.config import DatasetConfig, parse_resolution
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import TWINS
-from datagen.disk.errors import UsageError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_strangers
 from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
@@ -44,14 +44,34 @@ def build_scenes(
         if choices.family is not None or choices.count is not None:
             raise UsageError(f"--family, --count: only for random scenes; type `datagen build {RANDOM}`")
         return [_build_scene(scene, choices, size, launch, imports)]
-    if choices.count is not None and (choices.count < 1 or launch.launcher):
-        raise UsageError(f"--count: is {choices.count}; expected at least 1, and no --launcher")
-    built = []
-    for seed in range(choices.seed, choices.seed + (choices.count or 1)):
-        name = str(RandomName(seed=seed, chosen=choices.family))
-        out = choices.out / name if choices.out is not None and choices.count is not None else choices.out
+    if choices.count is None:
+        name = str(RandomName(seed=choices.seed, chosen=choices.family))
+        return [_build_scene(name, dataclasses.replace(choices, family=None), size, launch, imports)]
+    if choices.count < 1:
+        raise UsageError(f"--count: is {choices.count}; expected at least 1")
+    names = {
+        seed: str(RandomName(seed=seed, chosen=choices.family))
+        for seed in range(choices.seed, choices.seed + choices.count)
+    }
+    if launch.launcher is not None:
+        _build_seeds_in_jobs(choices, choices.count, size, launch)
+        return [open_dataset((choices.out or DATA_ROOT) / name) for name in names.values()]
+    built, failed = [], 0
+    for seed, name in names.items():
+        out = None if choices.out is None else choices.out / name
         one = dataclasses.replace(choices, seed=seed, out=out, family=None, count=None)
-        built.append(_build_scene(name, one, size, launch, imports))
+        try:
+            built.append(_build_scene(name, one, size, launch, imports))
+        except UsageError:
+            raise
+        except HyalineError as error:
+            say(f"failed: {name}: {error}")
+            failed += 1
+    if failed:
+        raise HyalineError(
+            f"{failed} of {choices.count} scenes failed, for the reasons above; the others are built, and the same "
+            "command skips them"
+        )
     return built
 
 
@@ -99,6 +119,32 @@ SAMPLE_S = 2e-6
 """CPU time of a build per pixel and sample, peeling included: 619 s for the demo on a slow processor."""
 CEILING_FACTOR = 8
 """So many times the samples to start from are expected, at most, until a test view reaches its --ceiling."""
+DRAWING_S = 60
+"""CPU time to draw a random scene, unwrap it and compile its kernels: 4 to 25 s on a usual processor."""
+
+
+def _build_seeds_in_jobs(choices: BuildChoices, count: int, size: SizeChoices, launch: ShardChoices) -> None:
+    """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded.
+
+    Raises:
+        HyalineError: the cluster took no job, or a job failed.
+    """
+    each = -(-count // launch.shards)
+    jobs = {}
+    for first in range(choices.seed, choices.seed + count, each):
+        seeds = min(each, choices.seed + count - first)
+        part = dataclasses.replace(choices, seed=first, count=seeds)
+        jobs[f"seeds {first} to {first + seeds - 1}"] = _job_words(RANDOM, part, size, ImportChoices())
+    root = choices.out or DATA_ROOT / RANDOM
+    failures = run_in_jobs(
+        "datagen",
+        jobs,
+        root.parent / f"{root.name}-jobs",
+        launch,
+        cpus=choices.workers,
+        cpu_s=each * (DRAWING_S + _sampling_s(_configure(choices, size))),
+    )
+    raise_failures(str(root), failures, len(jobs))
 
 
 def _build_in_jobs(
@@ -115,10 +161,7 @@ def _build_in_jobs(
     Raises:
         HyalineError: the cluster took no job, or a job failed.
     """
-    tests = config.interpolating.samples + config.extrapolating.samples
-    samples = config.train.samples + tests * (1 if config.ceiling_db is None else CEILING_FACTOR)
-    kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
-    words = ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
+    words = _job_words(scene, choices, size, imports)
     parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
     failures = run_in_jobs(
         "datagen",
@@ -126,9 +169,21 @@ def _build_in_jobs(
         root.parent / f"{root.name}-jobs",
         launch,
         cpus=choices.workers,
-        cpu_s=SAMPLE_S * samples * config.resolution.pixels / launch.shards,
+        cpu_s=_sampling_s(config) / launch.shards,
     )
     raise_failures(str(root), failures, launch.shards)
+
+
+def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: ImportChoices) -> list[str]:
+    kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
+    return ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
+
+
+def _sampling_s(config: DatasetConfig) -> float:
+    """The CPU time that a slow processor takes for the samples of a dataset."""
+    tests = config.interpolating.samples + config.extrapolating.samples
+    samples = config.train.samples + tests * (1 if config.ceiling_db is None else CEILING_FACTOR)
+    return SAMPLE_S * samples * config.resolution.pixels
 
 
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:

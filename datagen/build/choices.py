@@ -26,7 +26,8 @@ class BuildChoices:
     """For random scenes: object (one in front of a background), table (glass among other things) or nested (media
     inside each other), or a family of another distribution. Default: they take turns with the seed."""
     count: int | None = None
-    """For random scenes: build this many datasets, with --seed and the seeds that follow."""
+    """For random scenes: build this many datasets, with --seed and the seeds that follow. One that fails is reported
+    and does not stop the others."""
     shard: str | None = None
     """Build part I of N of all views, such as 2/4. Parts may run at the same time on machines of one kind that share
     the folder; together they give the bytes of a single build. If a part failed, the same command without --shard
@@ -64,7 +65,7 @@ class ShardChoices(LaunchChoices):
     """Build in jobs, on a cluster or on this machine."""
 
     shards: int = 4
-    """Number of jobs; each builds one part of all views."""
+    """Number of jobs; each builds one part of all views, or with --count of all scenes."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,6 +25,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import is_name
 from datagen.disk.ownership import LAYERS
 from datagen.disk.storage import home_of, sha256_file
+from datagen.terminal.command import fail, say_all, tell, tell_json
 from datagen.terminal.parsing import flag_words
 
 Value = TypeVar("Value")
@@ -36,14 +37,19 @@ NAMED = 3
 class Findings(NamedTuple):
     """What a search found."""
 
-    verified: int
-    """How many files verify."""
+    files: dict[str, str]
+    """SHA-256 of the files that verify, by path relative to the dataset."""
     problems: list[str]
     """A line for each damage, with the command that repairs it."""
     remarks: list[str]
     """What is not damage."""
     commands: list[str]
     """The commands that the problems name, in the order to run them."""
+
+    @property
+    def verified(self) -> int:
+        """How many files verify."""
+        return len(self.files)
 
 
 def verify_dataset(root: Path) -> Findings:
@@ -57,6 +63,22 @@ def verify_dataset(root: Path) -> Findings:
     search = _Search(home, "" if home == root else f"{root.relative_to(home).as_posix()}/")
     search.check_home(dataset)
     return search.findings()
+
+
+def tell_findings(root: Path, found: Findings, *, as_json: bool) -> None:
+    """Prints them as lines or as one JSON object, and exits with status 1 if there are problems."""
+    say_all(found.remarks)
+    if as_json:
+        lists = {"problems": found.problems, "remarks": found.remarks, "commands": found.commands}
+        tell_json({"dataset": str(root), "verified": found.verified, **lists})
+    else:
+        for problem in found.problems:
+            tell(problem)
+    if found.problems:
+        commands = ", then ".join(f"`{command}`" for command in found.commands)
+        fail(f"{root}: {len(found.problems)} problems, listed above; repair them with {commands}")
+    if not as_json:
+        tell(f"{root}: {found.verified} files verified")
 
 
 class _Search:
@@ -83,7 +105,7 @@ class _Search:
         """Expects a file of these bytes (or of any) at a path; notes where it is not so."""
         self.known.add(relative)
         place, what = self.survey.obstacle(relative) or (relative, "")
-        if not what and promised is not None and not self._matches(relative, promised):
+        if not what and promised not in (None, self._sha256(relative)):
             what = "damaged (checksum differs)"
         if not what:
             self.good.add(relative)
@@ -93,11 +115,11 @@ class _Search:
         self.wrong(place, f"{what}; move it away, then run" if is_in_the_way else f"{what}; repair it with", command)
         return False
 
-    def _matches(self, relative: str, promised: str) -> bool:
-        """True if a file has this hash; each file is read once."""
+    def _sha256(self, relative: str) -> str:
+        """The hash of a file; each file is read once."""
         if relative not in self.hashes:
             self.hashes[relative] = sha256_file(self.home / relative)
-        return self.hashes[relative] == promised
+        return self.hashes[relative]
 
     def check_all(self, prefix: str, files: Mapping[str, str], command: str) -> None:
         for file, promised in files.items():
@@ -118,7 +140,7 @@ class _Search:
         else:
             files = head_files(self.home)
             scene_is_good = all(
-                self.survey.has(file) and self._matches(file, promised)
+                self.survey.has(file) and self._sha256(file) == promised
                 for file, promised in files.items()
                 if file.startswith("scene/")
             )
@@ -255,7 +277,7 @@ class _Search:
         named = dict.fromkeys([*(command for _, command in self.lines.values()), *self.unmade])
         known = [command for command in self.commands if command in named]
         return Findings(
-            verified=len([path for path in self.good if path.startswith(self.within)]),
+            files={path: self.hashes[path] for path in sorted(self.good) if path.startswith(self.within)},
             problems=lines,
             remarks=self._foreign(),
             commands=list(dict.fromkeys([*known, *named])),

@@ -55,7 +55,7 @@ def commit(path: Path, data: bytes) -> None:
     with naming(path):
         temporary = _write_temporary(path, data)
         temporary.replace(path)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 def commit_same(path: Path, data: bytes) -> None:
@@ -77,7 +77,7 @@ def commit_first(path: Path, data: bytes) -> None:
         except OSError:  # A file system without hard links: there the last one wins.
             temporary.replace(path)
         temporary.unlink(missing_ok=True)
-        _sync_folder(path.parent)
+        sync_folder(path.parent)
 
 
 def _write_temporary(path: Path, data: bytes) -> Path:
@@ -91,7 +91,8 @@ def _write_temporary(path: Path, data: bytes) -> Path:
     return temporary
 
 
-def _sync_folder(path: Path) -> None:
+def sync_folder(path: Path) -> None:
+    """Sees to it that the names in a folder survive a power cut."""
     folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)

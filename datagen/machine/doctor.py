@@ -5,12 +5,13 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processes import ROOT
+from datagen.terminal.command import tell_json
 from datagen.terminal.distribution import VERSION, install_command
 
 
@@ -35,6 +36,17 @@ def examine() -> list[Finding]:
         _torch(),
         _meshlab(),
     ]
+
+
+def tell_findings(findings: list[Finding], *, as_json: bool) -> None:
+    """Prints them as lines or as one JSON object."""
+    if as_json:
+        tell_json({"findings": [asdict(finding) for finding in findings]})
+        return
+    for finding in findings:
+        print(f"{finding.what:10} {finding.found}")
+        if finding.remedy:
+            print(f"{'':10} install it with: {finding.remedy}")
 
 
 def _gpu() -> str:

@@ -39,6 +39,8 @@ TRIPS = (
     Trip(line="datagen add data/one --angles --larger 2"),
     Trip(line="datagen peel data/one --num-layers 3 --overwrite"),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported"),
+    Trip(line="datagen pack data/one --out exports/one.tar"),
+    Trip(line="datagen unpack exports/one.tar --out data/two", start="packed"),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
     Trip(line="datagen import-dataset theirs --out mine --overwrite", start="scene"),
     Trip(line="datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
@@ -59,6 +61,8 @@ TRIPS = (
     Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/layers/straight/mine.partial",)),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
     Trip(line="datagen import-dataset theirs --out mine", start="scene", taken=("mine/images/train/0000.png",)),
+    Trip(line="datagen pack data/one --out exports/one.tar", taken=("exports/one.tar",)),
+    Trip(line="datagen unpack exports/one.tar --out data/two", start="packed", taken=("data/two/dataset.json",)),
     Trip(line="datagen look data/one", taken=("one-look.html",)),
     Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported", taken=("exports/one/points3d.ply",)),
     Trip(

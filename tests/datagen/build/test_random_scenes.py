@@ -1,10 +1,12 @@
 """Tests `datagen build --scene random`: names, many at once, repairs, and which flags go together."""
 
 import re
+import shlex
 from pathlib import Path
 
 import pytest
 from support import fake_renderer
+from support.builds import tree
 from support.commands import call, run
 
 from datagen.data.dataset import open_dataset
@@ -41,6 +43,39 @@ def test_count_builds_a_dataset_for_each_seed_and_its_name_builds_the_same_scene
     assert sha256(described[0]) == sha256(described[1])
 
 
+def test_a_scene_that_fails_is_named_and_does_not_stop_the_others(here: Path) -> None:
+    (here / "many/random-object-0004").mkdir(parents=True)
+    (here / "many/random-object-0004/thesis.tex").write_text("precious")
+    line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
+    answer = call(line)
+    assert answer.status == 1 and answer.error.startswith("error: 1 of 3 scenes failed, for the reasons above")
+    assert "failed: random-object-0004: many/random-object-0004: is not empty (thesis.tex)" in answer.err
+    assert all((here / f"many/random-object-000{seed}/dataset.json").is_file() for seed in (3, 5))
+    (here / "many/random-object-0004/thesis.tex").unlink()
+    assert call(line).status == 0
+
+
+def test_the_launcher_gives_each_job_a_run_of_seeds(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, int] = {}
+
+    def run_here(program: str, jobs: dict[str, list[str]], folder: Path, *_: object, **__: object) -> tuple[()]:
+        assert folder == Path("many-jobs")
+        for name, words in jobs.items():
+            answer = call(shlex.join([program, *words]))
+            assert answer.status == 0, answer.err
+            seen[name] = len(answer.out.split())
+        return ()
+
+    monkeypatch.setattr("datagen.build.build_command.run_in_jobs", run_here)
+    line = f"datagen build random --family object --seed 3 --count 5 {SIZE} --out many"
+    answer = call(f"{line} --launcher local --shards 3")
+    assert seen == {"seeds 3 to 4": 2, "seeds 5 to 6": 2, "seeds 7 to 7": 1}
+    assert answer.out.split() == [f"many/random-object-000{seed}" for seed in range(3, 8)]
+    built = tree(here / "many")
+    run(line)
+    assert tree(here / "many") == built
+
+
 def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> None:
     run(f"datagen build --scene random --family object --seed 12 {SIZE}")
     root = Path("data/random-object-0012")
@@ -61,7 +96,6 @@ def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> Non
         ("--scene random --count 0", "--count: is 0; expected at least 1"),
         ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
         ("--scene random --edit remove:ball", "datagen build --edit is now `datagen add DATASET --edit`"),
-        ("--scene random --count 2 --launcher local", "--count: is 2; expected at least 1, and no --launcher"),
         ("--scene random-12", "scene random-12: is not a random scene; expected a name like random-0007"),
     ],
 )
