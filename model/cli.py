@@ -143,7 +143,8 @@ def fit(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        unknown: Name of an object of unknown shape and material. May be repeated. Default: all objects of glass.
+        unknown: Name of an object of unknown shape and material. May be repeated. Default: all glass that pictures show
+            first, but thin panes.
         masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
             is seen first. Default: those in the dataset.
         mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
