@@ -110,7 +110,7 @@ def _page_grids(path: Path, data: Stored) -> list[Grid]:
     try:
         if "tables" in data:
             return [_grid_of(grid) for name in _in_order(data["tables"]) for grid in data["tables"][name]]
-        return [grid for scene in data["scenes"] for grid in _grids(scene)]
+        return [*(grid for scene in data["scenes"] for grid in _grids(scene)), *_coverage_grids(data["scenes"])]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error
 
@@ -197,6 +197,28 @@ def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
         MISSING if MISSING in tints else ", ".join(tints),
         found("roughness", 2),
     )
+
+
+def _coverage_grids(scenes: list[Stored]) -> list[Grid]:
+    """How many intervals of all fits hold the truth; nothing without fits whose truth is known."""
+    holds: dict[str, list[bool]] = {}
+    for scene in scenes:
+        for objects in scene["analyses"].get("fits", {}).values():
+            for item in objects.values():
+                for key, found in item["numbers"].items():
+                    if (true := item["measured"]["true"].get(key)) is not None:
+                        holds.setdefault(key.split("_")[0], []).append(found["low"] <= true <= found["high"])
+    if not holds:
+        return []
+    titles = {"ior": "index"}
+    return [
+        Grid(
+            title="intervals of fits that hold the truth",
+            columns=(Column(group="number", is_number=False), Column(group="hold it"), Column(group="of")),
+            rows=tuple((titles.get(key, key), str(sum(each)), str(len(each))) for key, each in holds.items()),
+            notes=("Over all fits above. Absorption: each colour channel by itself.",),
+        )
+    ]
 
 
 def _groups(scene: Stored) -> list[list[str]]:

@@ -92,19 +92,22 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
 def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
     content = results()
     errors = {"mean_distance": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
-    channels = {f"absorption_{channel}": {"value": 2.5} for channel in ("red", "green", "blue")}
+    near = {"value": 2.5, "low": 2.4, "high": 2.6}
+    channels = {f"absorption_{channel}": near for channel in ("red", "green", "blue")}
     tumbler = {
         "kind": "revolution",
-        "numbers": {"ior": {"value": 1.505}, "wall": {"value": 0.0035}, **channels},
-        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0}},
+        "numbers": {"ior": {"value": 1.505, "low": 1.49, "high": 1.52}, "wall": {"value": 0.0035}, **channels},
+        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0, "absorption_blue": 2.5}},
     }
     unknown = {"kind": "ball", "numbers": {"roughness": {"value": 0.1}}, "measured": {"errors": None, "true": {}}}
     content["scenes"][0]["analyses"]["fits"] = {"fit": {"tumbler": tumbler, "ball": unknown}}
     page = results_page(write(tmp_path, "fits.json", content)).replace(MISSING, "none")
     assert "### glass_table: glass found from masks and pictures" in page
-    tints = "2.5 (3.0), 2.5, 2.5"
+    tints = "2.5 (3.0), 2.5, 2.5 (2.5)"
     assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
     assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
+    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that hold the truth") :]
+    assert "| index | 1 | 1 |" in intervals and "| absorption | 1 | 2 |" in intervals
 
 
 def test_what_none_recorded_is_said(tmp_path: Path) -> None:
