@@ -33,7 +33,7 @@ ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
 """GGX alpha."""
 
 INDICES = (1.33, 1.4, 1.45, 1.5, 1.55, 1.6, 1.65, 1.7, 1.75, 1.8, 1.9, 2.0, 2.2, 2.4)
-"""First guesses; the search then moves by less than 0.1 in each round."""
+"""First guesses for solid glass; the search then moves by less than 0.1 in each round."""
 
 STEPS = 7
 """Values that are tried of a number."""
@@ -163,7 +163,13 @@ def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarr
 
 
 def find_index(glass: Glass, misses: Misses) -> Glass:
-    """The best of the first guesses of its index."""
+    """The best of the first guesses of its index; a vessel keeps the one it has.
+
+    As long as a wall is only roughly known, another index makes up for its errors: the wall of a bottle of index 1.52
+    was found a fifth too thin, with an index of 1.94.
+    """
+    if hollow_of(glass) is not None:
+        return glass
     tried = [dataclasses.replace(glass, ior=value) for value in INDICES]
     return min(tried, key=lambda each: float(misses(each).mean()))
 

@@ -61,6 +61,8 @@ def test_a_solid_is_found_solid() -> None:
 def test_the_first_guess_of_an_index_may_be_far_away() -> None:
     sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
     assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
+    vessel = OUTSIDE_OF.hollowed(0.07, 0.13, 0.45)
+    assert find_index(vessel, misses_of(dataclasses.replace(vessel, ior=1.78))) == vessel
 
 
 def test_what_the_last_round_moved_is_in_doubt() -> None:
