@@ -49,8 +49,9 @@ test: setup
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "promise or full" --full --promises=docs/reliability.md
 
-# RESULTS.md, from the results.json files that were kept.
+# RESULTS.md and docs/results/*.md, from the results.json files that were kept.
 results: setup
+	for file in docs/results/*.json; do $(BIN)/report --results $$file > $${file%.json}.md || exit 1; done
 	$(BIN)/report --results docs/results > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
 
 # The pages of docs/ as a web site.

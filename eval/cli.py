@@ -24,7 +24,7 @@ def report(
     full: bool = False,
     published: bool = False,
     shown_views: int = 3,
-    results: tuple[Path, ...] = (),
+    results: Path | None = None,
     quiet: bool = False,
     json: bool = False,
 ) -> None:
@@ -42,23 +42,23 @@ def report(
         out: Folder for index.html, results.json and pictures. Default: RUNS/report.
         table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
             table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of
-            light-path), variants (of paper) or claims, whose runs `model sweep` trains; or known (what is known of the
-            glass, against what is reached) or perceptual (FLIP, LPIPS). May be repeated.
+            light-path), variants (of paper), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains;
+            or known (what is known of the glass, against what is reached) or perceptual (FLIP, LPIPS). May be
+            repeated. With --json, these tables are part of the results.
         full: Also describe each run, and print quality by angle, by number of training views and by layers.
         published: Also print the paper's own numbers, and beside them what its authors' script gives for these runs.
         shown_views: Views of each split and run on the page: the worst, the median and the best first. Views beyond
             20 MB are dropped.
-        results: Instead of scoring runs, print the tables of a results.json, or of every one in a folder, as one page
-            of Markdown; `make results` writes RESULTS.md this way. May be repeated.
+        results: Instead of scoring runs, print the tables of a results.json as a page of Markdown, or a list of the
+            pages of a folder of them; `make results` writes docs/results/*.md and RESULTS.md this way.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
     hush(quiet)
-    if results:
-        from eval.tables.results import results_page
+    if results is not None:
+        from eval.tables.pages import results_index, results_page
 
-        files = [file for place in results for file in (sorted(place.glob("*.json")) if place.is_dir() else [place])]
-        sys.stdout.write(results_page(files))
+        sys.stdout.write(results_index(list(results.glob("*.json"))) if results.is_dir() else results_page(results))
         return
     output_format = "json" if json else choose("--format", format, FORMATS)
     from datagen.data.paths import find_dataset

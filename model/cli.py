@@ -143,7 +143,8 @@ def fit(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        unknown: Name of an object of unknown shape and material. May be repeated. Default: all objects of glass.
+        unknown: Name of an object of unknown shape and material. May be repeated. Default: all glass that pictures show
+            first, but thin panes.
         masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
             is seen first. Default: those in the dataset.
         mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
@@ -334,24 +335,24 @@ def sweep(
 ) -> None:
     """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
 
-    With --launcher slurm, each run is a Slurm job.
+    The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
 
     Args:
-        experiment: A TOML file (its format is described in model/run/sweep.py), or one of table1, table2, square,
-            zero-layer, claims, headline, proxies, ablation, variants, budget and random.
-        dataset: Train on this dataset instead of the file's. May be repeated.
+        experiment: A TOML file (format: model/run/experiments.py), or one of paper-tables (all of the paper's), its
+            parts table1, table2, square, zero-layer, variants, budget, claims, figure8, deepvoxels and larger,
+            paper-sizes, headline, proxies, ablation and random.
+        dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes, on the CPU (which divide its cores equally) or on each GPU. On a CPU, as many as fit
             in memory (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
-        dry_run: Print the command of each run, and train nothing.
+        dry_run: Print all commands and an estimate of the processor time, and do nothing.
     """
-    from model.run.sweep import command_line, find_devices, raise_failures, read_experiment, run_experiment
+    from model.run.experiments import read_experiment
+    from model.run.sweep import find_devices, finish, print_experiment, run_experiment
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
-        for arguments in asked.runs:
-            tell(command_line(arguments))
-        return
+        return print_experiment(asked)
     if cluster.launcher is None:
         failures = run_experiment(asked, devices=find_devices(jobs))
     else:
@@ -360,7 +361,7 @@ def sweep(
         if jobs != 1:
             raise UsageError("--jobs: is for runs on this machine; leave it out with --launcher slurm")
         failures = train_experiment_in_jobs(asked, cluster)
-    raise_failures(asked, failures)
+    finish(asked, failures)
     next_command("eval report")
 
 

@@ -29,11 +29,11 @@ from eval.tables.grids import TABLE_WIDTH
 from eval.tables.looks import grid_text, tables_text
 from eval.tables.named import TABLES
 from eval.tables.published import published_grid, published_json
-from eval.tables.results import results_csv, results_json
+from eval.tables.results import grid_json, results_csv, results_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
-TABLE_FORMATS = ("table", "markdown", "latex")
-"""Formats of `make_tables`; the report's CSV and JSON contain the same values."""
+TABLE_FORMATS = ("table", "markdown", "latex", "json")
+"""Formats of `make_tables`; the report's CSV contains the same values."""
 
 
 def make_report(
@@ -150,8 +150,18 @@ def make_tables(
             else ""
         )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
-    for table in asked.values():
-        for grid in table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)):
+    grids = {
+        name: table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)) for name, table in asked.items()
+    }
+    if output_format == "json":
+        made_by: Json = {
+            "command": shlex.join(["report", *(word for name in tables for word in ("--table", name))]),
+            "code": code_version(),
+        }
+        stored: Json = {name: [grid_json(grid) for grid in found] for name, found in grids.items()}
+        sys.stdout.write(results_json(scenes, more={"made_by": made_by, "tables": stored}).decode())
+    else:
+        for grid in (grid for found in grids.values() for grid in found):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
     sys.stdout.flush()
     pictures = {(name, scene.title): table.picture(scene) for name, table in asked.items() for scene in scenes}

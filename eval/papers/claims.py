@@ -1,6 +1,6 @@
 """The paper's four claims: what each states about runs, and whether the runs support it."""
 
-import math
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -8,7 +8,7 @@ from typing import Literal
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.paths import TRUTH
-from eval.papers.comparisons import NOT_RUN, Comparison, Entry, Line, find_entries, spread_cell
+from eval.papers.comparisons import NOT_RUN, Comparison, Entry, Line, difference, find_entries, spread_cell
 from eval.papers.tables import BEST
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
@@ -145,21 +145,35 @@ def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr])
 def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr]) -> Grid:
     """The findings as a table."""
     texts = ("claim", "scene", "first run against second", "dB of the first against the second", "verdict")
+    findings = find_claims(scenes, edited)
     seals = ", ".join(f"{scene.title} {scene.dataset.seal[:12]}" for scene in scenes)
     return Grid(
         title="The paper's claims",
         columns=tuple(Column(group=text, is_number=False) for text in texts),
         rows=tuple(
             (finding.claim, finding.scene, finding.pair, finding.numbers, finding.verdict or MISSING)
-            for finding in find_claims(scenes, edited)
+            for finding in findings
         ),
         notes=(
+            _in_short(findings),
             "Published: what the paper printed, most likely the wrapped PSNR; no verdict rests on it. Drop: PSNR "
             "interpolating minus extrapolating. Edited: PSNR where the edited object is or was. Within the spread: a "
             "difference is below twice its standard error over seeds.",
             f"Data: dataset seals {seals or 'none'}.",
         ),
     )
+
+
+def _in_short(findings: Sequence[Finding]) -> str:
+    """For each claim, how many pairs confirm or contradict it."""
+    counts = {
+        claim.text: Counter(f.verdict for f in findings if f.claim == claim.text and f.verdict) for claim in CLAIMS
+    }
+    return " ".join(f"{text}: {_listed(found)}." for text, found in counts.items())
+
+
+def _listed(found: Counter[str]) -> str:
+    return "; ".join(f"{verdict} ({count})" if verdict != NOT_RUN else verdict for verdict, count in found.items())
 
 
 def _find_pairs(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[tuple[Entry, Entry]]:
@@ -182,11 +196,11 @@ def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditedPs
     numbers, holds, is_clear = [], [], []
     for condition in claim.conditions:
         one, other = (condition.measure(entry.group, edited) for entry in (first, second))
-        if one.mean is None or other.mean is None or not math.isfinite(one.mean - other.mean):
+        gap, error = difference(one, other)
+        if gap is None:
             return None
-        difference = one.mean - other.mean
-        holds.append(difference > 0 if condition.should_be == "higher" else difference < 0)
-        is_clear.append(abs(difference) >= 2 * _standard_error(one, other))
+        holds.append(gap > 0 if condition.should_be == "higher" else gap < 0)
+        is_clear.append(abs(gap) >= 2 * error)
         numbers.append(f"{condition.what} {spread_cell(one)} against {spread_cell(other)}")
     # One condition that clearly fails contradicts a claim; all must clearly hold to confirm it.
     decisive = is_clear if all(holds) else [clear for clear, hold in zip(is_clear, holds) if not hold]
@@ -207,11 +221,6 @@ def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Findi
         numbers.append(f"{condition.what} {values(first):.2f} against {values(second):.2f}")
     pair = f"{first.method} against {second.method}"
     return Finding(claim=claim.text, scene="published", pair=pair, numbers="; ".join(numbers), verdict="")
-
-
-def _standard_error(one: Spread, other: Spread) -> float:
-    """Standard error of the difference of two means, in dB; 0 if neither has several seeds."""
-    return math.sqrt(sum((value.deviation or 0.0) ** 2 / value.count for value in (one, other)))
 
 
 CLAIMS_TABLE = Table(

@@ -3,10 +3,10 @@
 from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
-from eval.papers.comparisons import NOT_RUN, Line, data_note, spread_cell
-from eval.score.runs import Run, read_costs
+from eval.papers.comparisons import NOT_RUN, Line, cpu_minutes_cell, data_note, spread_cell
+from eval.score.runs import Run
 from eval.score.scores import METRICS, SceneScores
-from eval.score.seeds import SeedGroup, group_seeds, spread
+from eval.score.seeds import SeedGroup, group_seeds
 from eval.tables.grids import MISSING, Column, Grid
 from eval.tables.named import Table
 
@@ -75,9 +75,7 @@ def known_grid(scene: SceneScores) -> Grid:
 
 def _cells(group: SeedGroup) -> tuple[str, ...]:
     psnr = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
-    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
-    minutes = spread([None if seconds is None else seconds / 60 for seconds in costs])
-    return (group.name, group.first.geometry or MISSING, str(len(group.runs)), *psnr, spread_cell(minutes))
+    return (group.name, group.first.geometry or MISSING, str(len(group.runs)), *psnr, cpu_minutes_cell(group))
 
 
 KNOWN = Table(

@@ -3,7 +3,7 @@
 import dataclasses
 
 from datagen.data.geometries import NO_GEOMETRY
-from eval.papers.comparisons import Comparison, Line, ablation_table, comparison_table
+from eval.papers.comparisons import Comparison, Contrast, Line, ablation_table, comparison_table
 from eval.tables.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
@@ -24,6 +24,10 @@ TABLE1 = comparison_table(
             ),
         ),
         varied="extrinsics",
+        contrasts=(
+            Contrast(first="no extrinsics", second="view vector"),
+            Contrast(first="spherical harmonics", second="view vector"),
+        ),
     )
 )
 TABLE2 = comparison_table(
@@ -33,9 +37,15 @@ TABLE2 = comparison_table(
             Line(title="DNR", method="dnr", published=DNR),
             OURS,
             BEST,
-            Line(title="what the authors ran", method="authors-code"),
+            Line(title="DNR, as the paper ran it", method="dnr-authors"),
+            Line(title="paper, as its code runs", method="authors-code"),
             Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
             Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
+        ),
+        contrasts=(
+            Contrast(first="DNR", second="paper"),
+            Contrast(first="DNR, as the paper ran it", second="paper, as its code runs"),
+            Contrast(first="DeepVoxels, small", second="paper", is_better=False),
         ),
         notes=("The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.", BEST_NOTE),
     )
@@ -50,6 +60,12 @@ SQUARE = comparison_table(
             dataclasses.replace(OURS, title="per pixel, all layers (paper)"),
             dataclasses.replace(BEST, title="per pixel, all layers (paper-best)"),
         ),
+        contrasts=(
+            Contrast(first="U-Net, all layers", second="U-Net, first layer (DNR)", is_better=True),
+            Contrast(first="per pixel, all layers (paper)", second="per pixel, first layer", is_better=True),
+            Contrast(first="per pixel, all layers (paper)", second="U-Net, all layers", is_better=True),
+            Contrast(first="per pixel, first layer", second="U-Net, first layer (DNR)", is_better=True),
+        ),
         notes=(BEST_NOTE,),
     )
 )
@@ -61,6 +77,7 @@ ZERO_LAYER = comparison_table(
             Line(title="with", method="paper", flags={"zero-layer": ""}),
         ),
         varied="zero-layer",
+        contrasts=(Contrast(first="with", second="without", is_better=True),),
         notes=("Its purpose is edited scenes, which are in the table of claims.",),
     )
 )
@@ -68,6 +85,11 @@ HEADLINE = comparison_table(
     Comparison(
         title="light-path against the paper",
         lines=(Line(title="light-path", method="light-path", flags={}), BEST, OURS),
+        contrasts=(
+            Contrast(first="light-path", second="paper-best"),
+            Contrast(first="light-path", second="paper"),
+            Contrast(first="paper-best", second="paper"),
+        ),
         notes=(BEST_NOTE,),
     )
 )

@@ -39,6 +39,8 @@ TABLES: Group[Table] = Group(
         "proxies": "eval.papers.ladder:PROXIES",
         "ablation": "eval.papers.tables:ABLATION",
         "variants": "eval.papers.tables:VARIANTS",
+        "deepvoxels": "eval.papers.tried:DEEP_VOXELS_TABLE",
+        "larger": "eval.papers.tried:LARGER",
         "claims": "eval.papers.claims:CLAIMS_TABLE",
         "known": "eval.papers.known:KNOWN",
         "perceptual": "eval.papers.known:PERCEPTUAL",

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from datagen.data.config import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json, to_json
 from eval.tables.grids import Column, Grid
 
@@ -15,6 +15,9 @@ class PublishedRow:
     method: str
     interpolating_db: float
     extrapolating_db: float
+
+    def value_db(self, split: Split) -> float:
+        return self.interpolating_db if split == "interpolating" else self.extrapolating_db
 
 
 NO_EXTRINSICS = PublishedRow(source="Table 1", method="no extrinsics", interpolating_db=33.09, extrapolating_db=32.96)

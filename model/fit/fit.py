@@ -21,6 +21,7 @@ from scipy import ndimage
 from datagen.build.build import peel_dataset
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
+from datagen.data.images import to_8bit
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
@@ -28,6 +29,7 @@ from datagen.disk.ownership import PROXIES, holding
 from datagen.disk.records import Json
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
+from datagen.scene.materials import ThinDielectric
 from datagen.terminal.command import choose, say, track
 from model.fit import drinks, pictures, room
 from model.fit.fit_folder import FIT, FitFolder
@@ -38,6 +40,7 @@ from model.fit.search import (
     count_cells,
     count_searches,
     find_absorption,
+    find_index,
     find_roughness,
     grid_row,
     refine,
@@ -55,6 +58,9 @@ GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 
 ROUNDS, LAST_ROUNDS = 4, 1
 
+LEAST_VIEWS = 3
+"""Training pictures that must show an object first; fewer never give its shape."""
+
 UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -63,7 +69,7 @@ class FitChoices:
     """Options of `model fit`."""
 
     unknown: tuple[str, ...] = ()
-    """Names of the objects; none: all that are glass."""
+    """Names of the objects; none: all glass but thin panes."""
     masks: Path | None = None
     mask_errors: int = 0
     """Rays at each height of an object that may miss it by mistake."""
@@ -84,20 +90,18 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         HyalineError: an object has an unknown name or is not glass, or masks are missing.
     """
     check_has_meshes(dataset)
-    unknown = _find_unknown(dataset, choices.unknown)
+    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    unknown = _find_unknown(dataset, scene, choices.unknown)
     root = geometry_root(dataset.root, geometry)
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
-        if hidden := [dataset.objects[each - 1].name for each in unknown if not sightings.sees(each).any()]:
-            raise HyalineError(
-                f"{dataset.root}: no training picture shows {hidden[0]} first, so it cannot be fitted; name the "
-                f"others with --unknown, and {hidden[0]} is taken as known"
-            )
+        shown = _shown(dataset, sightings, must_be_all=bool(choices.unknown))
+        if shown != unknown:
+            sightings = read_sightings(dataset, meshes, shown, choices.masks)
+        known = known_meshes(meshes, sightings.unknown)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)
-        scene = load_scene(dataset.root / "scene", is_sealed=True)
-        known = known_meshes(meshes, unknown)
         work = _Work(
             dataset=dataset,
             choices=choices,
@@ -113,17 +117,38 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
 
 
-def _find_unknown(dataset: Dataset, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Ids of the objects of these names, or of all glass."""
+def _find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
     for name in names:
         choose("unknown", name, [item.name for item in dataset.objects])
-    chosen = [item.name in names if names else item.is_glass for item in dataset.objects]
-    for item, is_chosen in zip(dataset.objects, chosen, strict=True):
-        if is_chosen and not item.is_glass:
+    found: list[int] = []
+    for place, item in enumerate(dataset.objects):
+        if item.name in names and not item.is_glass:
             raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
-    if not any(chosen):
+        is_thin = isinstance(scene.objects[place].material, ThinDielectric)
+        if item.name in names or (not names and item.is_glass and not is_thin):
+            found.append(place + 1)
+    if not found:
         raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
-    return tuple(place + 1 for place, is_chosen in enumerate(chosen) if is_chosen)
+    return tuple(found)
+
+
+def _shown(dataset: Dataset, sightings: Sightings, *, must_be_all: bool) -> tuple[int, ...]:
+    """Ids of the unknown objects that enough pictures show first; the others cannot be fitted.
+
+    Args:
+        must_be_all: refuse objects that too few pictures show, instead of taking them as known.
+    """
+    views = {each: int(sightings.sees(each).any(axis=(1, 2)).sum()) for each in sightings.unknown}
+    hidden = [dataset.objects[each - 1].name for each, count in views.items() if count < LEAST_VIEWS]
+    if len(hidden) == len(views) or (hidden and must_be_all):
+        raise HyalineError(
+            f"{dataset.root}: fewer than {LEAST_VIEWS} training pictures show {hidden[0]} first, so it cannot be "
+            f"fitted; name the others with --unknown, and {hidden[0]} is taken as known"
+        )
+    if hidden:
+        say(f"taken as known, because too few pictures show them first: {', '.join(hidden)}")
+    return tuple(each for each, count in views.items() if count >= LEAST_VIEWS)
 
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:
@@ -235,9 +260,9 @@ class _Work:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
             cells = list(track(scan(start, misses), label=self._name(object_id), total=count_cells(start)))
             best, second = alternatives(cells)
-            glass = find_roughness(best.glass, misses)
+            glass = find_roughness(find_index(best.glass, misses), misses)
             drawn.put(ids, glass)
-            words = f"  {self._name(object_id)}: {in_words(best.glass)}"
+            words = f"  {self._name(object_id)}: {in_words(glass)}"
             if second is not best:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
@@ -268,6 +293,8 @@ class _Work:
                 rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
                 misses = drawn.misses(item.ids(object_id), rows)
                 for glass, name, value in refine(item.glass, misses, self._is_even(rows), number=number):
+                    if (earlier := item.numbers.get(name)) is not None:
+                        value = dataclasses.replace(value, before=earlier.value)
                     item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                     yield
                 loss = float(misses(item.glass).mean())
@@ -307,6 +334,7 @@ class _Work:
             pixels = view * height * width + np.arange(height * width)
             rows.append(pictures.compared(self._picture(view), drawn.draw(pixels).reshape(height, width, 3)))
         self.folder.write_picture("room", pictures.sheet(rows))
+        self.folder.write_picture("sky", pictures.sheet([[to_8bit(drawn.sky(pictures.SKY_HEIGHT))]]))
 
     def _show_outsides(self, found: Objects) -> None:
         from datagen.trace.peel import Peeler

@@ -8,8 +8,9 @@ from datagen.disk.ownership import is_ours
 from datagen.machine.launch import JobFailure, LaunchChoices, raise_failures, run_in_jobs
 from datagen.terminal.command import say
 from datagen.terminal.parsing import flag_words
+from model.run.experiments import Experiment
 from model.run.run_folder import FOLDER, check_trained_on, is_all_drawn
-from model.run.sweep import Experiment, Failure, command_line
+from model.run.sweep import Failure, command_line, run_commands
 from model.run.train_flags import Asked, configure, folder_name, parse_train
 from model.settings.run_flags import RUNS, RunFlags
 
@@ -47,6 +48,7 @@ def train_experiment_in_jobs(experiment: Experiment, cluster: LaunchChoices) -> 
         The runs that failed, in the experiment's order.
     """
     _check(cluster)
+    run_commands(experiment, experiment.needs)
     jobs: dict[str, Sequence[str]] = {}
     longest, reasons = 0.0, dict[str, str]()
     for words in experiment.runs:

@@ -20,7 +20,7 @@ class Objects {
   fresh(of, name) {
     const item = this.listed[of];
     return {
-      of, name, shown: item.numFaces > 0, offset: [0, 0, 0], turn: [0, 0, 0],
+      of, name, shown: item.numFaces > 0, offset: [0, 0, 0], turn: [0, 0, 0], wall: 1,
       material: this.materials.findIndex((known) => isSame(known, item)), ...opticsOf(item),
     };
   }
@@ -90,17 +90,19 @@ class Objects {
   }
 
   readOne(index, numbers) {
-    const [shown, x, y, z, turnX, turnY, turnZ, material, ior, mediumIor, ...absorption] = numbers;
-    if (absorption.length !== 3 || !numbers.every(Number.isFinite)) return;
+    const [shown, x, y, z, turnX, turnY, turnZ, material, ior, mediumIor, red, green, blue, wall = 1] = numbers;
+    if (blue === undefined || !numbers.every(Number.isFinite)) return;
     if (this.materialsFor(index).includes(material)) this.wear(index, material);
-    Object.assign(this.all[index], { shown: shown === 1, offset: [x, y, z], turn: [turnX, turnY, turnZ], ior, mediumIor, absorption });
+    const change = { shown: shown === 1, offset: [x, y, z], turn: [turnX, turnY, turnZ], ior, mediumIor, absorption: [red, green, blue] };
+    Object.assign(this.all[index], change);
+    if (this.listed[this.all[index].of].wall) this.all[index].wall = Math.min(WALLS.most, Math.max(WALLS.least, wall));
   }
 }
 
 const short = (value) => Number(value.toPrecision(6)).toString();
 
 function textOf(item) {
-  return [item.shown ? 1 : 0, ...item.offset, ...item.turn, item.material, item.ior, item.mediumIor, ...item.absorption].map(short).join(" ");
+  return [item.shown ? 1 : 0, ...item.offset, ...item.turn, item.material, item.ior, item.mediumIor, ...item.absorption, item.wall].map(short).join(" ");
 }
 
 function opticsOf(item) {

@@ -101,11 +101,9 @@ class Tracer {
 
   // All that does not change, in textures; the order is that of the units.
   fill() {
-    const { gl, trees } = this, { arrays, manifest } = this.scene;
-    const nodes = new Float32Array(32 * TOP_NODES + trees.nodes.length);
-    nodes.set(trees.nodes, 32 * TOP_NODES);
-    this.nodes = this.table(0, gl.RGBA32F, nodes);
-    this.table(1, gl.RGBA32F, trees.triangles);
+    const { gl } = this, { arrays, manifest } = this.scene;
+    this.nodes = this.triangles = null;
+    this.fillTrees();
     this.table(2, gl.RGBA32F, vertexTable(arrays, manifest));
     this.shells = manifest.shells;
     this.capacity = manifest.objects.length + MAX_COPIES;
@@ -116,6 +114,21 @@ class Tracer {
     this.table(4, manifest.quality === "exact" ? gl.RGBA32F : gl.RGBA16F, texelTable(arrays, manifest));
     this.table(5, gl.RGBA32F, arrays.weights);
     if (manifest.defines.TINTS) this.table(TINTS_UNIT, gl.RGBA32F, tintTable(arrays.tints));
+  }
+
+  fillTrees() {
+    const { gl, trees } = this, nodes = new Float32Array(32 * TOP_NODES + trees.nodes.length);
+    nodes.set(trees.nodes, 32 * TOP_NODES);
+    gl.deleteTexture(this.nodes), gl.deleteTexture(this.triangles);
+    this.nodes = this.table(0, gl.RGBA32F, nodes);
+    this.triangles = this.table(1, gl.RGBA32F, trees.triangles);
+  }
+
+  // Gives vessels the walls that are asked for.
+  bend(objects) {
+    const { walls } = this.trees, changed = walls.map((_, index) => index).filter((index) => objects[index].wall !== walls[index]);
+    for (const index of changed) moveWall(this.scene, this.trees, index, (walls[index] = objects[index].wall));
+    if (changed.length) this.fillTrees();
   }
 
   // A texture of as many rows as it takes.
@@ -135,6 +148,7 @@ class Tracer {
   place(objects) {
     const { gl, trees } = this, { manifest } = this.scene, table = this.objectTable, row = 4 * this.objectWidth;
     const ranks = mediumRanks(objects);
+    this.bend(objects);
     table.fill(0);
     objects.forEach((object, index) => {
       const bounds = trees.bounds[object.of], { texels, relief } = manifest.objects[object.of];

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 import statistics
 from pathlib import Path
 
@@ -22,11 +23,13 @@ from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.papers import claims
+from eval.papers.comparisons import difference, judge
 from eval.papers.known import known_to
 from eval.score.runs import open_run
-from eval.score.seeds import spread
+from eval.score.seeds import Spread, spread
 from eval.tables.grids import MISSING
 from eval.tables.named import TABLES
+from eval.tables.pages import results_page
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
@@ -178,7 +181,8 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
     with Image.open(tmp_path / "report" / "table1_synthetic.png") as sheet:
         # The truth, one seed of the view vector, the harmonics: three panels of 304 pixels and their margins.
         assert sheet.width == 44 + 3 * (304 + 14) - 14 + 20
-    rows = {row[0]: row[1:] for row in rows_of(capsys.readouterr().out)[1:]}
+    text = capsys.readouterr().out
+    rows = {row[0]: row[1:] for row in rows_of(text)[1:]}
     near = [decibels(17), decibels(20)]
     cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
     assert rows["view vector"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
@@ -190,11 +194,37 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
         f"{decibels(18) - decibels(30):.2f}",
         f"{wrapped(18):.2f}",
         f"{wrapped(30):.2f}",
+        MISSING,
         "33.80",
         "32.52",
     ]
     assert rows["no extrinsics"][0] == "not run" and rows["no extrinsics"][-2:] == ["33.09", "32.96"]
     assert len(rows) == 3
+    gains = [decibels(18) - statistics.fmean(near), decibels(30) - decibels(25)]
+    name = "spherical harmonics against view vector"
+    assert abs(gains[0]) < 2 * statistics.stdev(near) / math.sqrt(2)
+    assert re.search(
+        rf"Within the spread of seeds: {name}, inter, \{gains[0]:+.2f} \(wrapped .*, published \+0.61\)", text
+    )
+    assert re.search(rf"The paper's sign, another size: {name}, extra, {gains[1]:+.2f} .* published -0.47", text)
+    assert "Not run: no extrinsics against view vector. Some rows have fewer than three seeds" in text
+
+
+def test_a_difference_is_judged_by_its_sign_its_size_and_the_spread() -> None:
+    def judged(
+        first: float, second: float, theirs: float | None, *, deviation: float = 0.0, words: bool | None = None
+    ) -> str:
+        one = Spread(mean=first, deviation=deviation, count=3)
+        ours, error = difference(one, dataclasses.replace(one, mean=second))
+        assert error == pytest.approx(deviation * math.sqrt(2 / 3))
+        return judge(ours, error, theirs, is_better=words)
+
+    assert judged(30, 29.0, 0.7) == judged(30, 29.0, None, words=True) == "confirmed"
+    assert judged(30, 29.0, 0.5) == "the paper's sign, another size"
+    assert judged(30, 29.0, 0.5, deviation=0.4) == "confirmed", "the sizes differ by no more than the seeds"
+    assert judged(30, 29.0, 0.5, deviation=0.7) == "within the spread of seeds"
+    assert judged(29, 30.0, 0.5) == judged(30, 29.0, None, words=False) == "contradicted"
+    assert judged(29, 30.0, None) == "measured, the paper states none"
 
 
 def test_methods_are_told_by_their_records_whoever_made_them(
@@ -217,7 +247,8 @@ def test_methods_are_told_by_their_records_whoever_made_them(
         ["paper", "ours"],
         ["DeepVoxels, small", "voxels"],
         ["paper-best", "not run"],
-        ["what the authors ran", "not run"],
+        ["DNR, as the paper ran it", "not run"],
+        ["paper, as its code runs", "not run"],
         ["DeepVoxels", "not run"],
     ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
@@ -235,7 +266,7 @@ def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_publishe
     write_run(dataset, tmp_path, "light-path", LIGHT, 5, 6)
     tables(dataset, tmp_path, "headline", "table2", "square", "claims")
     text = capsys.readouterr().out
-    rows = [row for row in rows_of(text) if len(row) == 10]
+    rows = [row for row in rows_of(text) if len(row) == 11]
     assert [[row[0], row[2], row[3][:5], row[4][:5]] for row in rows if row[1].startswith(("paper", "light"))] == [
         ["light-path", "1", f"{decibels(5):.2f}", f"{decibels(6):.2f}"],
         ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
@@ -305,6 +336,18 @@ def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_ch
     assert rows["light-path-stack"][0] == "compositing: physics → stack"
     assert rows["light-path-sky"][-2:] == [f"{decibels(8) - decibels(4):+.2f}", "+0.00"]
     assert rows["rays"][0] == "train_samples: 4 → 1" and rows["rays"][-1] == f"{decibels(10) - decibels(5):+.2f}"
+    write_run(
+        dataset,
+        tmp_path,
+        "harm",
+        dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, texture_levels=1)),
+        5,
+        6,
+    )
+    tables(dataset, tmp_path, "ablation")
+    text = capsys.readouterr().out
+    assert f"Worse on both: texture_levels: {LIGHT.net.texture_levels} → 1 (" in text and "Better" not in text
+    assert "Neither: branches: 12 → 2 (" in text
 
 
 def test_the_variants_of_paper_stand_apart_from_its_other_tables(
@@ -320,6 +363,43 @@ def test_the_variants_of_paper_stand_apart_from_its_other_tables(
     assert rows["paper-bf16"][0] == "precision: fp32 → bf16" and rows["paper"][0] == "the base"
     assert rows["paper-losses"][0] == "vgg_weights: none → random; adversarial: 0.0 → 0.01"
     assert "paper-losses" not in table2 and "paper-bf16" not in table2
+
+
+def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 3, 4, geometry="none")
+    tables(dataset, tmp_path, "deepvoxels")
+    text = capsys.readouterr().out
+    rows = rows_of(text)[1:]
+    (view,) = (view.image.astype(np.float64) for view in dataset.views("train"))
+    floors = [
+        statistics.fmean(
+            -10 * math.log10(np.square((view - truth.image) / 255).mean()) for truth in dataset.views(split)
+        )
+        for split in TEST_SPLITS
+    ]
+    assert [row[1:] for row in rows] == [
+        ["glass", "DeepVoxels, small", "1", *(f"{f(level):.2f}" for f in (decibels, wrapped) for level in (3, 4))],
+        ["glass", "DeepVoxels", "not run", *[MISSING] * 4],
+        ["glass", "mean of the training pictures", MISSING, *(f"{floor:.2f}" for floor in floors), *rows[2][-2:]],
+    ]
+    gain = decibels(3) - floors[0]
+    verdict = "works" if gain >= 3 else "fails"
+    assert f"DeepVoxels, small {verdict} on synthetic (glass, {gain:+.2f} dB)" in text
+
+
+def test_the_tables_as_json_make_the_page_of_the_same_tables(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "view", paper(), 17, 25)
+    tables(dataset, tmp_path, "claims", "table1", output_format="json")
+    stored = tmp_path / "paper.json"
+    stored.write_text(capsys.readouterr().out)
+    tables(dataset, tmp_path, "table1", "claims")
+    page = results_page(stored)
+    assert page.rstrip().endswith(capsys.readouterr().out.rstrip()) and "report --table claims --table table1" in page
+    assert "PSNR wrapped (authors' script): " in page.partition("###")[0]
 
 
 # The claims
@@ -359,6 +439,7 @@ def test_claims_are_judged_by_the_runs_and_not_run_without_them(
     }
     assert f"drop {decibels(10) - decibels(11):.2f} against {decibels(9) - decibels(20):.2f}" in text
     assert "inter 33.80 against 33.19; extra 32.52 against 32.99" in text and "drop 0.20 against 2.66" in text
+    assert "than the U-Net: confirmed (1); contradicted (1). 2. Spherical" in text and "possible: not run." in text
 
 
 def test_edited_scenes_decide_whether_zero_layers_help(
@@ -433,6 +514,7 @@ def test_every_table_is_printed_in_every_format(
     for seed in range(2):
         write_run(dataset, tmp_path, f"paper_{seed}", paper(seed=seed), 10 + seed, 11)
         write_run(dataset, tmp_path, f"light-path{seed}", dataclasses.replace(LIGHT, seed=seed), 10, 11)
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 20, 20, geometry="none")
     tables(dataset, tmp_path, name, output_format=output_format)
     text = capsys.readouterr().out
     assert dataset.seal[:12] in text

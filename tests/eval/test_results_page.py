@@ -8,7 +8,7 @@ import pytest
 
 from datagen.disk.errors import HyalineError
 from eval.tables.grids import MISSING
-from eval.tables.results import results_page
+from eval.tables.pages import results_index, results_page
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
@@ -30,6 +30,7 @@ def results(**change: Any) -> dict[str, Any]:
     angles = {"extrapolating-10deg": {key: {"mean": 20.0, "pictures": [20.0]} for key in KEYS}}
     scene = {
         "scene": "glass_table",
+        "dataset_seal": "0123456789abcdef",
         "preset": "tiny",
         "resolution": {"width": 16, "height": 16},
         "noise_ceiling_db": {"interpolating": "inf", "extrapolating": 40.0},
@@ -49,18 +50,30 @@ def write(folder: Path, name: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def test_results_md_is_what_the_command_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pages_of_results_are_what_the_command_writes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    files = list(Path("docs/results").glob("*.json"))
-    assert files
-    assert Path("RESULTS.md").read_text() == results_page(files), "write it with `make results`"
+    files = sorted(Path("docs/results").glob("*.json"))
+    assert files and sorted(Path("docs/results").glob("*.md")) == [file.with_suffix(".md") for file in files]
+    for file in files:
+        assert file.with_suffix(".md").read_text() == results_page(file), "write it with `make results`"
+    assert Path("RESULTS.md").read_text() == results_index(files), "write it with `make results`"
+
+
+def test_the_list_of_pages_begins_with_the_shortest(tmp_path: Path) -> None:
+    scene = results()["scenes"][0]
+    long = write(tmp_path, "a.json", results(scenes=[scene | {"scene": f"scene {place}"} for place in range(4)]))
+    short = write(tmp_path, "b.json", results())
+    lines = results_index([long, short]).splitlines()[-3:]
+    assert lines[1:] == [
+        f"| [b]({tmp_path.as_posix()}/b.md) | glass_table | scores | 2 | 0.1.0 (abc) |",
+        f"| [a]({tmp_path.as_posix()}/a.md) | 4 datasets | scores | 2 | 0.1.0 (abc) |",
+    ]
 
 
 def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_path: Path) -> None:
-    page = results_page([write(tmp_path, "demo.json", results())])
-    lines = page[page.index("## demo") :].splitlines()
-    assert lines[2:5] == ["```", "make demo", "```"]
-    assert lines[6] == f"[demo.json]({tmp_path.as_posix()}/demo.json); hyaline 0.1.0 (abc)."
+    lines = results_page(write(tmp_path, "demo.json", results())).splitlines()
+    assert lines[:5] == ["# demo", "", "```", "make demo", "```"]
+    assert lines[6] == "[demo.json](demo.json); hyaline 0.1.0 (abc)."
     first = lines.index("### glass_table, preset tiny: 16 x 16 pixels") + 4
     table = [line.replace(MISSING, "none") for line in lines[first:]]
     mean = "31.00 ± 1.41"
@@ -79,28 +92,39 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
 def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
     content = results()
     errors = {"mean_distance": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
-    channels = {f"absorption_{channel}": {"value": 2.5} for channel in ("red", "green", "blue")}
+    near = {"value": 2.5, "low": 2.4, "high": 2.6}
+    channels = {f"absorption_{channel}": near for channel in ("red", "green", "blue")}
     tumbler = {
         "kind": "revolution",
-        "numbers": {"ior": {"value": 1.505}, "wall": {"value": 0.0035}, **channels},
-        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0}},
+        "numbers": {"ior": {"value": 1.505, "low": 1.49, "high": 1.52}, "wall": {"value": 0.0035}, **channels},
+        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0, "absorption_blue": 2.5}},
     }
     unknown = {"kind": "ball", "numbers": {"roughness": {"value": 0.1}}, "measured": {"errors": None, "true": {}}}
     content["scenes"][0]["analyses"]["fits"] = {"fit": {"tumbler": tumbler, "ball": unknown}}
-    page = results_page([write(tmp_path, "fits.json", content)]).replace(MISSING, "none")
+    page = results_page(write(tmp_path, "fits.json", content)).replace(MISSING, "none")
     assert "### glass_table: glass found from masks and pictures" in page
-    tints = "2.5 (3.0), 2.5, 2.5"
+    tints = "2.5 (3.0), 2.5, 2.5 (2.5)"
     assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
     assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
+    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that hold the truth") :]
+    assert "| index | 1 | 1 |" in intervals and "| absorption | 1 | 2 |" in intervals
 
 
-def test_files_come_by_name_and_what_none_recorded_is_said(tmp_path: Path) -> None:
+def test_what_none_recorded_is_said(tmp_path: Path) -> None:
     plain = results()
     del plain["made_by"], plain["scenes"][0]["preset"]
-    page = results_page([write(tmp_path, "b.json", results()), write(tmp_path, "a.json", plain)])
-    assert page.index("## a\n\n```\nnot recorded\n```") < page.index("## b\n")
-    assert "hyaline not recorded." in page
-    assert "### glass_table: 16 x 16 pixels" in page
+    page = results_page(write(tmp_path, "a.json", plain))
+    assert page.startswith("# a\n\n```\nnot recorded\n```\n") and "hyaline not recorded." in page
+    assert "### glass_table: 16 x 16 pixels" in page and "Data: dataset seal 0123456789ab." in page
+
+
+def test_processor_minutes_are_a_column_where_they_were_counted(tmp_path: Path) -> None:
+    content = results()
+    for run_, seconds in zip(content["scenes"][0]["runs"], (90.0, 60.0, 180.0), strict=True):
+        run_["cpu_seconds"] = seconds
+    page = results_page(write(tmp_path, "a.json", content)).replace(MISSING, "none")
+    assert "| dB per 10° | CPU min |" in page
+    assert "| none | -2.00 ± 1.41 | 2.00 ± 1.41 |" in page and "| none | none | 1.50 |" in page
 
 
 @pytest.mark.parametrize(
@@ -116,4 +140,4 @@ def test_files_come_by_name_and_what_none_recorded_is_said(tmp_path: Path) -> No
 )
 def test_a_file_of_another_kind_is_refused(content: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match=message):
-        results_page([write(tmp_path, "demo.json", content)])
+        results_page(write(tmp_path, "demo.json", content))

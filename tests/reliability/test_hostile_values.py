@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.import_dataset import plan_import
 from datagen.scene.folder import load_scene, save_scene
-from model.run.sweep import read_experiment
+from model.run.experiments import read_experiment
 
 pytestmark = pytest.mark.promise("R6")
 

@@ -324,6 +324,17 @@ def test_pictures_of_one_pinhole_are_taken_over_as_they_are() -> None:
     assert half.center == (7, 5.5) and redrawn(np.full_like(picture, 77), taken, half).min() == 77
 
 
+def test_a_mask_of_half_the_size_is_not_wider() -> None:
+    taken = TakenLens(width=80, height=80, focal=(80, 80), center=(40, 40))
+    half, _ = shared_lens([taken], 40)
+    rng, areas = np.random.default_rng(0), []
+    y, x = np.indices((80, 80)) + 0.5
+    for center in rng.uniform(38, 42, (50, 2)):
+        mask = np.hypot(x - center[0], y - center[1]) < 24
+        areas.append(4 * redrawn_mask(mask, taken, half).sum() / mask.sum())
+    assert np.mean(areas) == pytest.approx(1, abs=0.004)  # 1.02 if every pixel that is half covered were set
+
+
 def test_pictures_of_several_shapes_show_what_all_of_them_see() -> None:
     wide = TakenLens(width=60, height=40, focal=(50, 50), center=(30, 20))
     high = TakenLens(width=40, height=60, focal=(50, 50), center=(20, 30))

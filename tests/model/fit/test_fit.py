@@ -15,6 +15,7 @@ from datagen.data.geometries import geometry_key, list_geometries, read_assignme
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Dielectric
+from model.fit.pictures import SKY_HEIGHT
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
 
@@ -60,6 +61,8 @@ def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
     assert [row["stage"] for row in item["history"]] == ["search"] * 4
     for name in ("room", "outside", "search"):
         assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
+    sky = np.asarray(Image.open(fitted / "sky.png"))
+    assert sky.shape[1] >= 2 * SKY_HEIGHT and len(np.unique(sky.reshape(-1, 3), axis=0)) > 20
 
 
 def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
@@ -75,6 +78,20 @@ def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_pa
     ):
         answer = call(words)
         assert answer.status == 0, answer.err
+
+
+def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
+    masks = tmp_path / "masks"
+    for name, seen in (("ball", True), ("slab", False)):
+        (masks / name).mkdir(parents=True)
+        for view in dataset.views("train"):
+            mask = np.full(dataset.config.resolution.shape, seen) & (view.object_ids()[0] == 2)
+            Image.fromarray(mask).save(masks / name / f"{view.index:04d}.png")
+    skipped = "--steps 2 --skip grid --skip search --skip again --name fitted-all"
+    answer = call(f"model fit {dataset.root} {skipped} --masks {masks} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    assert "taken as known, because too few pictures show them first: slab" in answer.err + answer.out
+    assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
 
 
 def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:

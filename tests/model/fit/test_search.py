@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from model.fit.search import alternatives, find_absorption, interval, penalty, refine, scan, vertex
+from model.fit.search import Found, alternatives, find_absorption, find_index, interval, penalty, refine, scan, vertex
 from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 
 PIXELS = 400
@@ -56,6 +56,20 @@ def test_the_grid_tells_a_vessel_from_a_solid_and_the_cells_next_to_the_truth() 
 def test_a_solid_is_found_solid() -> None:
     best, _ = alternatives(list(scan(OUTSIDE_OF, misses_of(OUTSIDE_OF))))
     assert best.glass.wall is None
+
+
+def test_the_first_guess_of_an_index_may_be_far_away() -> None:
+    sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
+    assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
+    vessel = OUTSIDE_OF.hollowed(0.07, 0.13, 0.45)
+    assert find_index(vessel, misses_of(dataclasses.replace(vessel, ior=1.78))) == vessel
+
+
+def test_what_the_last_round_moved_is_in_doubt() -> None:
+    still = Found(value=1.5, even=1.501, odd=1.499, before=1.5)
+    low, high = interval("ior", still)
+    moved = interval("ior", dataclasses.replace(still, before=1.45))
+    assert high - low < 0.05 < moved[1] - moved[0] == pytest.approx(0.1)
 
 
 def test_rounds_find_every_number_and_its_interval() -> None:

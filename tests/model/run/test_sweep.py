@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.sweep import list_experiments, read_experiment
+from model.run.experiments import STEP_CPU_MS, list_experiments, read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -81,11 +81,78 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('about = "nothing"', "has no runs; expected at least one"),
         ("about = 3\n[[runs]]", "about is 3; expected text"),
         ("[[runs]", "not TOML"),
+        (
+            '[[runs]]\nmethod = "paper"\nneeds = "datagen build"',
+            r"runs\[0\]: needs is 'datagen build'; expected a list",
+        ),
+        ('[[runs]]\nmethod = "paper"\nneeds = ["rm -r data"]', r"runs\[0\]: needs 'rm': there is none of that name"),
+        ('[[runs]]\nmethod = "paper"\nthen = ["model \'"]', r"runs\[0\]: then is \"model '\"; expected a command line"),
     ],
 )
 def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(HyalineError, match=message):
         read_experiment(write(tmp_path, text))
+
+
+def test_commands_before_and_after_are_filled_in_and_given_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(
+        tmp_path,
+        """
+        [[runs]]
+        needs = ["datagen build {dataset}", "datagen add {dataset} --larger 2"]
+        dataset = ["one", "my two"]
+        method = "paper"
+        steps = 10
+        then = ["model predict {run} --variant x2"]
+        [[runs]]
+        needs = ["datagen build {dataset}"]
+        dataset = "one"
+        method = "paper"
+        seed = [0, 1]
+    """,
+    )
+    assert call(monkeypatch, "sweep", path, "--dry-run") == 0
+    said = capsys.readouterr()
+    assert said.out.splitlines() == [
+        "datagen build one",
+        "datagen add one --larger 2",
+        "datagen build 'my two'",
+        "datagen add 'my two' --larger 2",
+        "model train paper one --steps 10",
+        "model train paper 'my two' --steps 10",
+        "model train paper one --seed 0",
+        "model train paper one --seed 1",
+        "model predict runs/one/paper-10-steps --variant x2",
+        "model predict 'runs/my two/paper-10-steps' --variant x2",
+    ]
+    hours = (2 * 10 + 2 * 2500) * STEP_CPU_MS["paper"] / 3.6e6
+    assert f"sweep grid: 4 runs, about {hours:.1f} CPU hours" in said.err
+    other = read_experiment(path, datasets=["three"])
+    assert other.needs == () and other.then == ("model predict runs/three/paper-10-steps --variant x2",)
+
+
+def test_a_part_is_its_blocks_of_the_paper_s_tables() -> None:
+    whole = read_experiment("paper-tables")
+    parts = {name: read_experiment(name) for name in ("table1", "deepvoxels")}
+    assert {run[0] for run in parts["deepvoxels"].runs} == {"deepvoxels"}
+    assert len(parts["table1"].runs) == 9 and parts["table1"].needs == ("datagen build glass_table",)
+    for part in parts.values():
+        assert set(part.runs) < set(whole.runs) and set(part.needs) < set(whole.needs)
+
+
+def test_a_command_before_that_fails_stops_the_sweep(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sweep, "_train_in_child", lambda *_, **__: pytest.fail("a run was started"))
+    (tmp_path / "stop.py").write_text("raise SystemExit(3)")
+    (tmp_path / "go.py").write_text("open('gone', 'w')")
+    path = write(tmp_path, '[[runs]]\nmethod = "paper"\nneeds = ["python go.py", "python stop.py"]')
+    assert call(monkeypatch, "sweep", path) == 1
+    assert "sweep grid: `python stop.py` ended with status 3, for the reason above" in capsys.readouterr().err
+    assert (tmp_path / "gone").exists()
 
 
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:

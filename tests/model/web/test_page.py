@@ -25,6 +25,7 @@ from support.web_scenes import (
     every_surface,
     noisy_light_path,
     opened_page,
+    placed,
     post,
     psnr,
     solid_surfaces,
@@ -39,7 +40,7 @@ from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.scene import contact, media
-from datagen.scene.description import SceneObject
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
 from datagen.scene.materials import Conductor, Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
@@ -54,6 +55,7 @@ from model.nets.texture import NeuralTextures
 from model.run.predict import with_copies
 from model.web import scene
 from model.web.export import fill, scene_page
+from model.web.walls import find_wall
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -405,6 +407,31 @@ def test_an_edited_scene_is_that_of_python(
     # In a few of the 1,584 pixels a ray meets the other one of two faces that share an edge.
     assert psnr(drawn, drawn_by_python(renderer, dataset, objects=objects())) >= 43
     assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
+
+
+def with_vessel(thicker: float) -> Scene:
+    """The scene with a vessel for its glass, each point of whose inner side was moved by a share of the wall there."""
+    profile = np.array([(0, 0), (0.4, 0), (0.45, 0.9), (0.37, 0.9), (0.34, 0.1), (0, 0.1)])
+    vessel = placed(trimesh.creation.revolve(profile, sections=24), 0.2, 0.1, 0.05)
+    wall = find_wall(vessel)
+    assert wall is not None and 0.06 < wall.thickness < 0.08
+    moved = dataclasses.replace(vessel, vertices=vessel.vertices + np.float32(thicker) * wall.shifts)
+    shapes = {"glass": moved, "drink": placed(trimesh.creation.cylinder(0.2, 0.5, sections=24), 0.2, 0.1, 0.5)}
+    objects = (dataclasses.replace(item, mesh=shapes.get(item.name, item.mesh)) for item in every_surface().objects)
+    return dataclasses.replace(every_surface(), objects=tuple(objects))
+
+
+@pytest.mark.parametrize("quality", ["exact", "small"])
+def test_a_wall_that_was_made_thicker_and_back_is_that_of_python(
+    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path, quality: str
+) -> None:
+    dataset = write_scene(tmp_path / "vessel", with_vessel(0))
+    before, after = (drawn_by_python(renderer, dataset, objects=with_vessel(part).objects) for part in (0, 0.6))
+    with opened_page(browser, tmp_path, renderer, dataset, quality) as page:
+        thicker, again = (page.picture(VIEW, SHAPE, 1, {"glass": {"wall": wall}}) for wall in (1.6, 1))
+    assert psnr(thicker, after) >= 45
+    assert psnr(again, before) >= 45
+    assert psnr(before, after) < 35
 
 
 def test_a_copy_is_that_of_python(page: Watched, renderer: LightPathRenderer, dataset: Dataset) -> None:

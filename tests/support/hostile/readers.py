@@ -58,7 +58,7 @@ def _cameras(root: Path) -> str:
 
 
 def _experiment(root: Path) -> str:
-    from model.run.sweep import read_experiment
+    from model.run.experiments import read_experiment
 
     return f"{len(read_experiment(str(root / 'grid.toml')).runs)} runs"
 

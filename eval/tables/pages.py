@@ -1,0 +1,301 @@
+"""RESULTS.md and the pages that it lists, made from stored results.json files."""
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from datagen.data.config import TEST_SPLITS, Resolution, Split
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import load_json, shown
+from eval.score.scores import METRICS, Metric, metric_notes
+from eval.score.seeds import Spread, spread
+from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, ceiling_text, format_number
+from eval.tables.looks import grid_text, markdown_escaped
+from eval.tables.named import TABLES
+from eval.tables.results import RESULTS_VERSION
+
+MOST_NAMES = 3
+"""So many datasets are named in the list of pages."""
+
+HEAD = """# Results
+
+Every table is in one of the pages below, each made from a `results.json` that `eval report` wrote. To add one, copy \
+it to [docs/results](docs/results) and run `make results`, which writes the pages and this list. Measurements of \
+earlier versions, and what was tried, are in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
+"""
+
+NOTES = (
+    "dB per 10°: how PSNR falls with the angle between a test ray and the nearest training ray that met its texel. ±: "
+    "sample standard deviation over seeds.",
+)
+
+INDEX_COLUMNS = ("page", "datasets", "tables", "seeds", "hyaline")
+
+Stored = dict[str, Any]
+"""A part of results.json."""
+
+
+def results_page(path: Path) -> str:
+    """The page of one file in Markdown: named tables of the report if it has some, else the scores of each scene."""
+    data = _read(path)
+    command, code = _made_by(data)
+    about = f"[{path.name}]({path.name}); hyaline {code}."
+    has_tables = "tables" in data
+    notes = [*metric_notes(is_wrapped=has_tables), *(() if has_tables else NOTES)]
+    said = "".join(f"\n{markdown_escaped(note)}\n" for note in notes)
+    tables = []
+    for grid in _page_grids(path, data):
+        tables.append(grid_text(_without(grid, notes), "markdown", width=TABLE_WIDTH))
+        notes += grid.notes
+    return "\n".join([f"# {path.stem}\n", f"```\n{command}\n```\n", f"{about}\n{said}", *tables])
+
+
+def _without(grid: Grid, said: Sequence[str]) -> Grid:
+    """The table without notes that the page has already."""
+    return dataclasses.replace(grid, notes=tuple(note for note in grid.notes if note not in said))
+
+
+def results_index(paths: Sequence[Path]) -> str:
+    """The list of all pages in Markdown, the shortest first."""
+    rows = []
+    for path in sorted(paths, key=lambda path: (len(results_page(path)), path.name)):
+        data = _read(path)
+        runs = [run for scene in data["scenes"] for run in scene["runs"]]
+        seeds = {run["seed"] for run in runs if run["seed"] is not None}
+        names = [scene["scene"] for scene in data["scenes"]]
+        shown = ", ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} datasets"
+        page = path.with_suffix(".md").as_posix()
+        tables = _in_order(data.get("tables", {})) or ["scores"]
+        rows.append((f"[{path.stem}]({page})", shown, ", ".join(tables), str(len(seeds)), _made_by(data)[1]))
+    rules = ["---" if column != "seeds" else "---:" for column in INDEX_COLUMNS]
+    lines = (f"| {' | '.join(cells)} |" for cells in (INDEX_COLUMNS, rules, *rows))
+    return HEAD + "\n" + "\n".join(lines) + "\n"
+
+
+def _in_order(tables: Stored) -> list[str]:
+    """The names of stored tables, as `report --help` lists them; those of other distributions last."""
+    order = [*TABLES.built_in, *tables]
+    return sorted(tables, key=order.index)
+
+
+def _grid_of(stored: Stored) -> Grid:
+    return Grid(
+        title=stored["title"],
+        columns=tuple(Column(group=group, split=split, is_number=number) for group, split, number in stored["columns"]),
+        rows=tuple(map(tuple, stored["rows"])),
+        notes=tuple(stored["notes"]),
+    )
+
+
+def _read(path: Path) -> Stored:
+    data = cast(Stored, load_json(path))
+    if data.get("version") != RESULTS_VERSION:
+        raise HyalineError(
+            f"{path}: format version {shown(data.get('version'))}; this program reads {RESULTS_VERSION}, as "
+            "`eval report` writes it"
+        )
+    return data
+
+
+def _made_by(data: Stored) -> tuple[str, str]:
+    """The command that made the results, and the code's version."""
+    command, code = (data.get("made_by", {}).get(key, "not recorded") for key in ("command", "code"))
+    return command, code
+
+
+def _page_grids(path: Path, data: Stored) -> list[Grid]:
+    try:
+        if "tables" in data:
+            return [_grid_of(grid) for name in _in_order(data["tables"]) for grid in data["tables"][name]]
+        return [*(grid for scene in data["scenes"] for grid in _grids(scene)), *_coverage_grids(data["scenes"])]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error
+
+
+def _grids(scene: Stored) -> list[Grid]:
+    """The scores of a scene, then of each variant that its runs predicted."""
+    groups = _groups(scene)
+    size = f"{Resolution(**scene['resolution'])} pixels"
+    preset = f", preset {scene['preset']}" if "preset" in scene else ""
+    runs = {run["run"]: run for run in scene["runs"]}
+    analyses = scene["analyses"]
+    slopes = {name: curve["db_per_10deg"] for name, curve in analyses.get("curves", {}).items()}
+    minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
+    grids = [
+        _grid(
+            f"{scene['scene']}{preset}: {size}",
+            groups,
+            {name: run["splits"] for name, run in runs.items()},
+            TEST_SPLITS,
+            scene["noise_ceiling_db"],
+            tuple(metric for metric in METRICS if metric.is_printed),
+            {
+                "knows": lambda name: runs[name]["knowledge"] or MISSING,
+                "parameters": lambda name: _count(runs[name]["num_parameters"]),
+            },
+            {
+                "drop dB ↓": {name: run["drop_db"] for name, run in runs.items()},
+                "dB per 10°": slopes,
+                **({"CPU min": minutes} if minutes else {}),
+            },
+            notes=(f"Data: dataset seal {scene['dataset_seal'][:12]}.",),
+        )
+    ]
+    for name, variant in analyses.get("variants", {}).items():
+        known = [drawn for group in groups if (drawn := [run for run in group if run in variant["runs"]])]
+        splits = tuple(cast(Sequence[Split], variant["noise_ceiling_db"]))
+        metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
+        title = f"{scene['scene']}: variant {name}"
+        grids.append(_grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {}))
+    if fits := analyses.get("fits"):
+        grids.append(_fits_grid(f"{scene['scene']}: glass found from masks and pictures", fits))
+    return grids
+
+
+def _fits_grid(title: str, fits: Stored) -> Grid:
+    """What `model fit` found of each object, beside the truth in brackets."""
+    texts = ("fit", "object", "kind")
+    columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
+    return Grid(
+        title=title,
+        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
+        rows=tuple(
+            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
+            for fit, objects in fits.items()
+            for name, item in objects.items()
+        ),
+        notes=(
+            "True values in brackets. Surface: mean distance of the whole surface, insides too, from the true one. "
+            "Normals: median error. Wall: median thickness.",
+        ),
+    )
+
+
+def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
+    """Surface, normals, wall, index, absorption and roughness of one object."""
+    errors, true = measured["errors"] or {}, measured["true"]
+
+    def found(key: str, decimals: int) -> str:
+        if numbers.get(key) is None:
+            return MISSING
+        value = format_number(numbers[key]["value"], decimals)
+        return value if true.get(key) is None else f"{value} ({format_number(true[key], decimals)})"
+
+    def millimetres(key: str) -> str:
+        return format_number(None if errors.get(key) is None else 1000 * errors[key], 2)
+
+    has_wall = numbers.get("wall") is not None
+    tints = [found(f"absorption_{channel}", 1) for channel in ("red", "green", "blue")]
+    return (
+        millimetres("mean_distance"),
+        format_number(_number(errors.get("normal_deg")), 1),
+        f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
+        found("ior", 3),
+        MISSING if MISSING in tints else ", ".join(tints),
+        found("roughness", 2),
+    )
+
+
+def _coverage_grids(scenes: list[Stored]) -> list[Grid]:
+    """How many intervals of all fits hold the truth; nothing without fits whose truth is known."""
+    holds: dict[str, list[bool]] = {}
+    for scene in scenes:
+        for objects in scene["analyses"].get("fits", {}).values():
+            for item in objects.values():
+                for key, found in item["numbers"].items():
+                    if (true := item["measured"]["true"].get(key)) is not None:
+                        holds.setdefault(key.split("_")[0], []).append(found["low"] <= true <= found["high"])
+    if not holds:
+        return []
+    titles = {"ior": "index"}
+    return [
+        Grid(
+            title="intervals of fits that hold the truth",
+            columns=(Column(group="number", is_number=False), Column(group="hold it"), Column(group="of")),
+            rows=tuple((titles.get(key, key), str(sum(each)), str(len(each))) for key, each in holds.items()),
+            notes=("Over all fits above. Absorption: each colour channel by itself.",),
+        )
+    ]
+
+
+def _groups(scene: Stored) -> list[list[str]]:
+    """The names of runs, grouped if they only differ in their seed."""
+    together: list[list[str]] = [group["runs"] for group in scene["seeds"]]
+    grouped = {name for group in together for name in group}
+    return together + [[run["run"]] for run in scene["runs"] if run["run"] not in grouped]
+
+
+def _grid(
+    title: str,
+    groups: list[list[str]],
+    runs: Stored,
+    splits: Sequence[Split],
+    ceilings: Stored,
+    metrics: tuple[Metric, ...],
+    texts: dict[str, Callable[[str], str]],
+    numbers: dict[str, Stored],
+    notes: tuple[str, ...] = (),
+) -> Grid:
+    """One table, the best run first, by its PSNR on the first split.
+
+    Args:
+        runs: splits with their metrics and means, by the run's name.
+        texts: further columns before the scores.
+        numbers: further columns after them, with one number per run.
+    """
+
+    def scores(group: list[str], metric: Metric, split: Split) -> Spread:
+        return spread([_mean(runs[name].get(split), metric.key) for name in group])
+
+    groups = sorted(groups, key=lambda group: -_comparable(scores(group, metrics[0], splits[0])))
+    columns = [Column(group="run", is_number=False), *(Column(group=text, is_number=False) for text in texts)]
+    columns += [
+        Column(group="seeds"),
+        *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+    ]
+    columns += [Column(group=number) for number in numbers]
+    rows, best = [], set()
+    first = len(texts) + 2
+    for group in groups:
+        row = [_group_name(group), *(text(group[0]) for text in texts.values()), str(len(group))]
+        row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
+        row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
+        rows.append(tuple(row))
+    places: list[tuple[Metric, Split]] = [(metric, split) for metric in metrics for split in splits]
+    for place, (metric, split) in enumerate(places):
+        values = [scores(group, metric, split).mean for group in groups]
+        known = [metric.sign * value for value in values if value is not None]
+        if metric.sign and len(known) > 1:
+            best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
+    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
+    rest = len(columns) - first - len(ceiling)
+    rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
+    return Grid(title=title, columns=tuple(columns), rows=tuple(rows), best=frozenset(best), notes=notes)
+
+
+def _group_name(group: list[str]) -> str:
+    return re.sub(r"-seed\d+", "", group[0]) if len(group) > 1 else group[0]
+
+
+def _mean(metrics: Stored | None, key: str) -> float | None:
+    return None if metrics is None else _number(metrics[key]["mean"])
+
+
+def _number(value: float | str | None) -> float | None:
+    return math.inf if value == "inf" else cast(float | None, value)
+
+
+def _comparable(value: Spread) -> float:
+    return -math.inf if value.mean is None else value.mean
+
+
+def _cell(value: Spread, decimals: int) -> str:
+    mean = format_number(value.mean, decimals)
+    return mean if value.deviation is None else f"{mean} ± {format_number(value.deviation, decimals)}"
+
+
+def _count(number: int | None) -> str:
+    return MISSING if number is None else f"{number:,}"
