@@ -338,9 +338,8 @@ def sweep(
     The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
 
     Args:
-        experiment: A TOML file (format: model/run/experiments.py), or one of paper-tables (all of the paper's), its
-            parts table1, table2, square, zero-layer, variants, budget, claims, figure8, deepvoxels and larger,
-            paper-sizes, headline, proxies, ablation and random.
+        experiment: A TOML file (see model/run/experiments.py), paper-tables (all tables of the paper) or one of its
+            parts, paper-sizes, headline, proxies, ablation or random.
         dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes, on the CPU (which divide its cores equally) or on each GPU. On a CPU, as many as fit

@@ -89,7 +89,7 @@ def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scen
     assert tree(out) == tree(built)
     build_whole(scene_folder, out, "--seed", "3", "--overwrite")
     assert open_dataset(out).config.seed == 3
-    assert verify_dataset(out)[1] == []
+    assert verify_dataset(out).problems == []
 
 
 def test_a_folder_with_something_else_in_it_is_not_touched(scene_folder: Path, tmp_path: Path) -> None:
@@ -105,7 +105,8 @@ def test_verify_names_every_file_with_a_flipped_bit(tmp_path: Path) -> None:
     root = tmp_path / "data"
     write_synthetic_dataset(root, resolution=8, train_views=2)
     files = sorted(tree(root))
-    assert verify_dataset(root)[:2] == (len(files), [])
+    found = verify_dataset(root)
+    assert (found.verified, found.problems) == (len(files), [])
     rng = np.random.default_rng(0)
     for name in files:
         path = root / name
@@ -114,12 +115,12 @@ def test_verify_names_every_file_with_a_flipped_bit(tmp_path: Path) -> None:
         bad[rng.integers(len(good))] ^= 1 << rng.integers(8)
         path.write_bytes(bad)
         try:
-            problems = verify_dataset(root)[1]
+            problems = verify_dataset(root).problems
         except HyalineError as error:
             problems = [str(error)]
         assert any(str(path) in problem for problem in problems), name
         path.write_bytes(good)
-    assert verify_dataset(root)[1] == []
+    assert verify_dataset(root).problems == []
 
 
 def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
@@ -132,7 +133,7 @@ def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
     (root / "images" / "notes.txt").write_text("mine")
     lost = layers_root(root, TRUTH) / "arrays" / "train" / "0000.uv.npy.blosc"
     lost.unlink()
-    problems = "\n".join(verify_dataset(root)[1])
+    problems = "\n".join(verify_dataset(root).problems)
     assert f"{one}: damaged" in problems
     assert f"{two}: damaged" in problems
     assert any("images/notes.txt" in remark for remark in verify_dataset(root).remarks)
@@ -175,7 +176,7 @@ def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
     empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
     write_layers(dataset, TRUTH, "train", 0, empty, overflow_share=0.0)
     assert not dataset.view("train", 0).layers().object_id.any()
-    assert verify_dataset(tmp_path)[1] == []
+    assert verify_dataset(tmp_path).problems == []
     write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
     assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
 

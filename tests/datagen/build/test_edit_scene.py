@@ -332,11 +332,11 @@ def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
 def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:
     after = build(base, "move:ball:-0.2,0.3,0.1")
     before = hashes(after.root)
-    count, problems = verify_dataset(base.root)[:2]
-    assert not problems
+    found = verify_dataset(base.root)
+    assert not found.problems
     assert build(base, "move:ball:-0.2,0.3,0.1").seal == after.seal
     assert hashes(after.root) == before
-    assert count == len(hashes(base.root))
+    assert found.verified == len(hashes(base.root))
 
 
 @pytest.mark.parametrize("file", ["edit-masks/extrapolating/0001.png", "scene/meshes/ball.ply"])

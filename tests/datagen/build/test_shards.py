@@ -67,7 +67,7 @@ def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_
     add = [sys.executable, "-m", "datagen", "add", str(out), *ALL.split()]
     run_at_once([[*add, "--shard", part] for part in ("1/2", "2/2")])
     assert tree(out) == tree(tmp_path / "whole")
-    assert verify_dataset(out)[1] == []
+    assert verify_dataset(out).problems == []
     assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
 
 
