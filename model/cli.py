@@ -327,6 +327,7 @@ def sweep(
     experiment: str,
     /,
     *,
+    preset: str | None = None,
     dataset: tuple[str, ...] = (),
     seed: tuple[int, ...] = (),
     jobs: int = 1,
@@ -339,7 +340,9 @@ def sweep(
 
     Args:
         experiment: A TOML file (see model/run/experiments.py), paper-tables (all tables of the paper) or one of its
-            parts, paper-sizes, headline, proxies, ablation or random.
+            parts, bench (hyaline-bench), paper-sizes, headline, proxies, ablation or random.
+        preset: Size of the experiment, for files that have presets, such as bench: tiny, demo or standard. Default: the
+            file's first.
         dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes, on the CPU (which divide its cores equally) or on each GPU. On a CPU, as many as fit
@@ -349,7 +352,7 @@ def sweep(
     from model.run.experiments import read_experiment
     from model.run.sweep import find_devices, finish, print_experiment, run_experiment
 
-    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
+    asked = read_experiment(experiment, datasets=dataset, seeds=seed, preset=preset)
     if dry_run:
         return print_experiment(asked)
     if cluster.launcher is None:

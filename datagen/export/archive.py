@@ -67,6 +67,11 @@ def check_packed(files: Mapping[str, PackedFile]) -> None:
             raise HyalineError(f"files: {path} has {file.size} bytes, or lies in another file; expected a file")
 
 
+def packed_json(files: Mapping[str, PackedFile]) -> Json:
+    """Files as an index lists them."""
+    return {path: {"size": file.size, "sha256": file.sha256} for path, file in files.items()}
+
+
 def list_members(
     index: bytes, name: str, folder: str, files: Mapping[str, PackedFile], *, last: str = ""
 ) -> list[Member]:

@@ -31,6 +31,7 @@ from datagen.export.archive import (
     holds,
     is_there,
     list_members,
+    packed_json,
     read_index,
     unpack_members,
     write_archive,
@@ -62,7 +63,7 @@ class _Index:
 
 def _members(index: _Index) -> tuple[bytes, list[Member]]:
     """The bytes of the index, and everything in the archive in its order."""
-    data = seal_bytes(cast(dict[str, Json], to_json(index)))
+    data = seal_bytes(cast(dict[str, Json], to_json(index)) | {"files": packed_json(index.files)})
     return data, list_members(data, INDEX, index.scene, index.files, last=DATASET.head)
 
 

@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -76,7 +76,7 @@ class Protocol:
     """The splits that every submission predicts, and where their cameras are."""
     tracks: dict[str, str]
     """What a method may be told, from least to most."""
-    bootstrap: Bootstrap = field(default_factory=lambda: Bootstrap(resamples=10_000, seed=0, confidence=0.95))
+    bootstrap: Bootstrap
 
     def size(self, preset: str) -> Size:
         return self.presets[choose("preset", preset, self.presets)]
@@ -100,8 +100,8 @@ class Protocol:
 
     def variant_splits(self, scene: str) -> dict[str, Sequence[Split]]:
         """The variants to predict beside the scene itself, and their splits."""
-        angles = [cast(Split, split) for split in self.splits if split in ANGLE_SPLITS]
-        return {ANGLES: angles, **dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)}
+        splits: dict[str, Sequence[Split]] = {ANGLES: [split for split in ANGLE_SPLITS if split in self.splits]}
+        return splits | dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)
 
     def columns(self) -> dict[str, str]:
         """What is averaged over scenes, with a short title."""
@@ -111,9 +111,9 @@ class Protocol:
 
 
 @functools.cache
-def load_protocol(path: Path = PROTOCOL) -> Protocol:
-    """The protocol in a file."""
-    return from_json(Protocol, cast(Json, load_toml(path)), where=str(path))
+def load_protocol() -> Protocol:
+    """The protocol of this version."""
+    return from_json(Protocol, cast(Json, load_toml(PROTOCOL)), where=str(PROTOCOL))
 
 
 def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
@@ -141,7 +141,7 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     pictures, masks, proxies, shapes, materials = tracks
     if run.geometry is None:
         return None
-    told = dict(zip(KNOWLEDGE, (materials, shapes, masks, masks, pictures), strict=True))
+    told: dict[str, str] = dict(zip(KNOWLEDGE, (materials, shapes, masks, masks, pictures), strict=True))
     if (known := knowledge_of(run)) is not None:
         return told[known]
     assert run.geometry != NO_GEOMETRY and not is_fitted(run.geometry)
