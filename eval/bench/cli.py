@@ -110,7 +110,7 @@ def score(
         out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
         overwrite: Replace the scores of another submission.
     """
-    from eval.bench.leaderboard import track_grid
+    from eval.bench.leaderboard import scene_grid
     from eval.bench.protocol import load_protocol
     from eval.bench.score import score_submission
     from eval.tables.grids import TABLE_WIDTH
@@ -127,8 +127,8 @@ def score(
     for path in asked:
         place = out or BENCH / preset / "scores" / f"{path.stem}.json"
         found = score_submission(path, data, place, protocol, overwrite=overwrite)
-        say(grid_text(track_grid(f"track {found.track}", [found], protocol), "table", width=TABLE_WIDTH))
-        tell(str(place))
+        sys.stdout.write(grid_text(scene_grid(found, protocol), "table", width=TABLE_WIDTH) + "\n")
+        say(f"{place}: track {found.track}, {len(found.scenes)} scenes")
     next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 

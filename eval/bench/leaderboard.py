@@ -66,11 +66,12 @@ def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
             Column(group="95 % interval", is_number=False),
             *(Column(group=name) for name in numbers[1:]),
             Column(group="worst scene", is_number=False),
-            *(Column(group=f"{short} dB ↑") for short in others.values()),
+            *(Column(group=f"{short} ↑") for short in others.values()),
             Column(group="CPU min ↓"),
             Column(group="GB ↓"),
             Column(group="frames/s ↑"),
-            *(Column(group=name, is_number=False) for name in ("told", "seeds", "code", "submission")),
+            Column(group="seed"),
+            Column(group="code", is_number=False),
         ),
         rows=tuple(_row(scored, list(others), protocol) for scored in ranked),
         notes=NOTES,
@@ -96,10 +97,8 @@ def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str
         *_summary_cells(summarise(scored, ALL, protocol.bootstrap)),
         *(format_number(None if column is None else column.mean, 2) for column in columns),
         *_cost_cells(scored),
-        scored.knowledge or MISSING,
         ", ".join(map(str, seeds)) or MISSING,
         scored.packed_by,
-        scored.submission[:12],
     )
 
 
@@ -144,7 +143,7 @@ def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
         columns=(
             *(Column(group=text, is_number=False) for text in ("scene", "dataset")),
             *(Column(group=text) for text in ("seed", "CPU s ↓", "below ceiling dB ↓")),
-            *(Column(group=f"{short} dB ↑") for short in columns.values()),
+            *(Column(group=f"{short} ↑") for short in columns.values()),
         ),
         rows=tuple(rows),
         notes=(
@@ -158,7 +157,11 @@ def _tracks(found: Sequence[Scored], protocol: Protocol) -> list[Part]:
     links = {scored.name: f"{_place(scored)}-page" for scored in found}
     for track, told in protocol.tracks.items():
         inside = [scored for scored in found if scored.track == track]
-        content = html_table(track_grid(track, inside, protocol), links) if inside else tag("p", "No submission yet.")
+        content = (
+            html_table(track_grid(f"{len(inside)} submissions", inside, protocol), links)
+            if inside
+            else tag("p", "No submission yet.")
+        )
         parts.append(section(f"Track: {track}", tag("p", prose(told)), content, id_=anchor("track", track)))
     return parts
 

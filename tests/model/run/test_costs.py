@@ -24,7 +24,8 @@ def trained(dataset: Dataset, out: Path, *, costs: bool = True, anew: bool = Fal
 def test_a_training_says_what_it_took_and_every_other_byte_is_the_same(dataset: Dataset, tmp_path: Path) -> None:
     out = trained(dataset, tmp_path / "run")
     costs = read_costs(out)
-    assert costs.keys() == {"seconds", "cpu_seconds", "peak_memory_bytes"}
+    assert costs.keys() == {"seconds", "cpu_seconds", "peak_memory_bytes", "frames_per_second"}
+    assert costs["frames_per_second"] > 0
     assert costs["seconds"] > 0
     assert costs["cpu_seconds"] > 0
     assert costs["peak_memory_bytes"] > 50e6  # PyTorch alone takes more.
