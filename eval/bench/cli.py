@@ -105,7 +105,7 @@ def score(
 
     Args:
         submission: File that `hyaline-bench submit` wrote. Default: all in bench/PRESET/submissions.
-        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        preset: Whose submissions, if none is named.
         data: Folder with the datasets that have the truth.
         out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
         overwrite: Replace the scores of another submission.
@@ -113,11 +113,11 @@ def score(
     from eval.bench.leaderboard import scene_grid
     from eval.bench.protocol import load_protocol
     from eval.bench.score import score_submission
+    from eval.bench.submission import read_submission
     from eval.tables.grids import TABLE_WIDTH
     from eval.tables.looks import grid_text
 
     protocol = load_protocol()
-    protocol.size(preset)
     if out is not None and submission is None:
         raise UsageError("--out: goes with a submission; name one")
     folder = BENCH / preset / "submissions"
@@ -125,11 +125,12 @@ def score(
     if not asked:
         raise HyalineError(f"{folder}: has no submission; make one with `hyaline-bench submit --preset {preset}`")
     for path in asked:
-        place = out or BENCH / preset / "scores" / f"{path.stem}.json"
+        place = out or BENCH / read_submission(path).preset / "scores" / f"{path.stem}.json"
         found = score_submission(path, data, place, protocol, overwrite=overwrite)
         sys.stdout.write(grid_text(scene_grid(found, protocol), "table", width=TABLE_WIDTH) + "\n")
         say(f"{place}: track {found.track}, {len(found.scenes)} scenes")
-    next_command(f"hyaline-bench leaderboard --preset {preset}")
+    if submission is None:
+        next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 
 def leaderboard(scores: Path | None = None, /, *, preset: str = "demo", out: Path | None = None) -> None:

@@ -38,7 +38,7 @@ def nearest_view(pictures: Pictures, train: Cameras, test: Cameras) -> Pictures:
     """
     poses, wanted = train.world_from_camera, test.world_from_camera
     positions = poses[:, :3, 3]
-    scale = np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean()
+    scale = np.linalg.norm(positions - positions.mean(axis=0), axis=1).mean() or 1.0  # All at one place: any will do.
     steps = np.linalg.norm(wanted[:, None, :3, 3] - positions, axis=-1)
     turns = np.arccos(np.clip(wanted[:, :3, 2] @ poses[:, :3, 2].T, -1, 1))
     return pictures[np.argmin(steps**2 + (scale * turns) ** 2, axis=1)]

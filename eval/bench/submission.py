@@ -197,6 +197,12 @@ def _members(index: Submission) -> tuple[bytes, list[Member]]:
 # Unpacking
 
 
+def read_submission(path: Path) -> Submission:
+    """The verified index of a submission; its files are not read."""
+    with open_regular(path) as archive:
+        return _read_index(archive, path)[0]
+
+
 @contextmanager
 def opened_submission(path: Path, truths: Mapping[str, Dataset]) -> Iterator[tuple[Submission, dict[str, Run]]]:
     """A submission with its runs by scene, unpacked for as long as the block lasts.
