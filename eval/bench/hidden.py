@@ -4,7 +4,7 @@ A verifier keeps a secret text. The seed of hidden scene K follows from the SHA-
 divided by three it leaves the remainder of K, so that the families of random scenes take turns. Two datasets are made
 from that of the scene, with the same head and so the same digest:
 
-    public/hidden-K    what participants get: training pictures, all cameras, meshes, and materials of glass and metal
+    public/hidden-K    what participants get: training pictures, all cameras and layers, meshes, materials of glass
     truth/hidden-K     the same with the pictures of the test splits; stays with the verifier
 
 With light and colours, anybody could path-trace the truth. So in both, diffuse colours and the sky are grey, lamps are
@@ -22,6 +22,7 @@ from typing import cast
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.metadata import Variant
+from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_command, variant_root
 from datagen.data.writing import commit_view, write_head
 from datagen.disk.errors import HyalineError
@@ -88,16 +89,24 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
         raise HyalineError(f"{source.root}: has no angles; make them with `{variant_command(source, ANGLES)}`")
     scene = load_scene(source.root / "scene", is_sealed=True)
     files = scene_files(without_colours(scene, name))
-    angles = open_variant(source, ANGLES)
+    angles, num_layers = open_variant(source, ANGLES), source.layer_store().head.num_layers
     public, truth = (out / kind / f"{name}-{preset}" for kind in ("public", "truth"))
     for root, is_truth in ((public, False), (truth, True)):
         with holding(root, DATASET):
             made = _write(root, source, name, files, None, is_truth=is_truth)
+        _peel(made, num_layers)
         inner = variant_root(root, ANGLES)
         with holding(inner, DATASET, within=root):
-            _write(inner, angles, name, {}, Variant(of=made.seal, splits=angles.splits), is_truth=is_truth)
+            outside = _write(inner, angles, name, {}, Variant(of=made.seal, splits=angles.splits), is_truth=is_truth)
+        _peel(outside, num_layers)
         say(f"{root}: dataset {made.seal[:12]}, {'with' if is_truth else 'without'} the truth of its test views")
     return public, truth
+
+
+def _peel(made: Dataset, num_layers: int) -> None:
+    from datagen.build.build import peel_dataset  # With a ray tracer, which scoring does not need.
+
+    peel_dataset(made, TRUTH, num_layers=num_layers, overwrite=False)
 
 
 def without_colours(scene: Scene, name: str) -> Scene:

@@ -187,7 +187,7 @@ def test_a_command_before_that_fails_stops_the_sweep(
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
         read_experiment("tabel1")
-    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, budget"):
+    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, bench, b"):
         read_experiment(str(tmp_path / "mine.toml"))
 
 
