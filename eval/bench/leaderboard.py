@@ -14,7 +14,7 @@ from datagen.disk.records import shown
 from datagen.pages.html import Markup, Part, anchor, document, prose, section, tag
 from datagen.pages.pictures import Gallery
 from eval.bench.protocol import ALL, Protocol
-from eval.bench.score import Failure, Scored, Summary, summarise
+from eval.bench.score import COSTS, Failure, Scored, Summary, summarise
 from eval.page.page import MOST_BYTES
 from eval.page.run_page import compared_figure
 from eval.score.png import check_png
@@ -33,7 +33,11 @@ NOTES = (
 
 def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
     """The page of scored submissions, all of one preset."""
-    preset = found[0].preset
+    preset, names = found[0].preset, [scored.name for scored in found]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise HyalineError(
+            f"{twice}: is the name of several submissions; rename the folders of one's runs, and pack again"
+        )
     for scored in found:
         if (scored.version, scored.preset) != (protocol.version, preset):
             raise HyalineError(
@@ -112,11 +116,8 @@ def _summary_cells(summary: Summary | None) -> tuple[str, ...]:
 
 def _cost_cells(scored: Scored) -> tuple[str, ...]:
     """Processor minutes, gigabytes and frames a second; a scene that lacks one leaves it out of the mean."""
-    known = {
-        key: [scene.costs[key] for scene in scored.scenes.values() if key in scene.costs]
-        for key in ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
-    }
-    cpu, memory, frames = known.values()
+    scenes = scored.scenes.values()
+    cpu, memory, frames = ([scene.costs[key] for scene in scenes if key in scene.costs] for key in COSTS)
     return (
         format_number(fmean(cpu) / 60 if cpu else None, 2),
         format_number(max(memory) / 1e9 if memory else None, 2),

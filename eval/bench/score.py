@@ -21,12 +21,14 @@ from datagen.disk.storage import commit_sealed, load_sealed, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset
-from eval.bench.submission import Submission, list_predictions, opened_submission
+from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission
 from eval.score.kept import Kept
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, read_costs, read_prediction
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 
+COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
+"""What scores repeat of a run's costs.json."""
 MOST_FAILURES = 3
 """Worst views that a scored submission has pictures of, each of another scene."""
 
@@ -52,7 +54,7 @@ class SceneResult:
     seed: int | None
     num_parameters: int | None
     costs: dict[str, float]
-    """What the run's costs.json has: cpu_seconds, peak_memory_bytes, frames_per_second."""
+    """What the run's costs.json has of `COSTS`."""
     splits: dict[str, SplitResult]
     """By split; `EDIT/SPLIT` after an edit."""
 
@@ -169,7 +171,7 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
             dataset=run.dataset.seal,
             seed=run.seed,
             num_parameters=run.num_parameters,
-            costs=read_costs(run.folder),
+            costs={key: value for key, value in read_costs(run.folder).items() if key in COSTS},
             splits=splits,
         )
         worst += [_failure(scene, *min(shown, key=lambda item: item[0]))] if shown else []
@@ -179,8 +181,8 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
         preset=index.preset,
         name=index.name,
         track=index.track,
-        method=first.method,
-        knowledge=first.knowledge,
+        method=None if first.method is None else first.method[:MAX_WORDS],
+        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
         submission=sha256_file(path),
         packed_by=index.code,
         scored_by=code_version(),

@@ -44,6 +44,8 @@ from eval.bench.protocol import Protocol, choose_track, is_of_preset, load_proto
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run, read_prediction
 
 INDEX = "hyaline-submission.json"
+MAX_WORDS = 200
+"""Characters of a submission's texts that scores repeat."""
 MAX_PICTURE_BYTES = 16 << 20
 """Bytes of a predicted picture; 512 x 512 pixels of noise take 0.8 MB."""
 
@@ -67,6 +69,8 @@ class Submission:
 
     def __post_init__(self) -> None:
         check_name(self.name, where="name")
+        if len(self.code) > MAX_WORDS:
+            raise HyalineError(f"code: has {len(self.code):,} characters; expected at most {MAX_WORDS}")
         check_packed(self.files)
         protocol = load_protocol()
         choose("track", self.track, protocol.tracks)

@@ -263,6 +263,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "a bomb": (with_index(more={PICTURE: {"size": 1 << 50, "sha256": "0" * 64}}), r"expected at most 16,777,216"),
     "a later version": (with_index(version=2), "version is 2; expected 1; update hyaline"),
     "an unknown key": (with_index(extra=1), "unknown key 'extra'"),
+    "a long text": (with_index(code="x" * 201), "code: has 201 characters; expected at most 200"),
     "a name that is a path": (with_index(name="../up"), "name: is '../up'; expected a name"),
     "an unknown track": (with_index(track="all"), "track 'all': there is none of that name"),
     "an unknown scene": (with_index(datasets={"attic": "0"}), "scene 'attic': there is none of that name"),
