@@ -11,11 +11,11 @@
     needs = ["datagen build {dataset}"]   # commands that make what the runs train on
     then = ["model predict {run} --variant x2"]   # commands on each finished run
     parts = ["table1"]                    # experiments of their own that the block belongs to
-    presets = ["demo"]                    # presets that the block belongs to; without the key, all
 
     [presets.demo]                        # sizes in which the experiment can be run, the usual one first; its name
-    [presets.tiny]                        # takes the place of {preset} in datasets and commands, and its keys are flags
-    steps = 50                            # that every block gets
+    [presets.tiny]                        # takes the place of {preset} in datasets and commands
+    only = ["one-{preset}"]               # the datasets that are left; without the key, all
+    steps = 50                            # other keys are flags that every block gets
 
 Blocks add up; a run that is in two of them is trained once, and so are commands. The experiments in
 `model/experiments/` are known by name, and so are their parts: `model sweep paper-tables`, `model sweep table1`.
@@ -50,7 +50,7 @@ runs are trained is for `model sweep` to say."""
 PROGRAMS = ("datagen", "proxies", "model", "hyaline-bench", "python")
 """What `needs` and `then` may call."""
 
-LISTS = ("parts", "presets", "needs", "then")
+LISTS = ("parts", "needs", "then")
 """Keys of a block that are no axes of its grid."""
 
 STEP_CPU_MS = {
@@ -113,9 +113,10 @@ def read_experiment(
     if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
         raise HyalineError(f"{path}: has no runs; expected at least one [[runs]] block")
     chosen, size = _find_preset(content.get("presets", {}), preset, path)
-    replaced = {**size, "dataset": list(datasets), "seed": list(seeds)}
+    only = size.pop("only", None)
+    replaced = size | {key: list(values) for key, values in (("dataset", datasets), ("seed", seeds)) if values}
     # In the block's order, so that the given seeds vary like the file's.
-    asked = [_of_preset(block, chosen) | {k: v for k, v in replaced.items() if v != []} for block in blocks]
+    asked = [_of_preset(block, chosen, only) | replaced for block in blocks]
     if (count := sum(map(_count_runs, asked))) > MAX_RUNS:
         raise HyalineError(
             f"{path}: asks for {shown(count)} runs; expected at most {MAX_RUNS:,}, split it into several files"
@@ -126,7 +127,7 @@ def read_experiment(
     for place, block in enumerate(asked):
         where = f"{path}: runs[{place}]"
         commands = {key: _texts(block, key, where) for key in LISTS}
-        if (part is not None and part not in commands["parts"]) or chosen not in (commands["presets"] or [chosen]):
+        if (part is not None and part not in commands["parts"]) or (only and block.get("dataset") == []):
             continue
         for arguments, parsed in _grid({k: v for k, v in block.items() if k not in commands}, where=where):
             runs.setdefault(repr((arguments[0], parsed)), arguments)
@@ -139,25 +140,29 @@ def read_experiment(
 
 
 def _find_preset(presets: object, asked: str | None, path: Path) -> tuple[str | None, dict[str, object]]:
-    """The name of the preset and the flags that it gives to every block."""
+    """The name of the preset, and its keys with that in place of {preset}."""
     if not (isinstance(presets, dict) and all(isinstance(flags, dict) for flags in presets.values())):
         raise HyalineError(f"{path}: presets is {shown(presets)}; expected tables such as [presets.tiny]")
     if asked is None:
         asked = next(iter(presets), None)
     elif not presets:
         raise HyalineError(f"{path}: has no presets; leave out --preset")
-    return (None, {}) if asked is None else (asked, presets[choose("preset", asked, presets)])
+    return (None, {}) if asked is None else (asked, _of_preset(presets[choose("preset", asked, presets)], asked))
 
 
-def _of_preset(block: dict[str, object], preset: str | None) -> dict[str, object]:
-    """A block with the preset's name in place of {preset}."""
+def _of_preset(block: dict[str, object], preset: str | None, only: object = None) -> dict[str, object]:
+    """A block with the preset's name in place of {preset}, and of its datasets those in `only`."""
 
     def filled(value: object) -> object:
         if isinstance(value, list):
             return [filled(item) for item in value]
         return value.replace("{preset}", preset) if isinstance(value, str) and preset is not None else value
 
-    return {key: filled(value) for key, value in block.items()}
+    block = {key: filled(value) for key, value in block.items()}
+    if isinstance(only, list) and "dataset" in block:
+        datasets = block["dataset"] if isinstance(block["dataset"], list) else [block["dataset"]]
+        block["dataset"] = [dataset for dataset in datasets if dataset in only]
+    return block
 
 
 def _parts_of(path: Path) -> set[str]:

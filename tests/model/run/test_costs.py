@@ -24,8 +24,7 @@ def trained(dataset: Dataset, out: Path, *, costs: bool = True, anew: bool = Fal
 def test_a_training_says_what_it_took_and_every_other_byte_is_the_same(dataset: Dataset, tmp_path: Path) -> None:
     out = trained(dataset, tmp_path / "run")
     costs = read_costs(out)
-    assert costs.keys() == {"seconds", "cpu_seconds", "peak_memory_bytes", "frames_per_second"}
-    assert costs["frames_per_second"] > 0
+    assert costs.keys() == {"seconds", "cpu_seconds", "peak_memory_bytes"}
     assert costs["seconds"] > 0
     assert costs["cpu_seconds"] > 0
     assert costs["peak_memory_bytes"] > 50e6  # PyTorch alone takes more.
@@ -59,6 +58,9 @@ def test_the_command_leaves_the_file_when_it_is_asked_to(
         out = tmp_path / str(is_left)
         assert call(monkeypatch, "train", *flags, *asked, "--dataset", str(dataset.root), "--out", str(out)) == 0
         assert (out / COSTS).is_file() == is_left
+    costs = read_costs(out)
+    # It includes loading the weights, so four tiny pictures take at least a millisecond, and a second at most.
+    assert 1 < costs["frames_per_second"] < 4000 and costs["seconds"] > 0
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"seconds": "long"}'])

@@ -102,12 +102,13 @@ def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> N
         [presets.demo]
         [presets.tiny]
         steps = 5
+        only = ["one-{preset}", "two-{preset}"]
         [[runs]]
         needs = ["datagen build {scene} --preset {preset} --out data/{dataset}"]
         dataset = ["one-{preset}", "two-{preset}"]
         method = "paper"
         [[runs]]
-        presets = ["demo"]
+        needs = ["datagen add {dataset} --angles"]
         dataset = "three-{preset}"
         method = "paper"
     """,
@@ -116,7 +117,7 @@ def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> N
     assert usual == read_experiment(path, preset="demo")
     assert [" ".join(run) for run in usual.runs] == ["paper one-demo", "paper two-demo", "paper three-demo"]
     assert [" ".join(run) for run in tiny.runs] == ["paper one-tiny --steps 5", "paper two-tiny --steps 5"]
-    assert tiny.needs[1] == "datagen build two --preset tiny --out data/two-tiny"
+    assert len(tiny.needs) == 2 and tiny.needs[1] == "datagen build two --preset tiny --out data/two-tiny"
     with pytest.raises(HyalineError, match="preset 'huge': there is none of that name; known are demo, tiny"):
         read_experiment(path, preset="huge")
     with pytest.raises(HyalineError, match="has no presets; leave out --preset"):
