@@ -101,7 +101,7 @@ def score(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Score a submission against the truth. No network runs, and nothing of the submission is executed.
+    """Score a submission against the truth; no neural network runs, and no code of the submission.
 
     Args:
         submission: File that `hyaline-bench submit` wrote. Default: all in bench/PRESET/submissions.
