@@ -24,7 +24,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.metadata import Variant
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_command, variant_root
-from datagen.data.writing import commit_view, write_head
+from datagen.data.writing import commit_view, head_contents, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.records import read_regular
@@ -124,15 +124,18 @@ def without_colours(scene: Scene, name: str) -> Scene:
 def _write(
     root: Path, source: Dataset, name: str, scene: dict[str, bytes], variant: Variant | None, *, is_truth: bool
 ) -> Dataset:
+    cameras = {split: source.cameras(split) for split in source.splits}
     made = write_head(
         root,
         dataclasses.replace(source.config, scene=name, seed=0),
         source.objects,
-        {split: source.cameras(split) for split in source.splits},
+        cameras,
         scene,
         variant=variant,
         stated_license=source.stated_license,
     )
+    if made.files != {path: sha256(data) for path, data in head_contents(scene, cameras).items()}:
+        raise HyalineError(f"{root}: holds another scene; choose another --out, or delete it")
     kept: list[Split] = [split for split in source.splits if is_truth or split == "train"]
     for split in kept:
         for view in source.views(split):

@@ -74,9 +74,9 @@ def write_variant(dataset: Dataset, name: str, edit: SceneEdit | None) -> None:
             )
 
 
-def write_scene(root: Path, scene: str) -> Dataset:
+def write_scene(root: Path, scene: str, train_views: int = 8) -> Dataset:
     """A dataset of one scene with its variants."""
-    dataset = write_synthetic_dataset(root / f"{scene}-tiny", scene_name=scene)
+    dataset = write_synthetic_dataset(root / f"{scene}-tiny", scene_name=scene, train_views=train_views)
     write_variant(dataset, "angles", None)
     if scene == "synthetic":
         write_variant(dataset, "remove-pane", SceneEdit(edits=("remove:pane",), changed=("pane",), copies={}))
@@ -91,6 +91,12 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_scene(root / "data", scene)
     (root / "protocol.toml").write_text(PROTOCOL)
     return root
+
+
+@pytest.fixture
+def other(tmp_path: Path) -> Dataset:
+    """A dataset of another secret scene, in the folder `other`."""
+    return write_scene(tmp_path / "other", "random-7103", train_views=9)
 
 
 @pytest.fixture

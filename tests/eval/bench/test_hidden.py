@@ -8,7 +8,7 @@ import pytest
 from support.builds import tree
 from support.commands import call, run
 
-from datagen.data.dataset import open_dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.variants import open_variant
 from datagen.disk.storage import sha256
 from datagen.scene.folder import load_scene
@@ -82,10 +82,11 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
     )
 
 
-def test_what_cannot_be_hidden_is_refused(here: Path) -> None:
+def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
     before = tree(here)
     for line, message in (
         ("hyaline-bench hide secret --scene random-7100", "scene 'random-7100': there is none of that name"),
+        (f"hyaline-bench hide {other.root} --scene hidden-1", "hidden-1-tiny: holds another scene; choose another"),
         ("hyaline-bench hide secret/variants/angles --scene hidden-0", "is imported, or a variant"),
     ):
         answer = call(line)
