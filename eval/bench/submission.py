@@ -98,12 +98,16 @@ def _paths_of(scene: str, name: str, protocol: Protocol) -> str:
 
 
 def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> dict[str, dict[str, Run]]:
-    """The runs on datasets of a preset, by their name and scene."""
+    """The runs on datasets of a preset, by their name and scene; a run that cannot be opened is named and left out."""
     found: dict[str, dict[str, Run]] = {}
     for folder in list_run_folders(root, besides=root / "report"):
-        if not has_predictions(folder):
+        try:
+            if not has_predictions(folder):
+                continue
+            run = open_run(folder, data_root)
+        except HyalineError as error:
+            say(f"left out: {error}")
             continue
-        run = open_run(folder, data_root)
         if not is_of_preset(run.dataset, preset, protocol):
             continue
         scene, of_name = run.dataset.config.scene, found.setdefault(run.name, {})

@@ -112,7 +112,10 @@ def test_a_foreign_method_names_its_track_and_need_not_predict_edits(here: Path)
         (folder / "costs.json").write_text('{"cpu_seconds": 90, "frames_per_second": 5}')
     shutil.rmtree("runs/synthetic-tiny/mine/variants/remove-pane")
     assert "name the track with --track" in call("hyaline-bench submit mine --preset tiny").error
-    run("hyaline-bench submit mine --preset tiny --track masks --out mine.tar")
+    Path("runs/gone/mine/predictions/interpolating").mkdir(parents=True)
+    answer = call("hyaline-bench submit mine --preset tiny --track masks --out mine.tar")
+    assert answer.status == 0 and "left out: runs/gone/mine: no dataset at data/gone" in answer.err
+    assert "mine.tar: track masks, 2 of 4 scenes" in answer.err
     run("hyaline-bench score mine.tar --preset tiny --out mine.json")
     scored = read_scored(Path("mine.json"))
     assert scored.track == "masks" and not scored.scenes["synthetic"].values(EDITS)
