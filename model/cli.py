@@ -321,6 +321,7 @@ def sweep(
     experiment: str,
     /,
     *,
+    preset: str | None = None,
     dataset: tuple[str, ...] = (),
     seed: tuple[int, ...] = (),
     jobs: int = 1,
@@ -334,7 +335,8 @@ def sweep(
     Args:
         experiment: A TOML file (see model/run/experiments.py), paper-tables or one of its parts (table1, table2,
             square, zero-layer, variants, budget, claims, figure8, deepvoxels, larger), paper-sizes, headline, proxies,
-            ablation or random.
+            ablation, random, bench (hyaline-bench) or bench-fitted (its scenes whose glass `model fit` can find).
+        preset: Size, for files that have presets: demo, standard or tiny for bench. Default: the file's first.
         dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. As many as fit in memory (4 GB
@@ -344,7 +346,7 @@ def sweep(
     from model.run.experiments import read_experiment
     from model.run.sweep import find_devices, finish, print_experiment, run_experiment
 
-    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
+    asked = read_experiment(experiment, datasets=dataset, seeds=seed, preset=preset)
     if dry_run:
         return print_experiment(asked)
     if cluster.launcher is None:
