@@ -24,8 +24,10 @@ $(STAMP): pyproject.toml constraints.txt
 		echo "setup: there is no NVIDIA GPU here. If pip brings CUDA libraries (4 GB more), press Ctrl-C and first run"; \
 		echo "       $(BIN)/python -m pip install uv && $(BIN)/uv pip install --python $(BIN)/python --torch-backend=cpu torch==2.13.0"; \
 	fi; \
-	$(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check \
+	$(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check --no-compile \
 		-c $(ENVIRONMENT)/hyaline-constraints.txt -e ".[$$extras]"
+	@# pip would compile half a minute on one core; some libraries have files that cannot be compiled.
+	@$(BIN)/python -m compileall -qq -j 0 "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')" || true
 	$(BIN)/datagen doctor
 	@touch $@
 

@@ -165,6 +165,7 @@ def test_the_launcher_sends_parts_to_slurm(
         (tmp_path / "bin" / name).write_text(script)
         (tmp_path / "bin" / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
+    monkeypatch.setattr("datagen.machine.launch.QUEUE_EVERY_S", 0.5)
     out = tmp_path / "out"
     asked = ("--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--slurm-cpus", "2")
 

@@ -23,7 +23,7 @@ from datagen.scene.folder import save_scene
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
-    *("--views", "16", "--test-views", "1", "--spp", "256", "--test-spp", "4"),
+    *("--views", "8", "--test-views", "1", "--spp", "256", "--test-spp", "4"),
 )
 
 
@@ -46,14 +46,14 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     assert command.returncode == 1
     assert "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in out.glob("records/train/*.json")}
-    missing = [view for view in range(16) if f"{view:04d}.json" not in kept]
+    missing = [view for view in range(8) if f"{view:04d}.json" not in kept]
     error = said.splitlines()[-1]
     assert error.startswith(f"error: {out}: render: a worker process was killed (")
     assert describe_views(("train", view) for view in missing) in error
     assert error.endswith(f"; go on with `datagen {' '.join(words)}`")
     run(shlex.join(["datagen", *words]))
     dataset = open_dataset(out)
-    assert all(image_path(dataset.root, "train", view).is_file() for view in range(16))
+    assert all(image_path(dataset.root, "train", view).is_file() for view in range(8))
     assert {name: (out / "records/train" / name).read_bytes() for name in kept} == kept
     shutil.rmtree(out / "scene" / "meshes")
     image_path(out, "train", 1).unlink()

@@ -73,6 +73,14 @@ def test_following_caustics_changes_no_mean_and_less_noise(
     assert gain > 1.3
 
 
+@pytest.mark.parametrize("most", [0, 1, 50, 10**12])
+def test_distinct_values_are_counted(most: int) -> None:
+    from datagen.render.caustics import _count_distinct
+
+    values = np.random.default_rng(0).integers(0, most, 1000, endpoint=True).astype(np.uint64)
+    assert _count_distinct(values) == len(set(values.tolist()))
+
+
 def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_states() -> None:
     import drjit as dr
     import mitsuba as mi

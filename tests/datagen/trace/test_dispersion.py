@@ -101,7 +101,7 @@ def test_a_prism_sends_each_colour_where_snells_law_says(angle_deg: float) -> No
     assert found == pytest.approx(expected, rel=0.06)
 
 
-@pytest.mark.parametrize("roughness", [0.0, 0.2])
+@pytest.mark.parametrize("roughness", [pytest.param(0.0, marks=pytest.mark.full), 0.2])
 def test_truth_and_light_paths_of_each_colour_are_those_of_glass_with_that_colours_index(roughness: float) -> None:
     """Behind a diffuse floor's bounce and with a lamp that is aimed at."""
     glass = RoughDielectric(ior=1.6, dispersion=8.0, absorption=(0.1, 0.3, 0.6), roughness=roughness)

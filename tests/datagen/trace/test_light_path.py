@@ -261,7 +261,7 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
     glass = Dielectric(ior=1.5, absorption=(0.0, 0.0, 0.0))
     objects = tuple(SceneObject(name=f"ball{index}", mesh=ball, material=glass) for index, ball in enumerate(balls))
     position = np.array([3.0, 0.4, 0.8])
-    size = 48
+    size = 32
     cameras = Cameras(world_from_camera=look_at(position, np.zeros(3))[None], fov_x=0.6, width=size, height=size)
     plain = mitsuba_scene._bsdf
     switched_off = {0: {"specular_reflectance": 0.0}, 1: {"specular_transmittance": 0.0}, None: {}}[branch]

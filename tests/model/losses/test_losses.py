@@ -186,7 +186,7 @@ def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_
     assert torch.equal(other.discriminator.judge(real), adversary.discriminator.judge(real))
 
 
-@pytest.mark.parametrize("method", ["paper", "dnr", "authors-code"])
+@pytest.mark.parametrize("method", ["paper", "dnr", pytest.param("authors-code", marks=pytest.mark.full)])
 def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:

@@ -133,7 +133,7 @@ def test_it_learns_resumes_to_the_bit_and_predicts_the_same_twice(
 
 
 def test_it_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> None:
-    config = dataclasses.replace(SMALL, steps=200, batch=512, lr=0.005, evaluate_every=200, checkpoint_every=1000)
+    config = dataclasses.replace(SMALL, steps=120, batch=512, lr=0.005, evaluate_every=120, checkpoint_every=1000)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
     prediction = read_png(tmp_path / "run/predictions/interpolating/0000.png").astype(np.float64)
