@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiments import STEP_CPU_MS, list_experiments, read_experiment
+from model.run.experiments import EXPERIMENTS, STEP_CPU_MS, list_experiments, read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -163,9 +163,11 @@ def test_commands_before_and_after_are_filled_in_and_given_once(
     assert other.needs == () and other.then == ("model predict runs/three/paper-10-steps --variant x2",)
 
 
-def test_a_part_is_its_blocks_of_the_paper_s_tables() -> None:
+def test_a_part_is_its_blocks_of_the_paper_s_tables(is_full: bool) -> None:
     whole = read_experiment("paper-tables")
-    parts = {name: read_experiment(name) for name in ("table1", "deepvoxels")}
+    names = set(list_experiments()) - {path.stem for path in EXPERIMENTS.glob("*.toml")}
+    assert len(names) == 10
+    parts = {name: read_experiment(name) for name in (names if is_full else ("table1", "deepvoxels"))}
     assert {run[0] for run in parts["deepvoxels"].runs} == {"deepvoxels"}
     assert len(parts["table1"].runs) == 9 and parts["table1"].needs == ("datagen build glass_table",)
     for part in parts.values():
@@ -192,7 +194,7 @@ def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> No
         read_experiment(str(tmp_path / "mine.toml"))
 
 
-@pytest.mark.parametrize("name", list_experiments())
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
