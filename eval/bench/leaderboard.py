@@ -177,9 +177,7 @@ def _submission_page(scored: Scored, protocol: Protocol, gallery: Gallery) -> Ma
         tag("p", f"Track {scored.track}: told {scored.knowledge or 'pictures and cameras'}.", class_="note"),
         html_table(scene_grid(scored, protocol)),
         tag("h3", "The views that it predicts worst"),
-        tag(
-            "p", "One a scene, of the scenes whose worst view is the worst; hidden scenes are left out.", class_="note"
-        ),
+        tag("p", "At most one of each scene; hidden scenes are left out.", class_="note"),
         tag("div", *figures, class_="views"),
         id_=_place(scored),
     )
