@@ -78,7 +78,6 @@ def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
             Column(group="code", is_number=False),
         ),
         rows=tuple(_row(scored, list(others), protocol) for scored in ranked),
-        notes=NOTES,
         best=frozenset({(0, 2)}) if len(ranked) > 1 else frozenset(),
     )
 
@@ -159,12 +158,12 @@ def _tracks(found: Sequence[Scored], protocol: Protocol) -> list[Part]:
     for track, told in protocol.tracks.items():
         inside = [scored for scored in found if scored.track == track]
         content = (
-            html_table(track_grid(f"{len(inside)} submissions", inside, protocol), links)
+            html_table(track_grid(f"{track}: {len(inside)} submitted", inside, protocol), links)
             if inside
             else tag("p", "No submission yet.")
         )
         parts.append(section(f"Track: {track}", tag("p", prose(told)), content, id_=anchor("track", track)))
-    return parts
+    return [*parts, *(tag("p", note, class_="note") for note in NOTES)]
 
 
 def _place(scored: Scored) -> str:
@@ -178,9 +177,7 @@ def _submission_page(scored: Scored, protocol: Protocol, gallery: Gallery) -> Ma
         tag("p", f"Track {scored.track}: told {scored.knowledge or 'pictures and cameras'}.", class_="note"),
         html_table(scene_grid(scored, protocol)),
         tag("h3", "The views that it predicts worst"),
-        tag(
-            "p", "One a scene, of the scenes whose worst view is the worst; hidden scenes are left out.", class_="note"
-        ),
+        tag("p", "At most one of each scene; hidden scenes are left out.", class_="note"),
         tag("div", *figures, class_="views"),
         id_=_place(scored),
     )

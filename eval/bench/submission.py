@@ -72,6 +72,8 @@ class Submission:
         if len(self.code) > MAX_WORDS:
             raise HyalineError(f"code: has {len(self.code):,} characters; expected at most {MAX_WORDS}")
         check_packed(self.files)
+        if not self.datasets:
+            raise HyalineError("datasets: is empty; expected at least one scene")
         protocol = load_protocol()
         choose("track", self.track, protocol.tracks)
         for scene in self.datasets:

@@ -254,6 +254,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "is no archive of `hyaline-bench submit`"),
     "cut off": (lambda: SUBMISSION.read_bytes()[:-600], r"has [\d,]+ bytes; expected"),
     "longer": (lambda: SUBMISSION.read_bytes() + b"!", r"has [\d,]+ bytes; expected"),
+    "nothing": (lambda: write_archive(read_files()[0] | {"datasets": {}}, {}), "datasets: is empty"),
     "a way up": (with_file("../up.png", b""), "names '../up.png'; expected a file inside"),
     "an absolute path": (with_file("/tmp/up.png", b""), "names '/tmp/up.png'; expected a file inside"),
     "a program": (with_file(f"{HOME}/predictions/interpolating/run.sh", b""), "only records and predictions of the"),
