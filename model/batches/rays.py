@@ -46,6 +46,11 @@ class PixelSource(Protocol[Batch_co]):
         """Pixels rendered at once."""
         ...
 
+    @property
+    def whole_views(self) -> bool:
+        """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
+        ...
+
     def to(self, device: torch.device) -> "PixelSource[Batch_co]": ...
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Batch_co:

@@ -78,6 +78,10 @@ class RayPixels:
     def pixels_per_view(self) -> int:
         return self.resolution.pixels
 
+    @property
+    def whole_views(self) -> bool:
+        return False
+
     def to(self, device: torch.device) -> Self:
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 

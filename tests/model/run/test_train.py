@@ -21,7 +21,6 @@ from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_checkpoint, load_state
 from model.run.predict import render_predictions
-from model.run.preparation import choose_held_out
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
 from model.run.train_flags import _completes, parse_train
@@ -135,12 +134,6 @@ def test_another_configuration_or_dataset_is_refused_by_name(dataset: Dataset, t
         check_same_run(tmp_path, deeper, **seals)
     with pytest.raises(HyalineError, match="another dataset"):
         check_same_run(tmp_path, config, **{**seals, "dataset_seal": "else"})
-
-
-def test_held_out_views_are_few_and_spread() -> None:
-    assert choose_held_out(100, 4) == [12, 37, 62, 87]
-    assert choose_held_out(8, 4) == [4]
-    assert choose_held_out(4, 4) == []
 
 
 def test_the_learning_rate_decays_as_named() -> None:
