@@ -61,8 +61,9 @@ class Renderer(nn.Module, Generic[SourceT]):
         Args:
             index: row numbers, those of whole views if `pixels.whole_views`; None: all.
         """
-        rows = torch.arange(len(pixels.rgb)) if index is None else index
-        return torch.cat([self(pixels.take(part, None)) for part in rows.to(pixels.rgb.device).split(pixels.chunk)])
+        device = pixels.rgb.device
+        rows = torch.arange(len(pixels.rgb), device=device) if index is None else index.to(device)
+        return torch.cat([self(pixels.take(part, None)) for part in rows.split(pixels.chunk)])
 
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
         """All parameters, grouped by learning rate."""

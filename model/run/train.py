@@ -289,9 +289,9 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         processes.average_gradients(renderer)
-        loss_value, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
+        mean_loss, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
         is_stopped = is_stopped or is_asked
-        check_finite(loss_value, renderer, step=step, out=run.out)
+        loss_value = read_finite(mean_loss, renderer, step=step, out=run.out)
         done = (step + update / config.updates) / config.steps
         for learning, group in zip(run.optimizer.param_groups, run.groups, strict=True):
             learning["lr"] = run.losses.limit_rate(group.lr * decay(config.lr_decay, done), step)
@@ -365,21 +365,24 @@ def check_processes(config: TrainConfig, processes: Processes) -> None:
         )
 
 
-def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:
-    """Stops a run before its optimiser sees a loss or gradient that is not finite: Adam would keep it for ever.
+def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:
+    """The loss; stops a run if it or a gradient is not finite, before the optimiser sees them: Adam would keep them for
+    ever.
 
-    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms.
+    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. A GPU is waited for once.
     """
     sums = {name: value.grad.sum() for name, value in renderer.named_parameters() if value.grad is not None}
-    bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
+    value, *totals = torch.stack([loss, *sums.values()]).tolist()
+    bad = [name for name, total in zip(sums, totals, strict=True) if not math.isfinite(total)]
     bad += [
         f"{name}.table"
         for name, part in renderer.named_modules()
         if isinstance(part, NeuralTextures) and part.lazy is not None and not part.lazy.is_finite()
     ]
-    if not math.isfinite(loss) or bad:
-        what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
+    if not math.isfinite(value) or bad:
+        what = f"the loss is {value}" if not math.isfinite(value) else f"the gradient of {bad[0]} is not finite"
         raise NumericsError(
             f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
             f"start over with --overwrite and a lower --lr"
         )
+    return value
