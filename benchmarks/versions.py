@@ -3,9 +3,11 @@
 import json
 import os
 import re
+import shutil
 import statistics
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +31,6 @@ SIZE = "--preset tiny --resolution 128 --views 24 --spp 4 --test-views 2 --test-
 SMALL = "--preset tiny --resolution 128 --views 4 --spp 2 --test-views 1 --test-spp 2"
 DISPERSION = 0.5
 """20 over an Abbe number of 40."""
-
 
 Values = dict[str, float]
 """Processor seconds by name."""
@@ -72,16 +73,18 @@ class Version:
         return usage.ru_utime + usage.ru_stime
 
     def watch(self, *words: str) -> dict[str, list[float]]:
-        """The report of `versions_child.py`."""
-        report = self.folder / "report.json"
-        report.unlink(missing_ok=True)
-        self.call(str(CHILD), str(report), *words)
-        return json.loads(report.read_text())
+        """The report of `versions_child.py`: processor seconds at the end of each part."""
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder) / "report.json"
+            self.call(str(CHILD), str(report), *words)
+            return json.loads(report.read_text())
 
     def build(self, scene: str, out: str, size: str) -> list[str]:
+        """The words of a build."""
         return ["datagen", "build", *(["--scene"] if self.has_flags else []), scene, *size.split(), "--out", out]
 
     def train(self, method: str, out: str, steps: int, *flags: str) -> list[str]:
+        """The words of a training."""
         plain = method.removesuffix("-best")
         words = ["--steps", str(steps), "--out", f"runs/{out}", *flags]
         if not self.has_flags:
@@ -211,7 +214,7 @@ class Comparison:
         commit(self._file, json.dumps(self._kept, indent=1).encode())
 
     def prepare(self) -> None:
-        """Builds the datasets that are missing; where that fails, so do the measures that need them."""
+        """Builds the datasets that are missing; a version for which that fails has no row."""
         for place, version in enumerate(self.versions):
             try:
                 version.call("-m", *version.build("glass_table", PLAIN, SIZE))
@@ -219,6 +222,7 @@ class Comparison:
                 version.call("-m", *version.build("scene", DISPERSIVE, SMALL))
             except HyalineError as error:
                 say(f"{self.commits[place]}: no dataset: {error}")
+                self.reasons |= {(name, place): f"no dataset: {error}" for name in MEASURES}
 
 
 def find_version(folder: Path, commit: str, python: Path) -> Version:
@@ -245,7 +249,7 @@ def write_dispersive(folder: Path) -> None:
     if (folder / "scene").is_dir():
         return
     partial = folder / "scene.partial"
-    subprocess.run(["cp", "-r", str(folder / PLAIN / "scene"), str(partial)], check=True)
+    shutil.copytree(folder / PLAIN / "scene", partial, dirs_exist_ok=True)
     scene = json.loads((partial / "scene.json").read_text())
     for item in scene["objects"]:
         if item["material"]["type"] == "Dielectric":
