@@ -1,6 +1,6 @@
 # `make demo` and `make test` set everything up by themselves; neither needs root.
 # An active virtual or conda environment is used as it is; otherwise .venv is made.
-.PHONY: setup demo test reliability results docs clean
+.PHONY: setup demo test pyright pytest reliability results docs clean
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
@@ -41,7 +41,13 @@ demo: setup
 test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(MAKE) --no-print-directory --jobs=2 pyright pytest
+
+# Pyright keeps one core busy for a minute; meanwhile the tests begin on the others.
+pyright: setup
 	$(BIN)/pyright
+
+pytest: setup
 	$(BIN)/python -m pytest $(PARALLEL)
 
 # Every promise of docs/reliability.md with every case, and what `make test` leaves out, an hour on two cores;

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+# Each process of the tests has one core for itself; PyTorch's threads on all of them would only wait for each other.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 # Idle threads sleep: by default those of NumPy spin for milliseconds, and eat up the cores of the tests beside them.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 # Compiled modules are kept whatever the shell says: every process of the tests would compile hundreds of them anew.

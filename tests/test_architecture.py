@@ -71,7 +71,7 @@ FLOORS = {
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "view", "web", "fit", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "reports", "runs", "proxies", "datasets", "scenes", "scores", "cameras", "pictures"),
-    "eval": ("cli", "page", "papers", "analyses", "figures", "tables", "score"),
+    "eval": ("cli", "bench", "page", "papers", "analyses", "figures", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 
@@ -84,7 +84,7 @@ PERIPHERY = (
         "datagen.scene.importers",
         "datagen.scene.procedural",
     ),
-    *("eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
+    *("eval.bench", "eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
     *("model.view", "model.web"),
 )
 """What the core finds by a table of plug-ins alone (datagen/terminal/plugins.py)."""

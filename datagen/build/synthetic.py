@@ -111,17 +111,19 @@ def write_synthetic_dataset(
     num_layers: int = 4,
     train_views: int = 8,
     sees_nothing: bool = False,
+    scene_name: str = "synthetic",
 ) -> Dataset:
     """A complete dataset with its straight layers; 8 training views and 2 of each test split unless told.
 
     Args:
         resolution: one number for square pictures.
         sees_nothing: the last extrapolating camera looks away from all objects.
+        scene_name: what the dataset calls its scene.
     """
     few = SplitConfig(views=2, spp=4)
     size = resolution if isinstance(resolution, Resolution) else square(resolution)
     config = DatasetConfig(
-        scene="synthetic",
+        scene=scene_name,
         preset="tiny",
         resolution=size,
         train=SplitConfig(views=train_views, spp=4),

@@ -118,13 +118,17 @@ def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup:
 def _draw_view(gallery: Gallery, item: Compared, shown: ShownView) -> Markup:
     what = f"{item.title} view {view_name(shown.view)}"
     truth, pred = truth_name(item.dataset, item.split, shown.view), _prediction_name(item, shown.view)
+    rank = f" ({shown.rank})" if shown.rank else ""
+    return compared_figure(gallery, truth, pred, what, f"{what}{rank}: {psnr_text(item.psnr_db(shown.view))}")
+
+
+def compared_figure(gallery: Gallery, truth: str, pred: str, what: str, caption: str) -> Markup:
+    """Truth, prediction and their difference, under a slider where scripts run; both are in the gallery."""
     panels = [
         ("truth", gallery.show(truth, label=f"truth, {what}")),
         ("prediction", gallery.show(pred, label=f"prediction, {what}")),
         ("error × 8", gallery.show(truth, pred, label=f"error, {what}", class_="error")),  # noqa: RUF001
     ]
-    rank = f" ({shown.rank})" if shown.rank else ""
-    caption = f"{what}{rank}: {psnr_text(item.psnr_db(shown.view))}"
     drawn = tag("div", *(tag("div", picture, tag("span", name)) for name, picture in panels), class_="panels")
     return tag("figure", tag("figcaption", caption), drawn, class_="compare")
 

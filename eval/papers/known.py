@@ -31,12 +31,17 @@ USUAL = (
 
 def known_to(run: Run) -> str | None:
     """One of `KNOWLEDGE`; None for runs that are not compared: other settings, and proxies made of the truth."""
+    if run.geometry != NO_GEOMETRY and not any(line.fits(run) for line in USUAL):
+        return None
+    return knowledge_of(run)
+
+
+def knowledge_of(run: Run) -> str | None:
+    """What a run of any method was told, by its record: one of `KNOWLEDGE`; None for proxies made of the truth."""
     told, shapes, hulls, fitted, pictures = KNOWLEDGE
     geometry = run.geometry or ""
     if geometry == NO_GEOMETRY:
         return pictures
-    if not any(line.fits(run) for line in USUAL):
-        return None
     if geometry == TRUTH:
         return told if run.method == "light-path" else shapes
     if not is_fitted(geometry):

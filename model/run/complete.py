@@ -1,6 +1,7 @@
 """A whole run: trains what is left to train, then renders what is left to render."""
 
 import functools
+import time
 from pathlib import Path
 
 import torch
@@ -10,15 +11,17 @@ from datagen.disk.ownership import holding, is_ours, refuse_others
 from datagen.terminal.command import say
 from model.batches.distributed import Processes, join
 from model.run.checkpoint import delete_checkpoints, has_checkpoint
-from model.run.logs import LogChoices
+from model.run.logs import LogChoices, add_frames
 from model.run.predict import render_predictions
 from model.run.run_folder import (
     FOLDER,
     WEIGHTS,
     TrainConfig,
     check_trained_on,
+    drawn_along,
     finish_clearing,
     is_all_drawn,
+    is_drawn,
     told_finished,
 )
 from model.run.train import check_processes, train
@@ -76,7 +79,11 @@ def complete_run(
             else:
                 delete_checkpoints(out)
                 say(f"{out}: is trained; goes on with its predictions")
+            start, missing = time.monotonic(), [v for v in drawn_along(dataset) if not is_drawn(out, v)]
             render_predictions(out, config, dataset, device=device)
+            if logs.costs is not None:
+                views = [n for part in (dataset, *missing) for split, n in part.num_views.items() if split != "train"]
+                add_frames(out, sum(views), time.monotonic() - start)
     return True
 
 

@@ -12,6 +12,11 @@
     then = ["model predict {run} --variant x2"]   # commands on each finished run
     parts = ["table1"]                    # experiments of their own that the block belongs to
 
+    [presets.demo]                        # sizes in which the experiment can be run, the usual one first; its name
+    [presets.tiny]                        # takes the place of {preset} in datasets and commands
+    only = ["one-{preset}"]               # the datasets that are left; without the key, all
+    steps = 50                            # other keys are flags that every block gets
+
 Blocks add up; a run that is in two of them is trained once, and so are commands. The experiments in
 `model/experiments/` are known by name, and so are their parts: `model sweep paper-tables`, `model sweep table1`.
 """
@@ -42,8 +47,11 @@ KEPT_FLAGS = ("out", "label", "overwrite", *flags_of(LaunchChoices))
 """Flags that an experiment may not set: runs go to the default folder of `model train`, stopped runs resume, and where
 runs are trained is for `model sweep` to say."""
 
-PROGRAMS = ("datagen", "proxies", "model", "python")
+PROGRAMS = ("datagen", "proxies", "model", "hyaline-bench", "python")
 """What `needs` and `then` may call."""
+
+LISTS = ("parts", "needs", "then")
+"""Keys of a block that are no axes of its grid."""
 
 STEP_CPU_MS = {
     "paper": 60, "paper-best": 120, "light-path": 200, "mlp-first": 30, "authors-code": 60,
@@ -77,13 +85,16 @@ def list_experiments() -> list[str]:
     return sorted({name for path in EXPERIMENTS.glob("*.toml") for name in (path.stem, *_parts_of(path))})
 
 
-def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence[int] = ()) -> Experiment:
+def read_experiment(
+    given: str, *, datasets: Sequence[str] = (), seeds: Sequence[int] = (), preset: str | None = None
+) -> Experiment:
     """An experiment; each of its runs can be parsed by `model train`.
 
     Args:
         given: a file, or the name of a built-in experiment.
         datasets: replace the file's datasets, unless empty.
         seeds: replace the file's seeds, unless empty.
+        preset: one of the file's presets; None: its first, if it has any.
     """
     path, part = Path(given), None
     if path.suffix != ".toml":
@@ -94,16 +105,18 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
     if not os.path.lexists(path):
         raise HyalineError(f"{path}: the file is missing; built-in experiments are {', '.join(list_experiments())}")
     content = load_toml(path)
-    if unknown := sorted(set(content) - {"about", "runs"}):
-        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about and runs")
+    if unknown := sorted(set(content) - {"about", "presets", "runs"}):
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about, presets and runs")
     about, blocks = content.get("about", ""), content.get("runs", [])
     if not isinstance(about, str):
         raise HyalineError(f"{path}: about is {shown(about)}; expected text")
     if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
         raise HyalineError(f"{path}: has no runs; expected at least one [[runs]] block")
-    replaced = {"dataset": list(datasets), "seed": list(seeds)}
+    chosen, size = _find_preset(content.get("presets", {}), preset, path)
+    only = size.pop("only", None)
+    replaced = size | {key: list(values) for key, values in (("dataset", datasets), ("seed", seeds)) if values}
     # In the block's order, so that the given seeds vary like the file's.
-    asked = [block | {key: values for key, values in replaced.items() if values} for block in blocks]
+    asked = [_of_preset(block, chosen, only) | replaced for block in blocks]
     if (count := sum(map(_count_runs, asked))) > MAX_RUNS:
         raise HyalineError(
             f"{path}: asks for {shown(count)} runs; expected at most {MAX_RUNS:,}, split it into several files"
@@ -113,17 +126,43 @@ def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence
     then: dict[str, None] = {}
     for place, block in enumerate(asked):
         where = f"{path}: runs[{place}]"
-        commands = {key: _texts(block, key, where) for key in ("parts", "needs", "then")}
-        if part is not None and part not in commands["parts"]:
+        commands = {key: _texts(block, key, where) for key in LISTS}
+        if (part is not None and part not in commands["parts"]) or (only and block.get("dataset") == []):
             continue
         for arguments, parsed in _grid({k: v for k, v in block.items() if k not in commands}, where=where):
             runs.setdefault(repr((arguments[0], parsed)), arguments)
             if not datasets:
-                needs |= dict.fromkeys(_filled(commands["needs"], arguments[0], parsed, f"{where}: needs"))
-            then |= dict.fromkeys(_filled(commands["then"], arguments[0], parsed, f"{where}: then"))
+                needs |= dict.fromkeys(_filled(commands["needs"], arguments[0], parsed, chosen, f"{where}: needs"))
+            then |= dict.fromkeys(_filled(commands["then"], arguments[0], parsed, chosen, f"{where}: then"))
     return Experiment(
         name=part or path.stem, about=about, needs=tuple(needs), runs=tuple(runs.values()), then=tuple(then)
     )
+
+
+def _find_preset(presets: object, asked: str | None, path: Path) -> tuple[str | None, dict[str, object]]:
+    """The name of the preset, and its keys with that in place of {preset}."""
+    if not (isinstance(presets, dict) and all(isinstance(flags, dict) for flags in presets.values())):
+        raise HyalineError(f"{path}: presets is {shown(presets)}; expected tables such as [presets.tiny]")
+    if asked is None:
+        asked = next(iter(presets), None)
+    elif not presets:
+        raise HyalineError(f"{path}: has no presets; leave out --preset")
+    return (None, {}) if asked is None else (asked, _of_preset(presets[choose("preset", asked, presets)], asked))
+
+
+def _of_preset(block: dict[str, object], preset: str | None, only: object = None) -> dict[str, object]:
+    """A block with the preset's name in place of {preset}, and of its datasets those in `only`."""
+
+    def filled(value: object) -> object:
+        if isinstance(value, list):
+            return [filled(item) for item in value]
+        return value.replace("{preset}", preset) if isinstance(value, str) and preset is not None else value
+
+    block = {key: filled(value) for key, value in block.items()}
+    if isinstance(only, list) and "dataset" in block:
+        datasets = block["dataset"] if isinstance(block["dataset"], list) else [block["dataset"]]
+        block["dataset"] = [dataset for dataset in datasets if dataset in only]
+    return block
 
 
 def _parts_of(path: Path) -> set[str]:
@@ -139,12 +178,17 @@ def _texts(block: Mapping[str, object], key: str, where: str) -> list[str]:
     return texts
 
 
-def _filled(commands: Sequence[str], method: str, asked: Asked, where: str) -> list[str]:
-    """Commands with the dataset and the folder of a run in place of {dataset} and {run}."""
+def _filled(commands: Sequence[str], method: str, asked: Asked, preset: str | None, where: str) -> list[str]:
+    """Commands with the dataset and the folder of a run in place of {dataset} and {run}.
+
+    {scene} is the dataset's name without the preset: glass_table for glass_table-tiny.
+    """
     dataset = asked.dataset or "glass_table"
     run = RUNS / Path(dataset).name / folder_name(method, asked)
     filled = [
-        command.replace("{dataset}", shlex.quote(dataset)).replace("{run}", shlex.quote(str(run)))
+        command.replace("{dataset}", shlex.quote(dataset))
+        .replace("{scene}", shlex.quote(Path(dataset).name.removesuffix(f"-{preset}")))
+        .replace("{run}", shlex.quote(str(run)))
         for command in commands
     ]
     for command in filled:
@@ -188,7 +232,7 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
 
 
 def _count_runs(block: Mapping[str, object]) -> int:
-    return math.prod(len(values) for values in block.values() if isinstance(values, list))
+    return math.prod(len(values) for key, values in block.items() if isinstance(values, list) and key not in LISTS)
 
 
 def _values(block: Mapping[str, object], key: str, where: str) -> list[object]:

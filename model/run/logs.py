@@ -14,6 +14,7 @@ import re
 import resource
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -56,8 +57,17 @@ class Meter:
         if torch.cuda.is_initialized():
             most = float(torch.cuda.max_memory_allocated())
             spent["peak_gpu_memory_bytes"] = max(before.get("peak_gpu_memory_bytes", 0.0), most)
-        rounded = {name: round(value, 2) if "seconds" in name else int(value) for name, value in spent.items()}
-        commit(run / COSTS, (json.dumps(rounded, indent=2) + "\n").encode())
+        _write_costs(run, spent)
+
+
+def add_frames(run: Path, frames: int, seconds: float) -> None:
+    """Adds to a run's costs how many test views it predicted a second, loading included."""
+    _write_costs(run, {**read_costs(run), "frames_per_second": frames / seconds})
+
+
+def _write_costs(run: Path, costs: Mapping[str, float]) -> None:
+    rounded = {name: round(value, 2) if "second" in name else int(value) for name, value in costs.items()}
+    commit(run / COSTS, (json.dumps(rounded, indent=2) + "\n").encode())
 
 
 def _peak_memory() -> float:

@@ -21,6 +21,9 @@ from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import say, tell
 from model.run.experiments import Experiment, estimate_cpu_hours
 
+MODULES = {"hyaline-bench": "eval.bench"}
+"""Packages of programs that are called differently."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Failure:
@@ -79,7 +82,7 @@ def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:
     for command in commands:
         say(command)
         program, *words = shlex.split(command)
-        start = [sys.executable] if program == "python" else own_command(program)
+        start = [sys.executable] if program == "python" else own_command(MODULES.get(program, program))
         if status := subprocess.run([*start, *words], stdout=subprocess.DEVNULL, check=False).returncode:
             raise HyalineError(
                 f"sweep {experiment.name}: `{command}` ended with status {status}, for the reason above; "

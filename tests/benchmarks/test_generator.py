@@ -32,6 +32,7 @@ from benchmarks.truth import bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
+@pytest.mark.full
 def test_every_engine_is_timed_after_all_checks_passed() -> None:
     pytest.importorskip("embreex", reason="embreex has no wheel for this machine")
     report = bench_peel(size=24, num_layers=3, triangles=0.01, rounds=3)
@@ -53,6 +54,7 @@ def test_a_wrong_engine_fails_the_check() -> None:
     assert "of the pixels; expected at least 98%" in detail
 
 
+@pytest.mark.full
 def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     ball = mesh_of(trimesh.creation.icosphere(2, 0.4))
     scene = synthetic_scene()

@@ -12,13 +12,15 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 TINY = {"pixels": 512, "resolution": 24, "objects": 3, "layers": 4, "texture_size": 16, "rounds": 3}
 
 
-@pytest.mark.parametrize("precision", ["fp32", pytest.param("bf16", marks=pytest.mark.full)])
+@pytest.mark.full
+@pytest.mark.parametrize("precision", ["fp32", "bf16"])
 def test_the_naive_baseline_computes_what_the_product_does(precision) -> None:
     choices = BenchChoices(**TINY, precision=precision)
     for report in (bench_step(choices), bench_infer(choices)):
         assert report.checks and all(check.passed for check in report.checks), report.checks
 
 
+@pytest.mark.full
 def test_the_benchmark_of_gpus_runs_on_a_pretended_one(monkeypatch: pytest.MonkeyPatch) -> None:
     if use_mitsuba(quiet=True).startswith("scalar"):
         pytest.skip("light paths need a vectorised variant of Mitsuba")

@@ -68,10 +68,9 @@ def assert_within(before: tuple[int, int, int], counts: Counts, budget: Budget) 
     assert all(have <= most for have, most in zip(found, budget)), f"{found}; expected at most {budget}\n{counts}"
 
 
-SLOW = {"deepvoxels": pytest.mark.slow}
-
-
-@pytest.mark.parametrize("method", [pytest.param(name, marks=SLOW.get(name, ())) for name in STEPS])
+@pytest.mark.parametrize(
+    "method", [pytest.param(name, marks=pytest.mark.full if name == "deepvoxels" else ()) for name in STEPS]
+)
 def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, tmp_path: Path) -> None:
     config = dataclasses.replace(configured(glasses, method), batch=256, held_out_views=0)
     if isinstance(config.net, DeepVoxelsConfig):  # As many operations on less.

@@ -45,7 +45,7 @@ MOST = 30 << 20
 def test_many_views_need_no_more_memory_than_few(
     tmp_path: Path, is_full: bool, cases: Callable[[int, str], None]
 ) -> None:
-    early, late = (50, 300) if is_full else (20, 80)
+    early, late = (50, 300) if is_full else (10, 50)
     folders = [str(Path(__file__).resolve().parents[place]) for place in (2, 1)]
     program = PROGRAM.format(folders=folders, marks=(early, late), views=late, out=str(tmp_path / "data"))
     answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)

@@ -16,6 +16,7 @@ MAINS = {
     "proxies": "proxies.cli",
     "model": "model.cli",
     "report": "eval.cli",
+    "hyaline-bench": "eval.bench.cli",
     "benchmarks": "benchmarks.cli",
 }
 

@@ -25,7 +25,7 @@ def smooth(mesh: Mesh, centre: tuple[float, float, float]) -> Mesh:
 
 def shell(inner: float) -> Mesh:
     """A hollow ball of radius 1."""
-    outside, cavity = trimesh.creation.icosphere(4, 1.0), trimesh.creation.icosphere(4, inner)
+    outside, cavity = trimesh.creation.icosphere(3, 1.0), trimesh.creation.icosphere(3, inner)
     cavity.invert()
     return mesh_of(trimesh.util.concatenate([outside, cavity]))
 

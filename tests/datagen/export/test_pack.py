@@ -19,7 +19,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import open_dataset
 from datagen.disk.storage import seal_bytes, sha256
-from datagen.export import pack
+from datagen.export import archive, pack
 
 HEAD = "dataset.json"
 
@@ -267,16 +267,16 @@ def test_a_flipped_bit_anywhere_is_noticed(here: Path, is_full: bool, cases: Cal
 def test_packing_goes_on_after_whatever_an_earlier_call_wrote(
     before: Callable[[bytes], bytes], share: float, here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    whole, copied, copy = Path("my scene.tar").read_bytes(), [], pack._copy
+    whole, copied, copy = Path("my scene.tar").read_bytes(), [], archive._copy
 
     def watched(source: Any, member: Any, target: Any) -> bool:
         copied.extend([member.size] if target is not None else [])
         return copy(source, member, target)
 
-    monkeypatch.setattr(pack, "_copy", watched)
-    with pack._held_file(Path("new.tar")) as (archive, part):
-        archive.write(before(whole))
-        archive.flush()
+    monkeypatch.setattr(archive, "_copy", watched)
+    with archive._held_file(Path("new.tar"), pack.INDEX) as (file, part):
+        file.write(before(whole))
+        file.flush()
         assert "new.tar: another process is writing it" in call("datagen pack 'my scene' --out new.tar").error
     run("datagen pack 'my scene' --out new.tar")
     assert Path("new.tar").read_bytes() == whole and not part.exists()

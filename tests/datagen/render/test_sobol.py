@@ -1,5 +1,7 @@
 """Tests the random numbers of paths against SciPy's and against what makes a sequence Sobol's."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 from scipy.stats import qmc
@@ -21,11 +23,18 @@ from datagen.render.sobol import NUM_DIMENSIONS, SobolPoints  # noqa: E402
 
 def points_of(pixel: int, count: int, num_dimensions: int, *, seed: int = 0) -> np.ndarray:
     """(point, dimension), in [0, 1)."""
+    return points_of_pixels([pixel], count, num_dimensions, seed=seed)[0]
+
+
+def points_of_pixels(pixels: Sequence[int], count: int, num_dimensions: int, *, seed: int = 0) -> np.ndarray:
+    """(pixel, point, dimension), in [0, 1)."""
     points = SobolPoints(count, seed)
-    index = dr.arange(mi.UInt32, count)
-    scramble = points.scramble_of(dr.full(mi.UInt32, pixel, count))
-    columns = [points.sample(scramble, index, mi.UInt32(d), mi.Bool(True)) for d in range(num_dimensions)]
-    return np.stack([np.array(column) for column in columns], axis=1).astype(np.float64)
+    index = mi.UInt32(np.tile(np.arange(count), len(pixels)))
+    scramble = points.scramble_of(mi.UInt32(np.repeat(pixels, count)))
+    # As a literal, each dimension would compile a kernel of its own.
+    dimensions = [dr.opaque(mi.UInt32, dimension) for dimension in range(num_dimensions)]
+    columns = [np.array(points.sample(scramble, index, dimension, mi.Bool(True))) for dimension in dimensions]
+    return np.stack(columns, axis=1).astype(np.float64).reshape(len(pixels), count, num_dimensions)
 
 
 @pytest.mark.parametrize("pixel", [0, 1, 77777])
@@ -49,7 +58,7 @@ def test_points_are_as_even_over_many_dimensions_as_scipys() -> None:
 
 
 def test_pixels_seeds_and_repeated_dimensions_are_independent() -> None:
-    place = np.array([points_of(pixel, 4, 3)[1] for pixel in range(400)])
+    place = points_of_pixels(range(400), 4, 3)[:, 1]
     assert np.abs(np.corrcoef(place.T) - np.eye(3)).max() < 0.15
     assert np.abs(np.corrcoef(place[1:, 0], place[:-1, 0])[0, 1]) < 0.15
     assert place.mean() == pytest.approx(0.5, abs=0.03)

@@ -179,8 +179,7 @@ def test_no_ray_meets_the_face_that_it_leaves(mesh: Mesh, place: tuple[float, fl
         assert not np.array(again).any()
 
 
-@pytest.mark.parametrize("thickness", [1e-3, 1e-5])
-def test_rough_glass_and_lamps_see_thin_walls(thickness: float) -> None:
+def test_rough_glass_and_lamps_see_thin_walls() -> None:
     """A lamp above a thin rough pane, and a floor in its light: as with a pane of 10 mm, since nothing is absorbed."""
 
     def picture(thickness: float) -> np.ndarray:
@@ -196,4 +195,4 @@ def test_rough_glass_and_lamps_see_thin_walls(thickness: float) -> None:
         pose[:3, 3] = (0, 0, 1.4)
         return rendered(scene, Cameras(world_from_camera=pose[None], fov_x=0.3, width=8, height=8), spp=2048)
 
-    assert picture(thickness).mean() == pytest.approx(picture(1e-2).mean(), rel=0.02)
+    assert picture(1e-5).mean() == pytest.approx(picture(1e-2).mean(), rel=0.02)

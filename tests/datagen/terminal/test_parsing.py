@@ -14,7 +14,12 @@ from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeCh
 from datagen.disk.errors import UsageError
 from datagen.terminal.parsing import CommandGroup, collect, flag_words
 
-PROGRAMS = {"datagen": "datagen.cli", "proxies": "proxies.cli", "model": "model.cli"}
+PROGRAMS = {
+    "datagen": "datagen.cli",
+    "proxies": "proxies.cli",
+    "model": "model.cli",
+    "hyaline-bench": "eval.bench.cli",
+}
 
 
 def every_command() -> list[str]:

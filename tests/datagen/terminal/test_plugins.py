@@ -23,6 +23,7 @@ from datagen.scene.procedural.drawing import draw_scene
 from datagen.scene.random_names import FAMILIES, RandomName, parse_random
 
 OFF = "OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
+ROOT = Path(__file__).resolve().parents[3]
 GROUPS = ("exports", "tables", "methods", "random_families", "scene_readers", "dataset_readers")
 
 
@@ -142,12 +143,15 @@ def test_no_name_imports_a_module_of_the_working_folder(tmp_path: Path) -> None:
         *("datagen import scene.evil", "datagen import-dataset evil", "model check-method evil"),
         *("datagen build --scene random --family evil", "datagen build --scene random-evil-0001"),
     )
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    for line in lines:
-        program, *words = line.split()
-        answer = subprocess.run(
-            [str(Path(sys.executable).parent / program), *words],
-            **{"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": False},
-        )
-        assert answer.returncode == 1 and answer.stderr.startswith("error: "), (line, answer.stderr)
+    # As in an installed program, the working folder is not among the paths that modules are imported from (-P).
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    code = (
+        "import json, sys; from support.commands import call;"
+        "print(json.dumps([[line, answer.status, answer.err] for line in sys.argv[1:] for answer in [call(line)]]))"
+    )
+    child = subprocess.run(
+        [sys.executable, "-P", "-c", code, *lines], cwd=tmp_path, env=environment, capture_output=True, check=True
+    )
+    for line, status, said in json.loads(child.stdout):
+        assert status == 1 and said.startswith("error: "), (line, said)
     assert not list(tmp_path.glob("MARK-*"))

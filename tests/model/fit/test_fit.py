@@ -109,28 +109,23 @@ def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(datase
     assert "holds a fit with another unknown" in other.error
 
 
-def test_leaving_out_other_stages_replaces_the_geometry_and_its_layers(dataset: Dataset, tmp_path: Path) -> None:
-    fit = f"model fit {dataset.root} {FIT} --name fitted-c --out {tmp_path / 'fit'}"
-    assert call(f"{fit} --skip search").status == 0
-    hull = geometry_key(dataset, "fitted-c")
-    answer = call(fit)
-    assert answer.status == 0, answer.err
-    assert geometry_key(open_dataset(dataset.root), "fitted-c") != hull
-    assert call(f"datagen verify {dataset.root}").status == 0
-
-
-def test_a_run_on_glass_that_was_fitted_again_otherwise_is_not_continued(dataset: Dataset, tmp_path: Path) -> None:
+def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(dataset: Dataset, tmp_path: Path) -> None:
     copy = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
     fit = f"model fit {copy} {FIT} --name fitted-b --out {tmp_path / 'fit'}"
     train = (
         f"model train light-path {copy} --geometry fitted-b --steps 2 --batch 64 --device cpu --out {tmp_path / 'run'}"
     )
-    for words in (fit, train):
+    for words in (f"{fit} --skip search", train):
         assert call(words).status == 0
-    assert call(f"{fit} --seed 1 --overwrite").status == 0
+    hull = geometry_key(open_dataset(copy), "fitted-b")
+    assert call(fit).status == 0
+    assert geometry_key(open_dataset(copy), "fitted-b") != hull
+    assert call(f"datagen verify {copy}").status == 0
     answer = call(train)
     assert answer.status == 1
     assert "holds a run with another layers" in answer.error
+    assert call(f"{fit} --skip search --seed 1 --overwrite").status == 0
+    assert not (tmp_path / "fit" / "search.pt").exists()
 
 
 @pytest.mark.parametrize(

@@ -14,8 +14,11 @@ from model.batches.rays import mean_color, srgb_curve, variance_of_mean
 from model.losses.pixel_losses import noise_penalty, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 
+pytestmark = pytest.mark.usefixtures("one_thread")
+
 CPU = torch.device("cpu")
 LAMP, GROUND, SAMPLES = 0.6, 0.3, 4
+STEPS = 400
 
 
 @dataclass(frozen=True)
@@ -74,14 +77,14 @@ def learned_lamp(
     radiance = renderer.apart if apart else renderer.whole
     optimizer = torch.optim.Adam(renderer.parameters(), lr=0.01)
     means = []
-    for step in range(600):
+    for step in range(STEPS):
         rng = np.random.default_rng([4, step])
         loss = pixel_loss(renderer, pixels, 512, rng, softness=softness, radiance=radiance, debias=debias)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         means.append(renderer.lamp.item())
-    return float(np.mean(means[300:]))
+    return float(np.mean(means[STEPS // 2 :]))
 
 
 def test_a_lamp_that_few_rays_meet_is_learned_as_bright_as_it_is() -> None:

@@ -58,6 +58,9 @@ def test_the_command_leaves_the_file_when_it_is_asked_to(
         out = tmp_path / str(is_left)
         assert call(monkeypatch, "train", *flags, *asked, "--dataset", str(dataset.root), "--out", str(out)) == 0
         assert (out / COSTS).is_file() == is_left
+    costs = read_costs(out)
+    # It includes loading the weights, so four tiny pictures take at least a millisecond, and a second at most.
+    assert 1 < costs["frames_per_second"] < 4000 and costs["seconds"] > 0
 
 
 @pytest.mark.parametrize("content", ["", "{", "[]", '{"seconds": "long"}'])

@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiments import STEP_CPU_MS, list_experiments, read_experiment
+from model.run.experiments import EXPERIMENTS, STEP_CPU_MS, list_experiments, read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -69,7 +69,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('[[runs]]\nmethod = "paper"\nextrinsic = "sh"', r"runs\[0\]: unknown key 'extrinsic'; did you mean 'ext"),
         ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', "unknown key 'zero_layer'"),
         ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "`model train light-path` without its"),
-        ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about and runs"),
+        ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about, presets and runs"),
         ('[[runs]]\nmethod = "paper"\nsteps = [10, "many"]', "steps is 'many', which `model train` does not take"),
         ('[[runs]]\nmethod = "paper"\nextrinsics = "all"', "extrinsics is 'all', which `model train` does not take"),
         ('[[runs]]\nmethod = "paper"\nzero-layer = "yes"', "zero-layer is 'yes'; expected true or false"),
@@ -80,6 +80,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ("[[runs]]\nseed = 1", 'key "method" is missing'),
         ('about = "nothing"', "has no runs; expected at least one"),
         ("about = 3\n[[runs]]", "about is 3; expected text"),
+        ('presets = ["tiny"]\n[[runs]]\nmethod = "paper"', "presets is \\['tiny'\\]; expected tables"),
         ("[[runs]", "not TOML"),
         (
             '[[runs]]\nmethod = "paper"\nneeds = "datagen build"',
@@ -92,6 +93,35 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
 def test_what_no_command_could_be_is_named(tmp_path: Path, text: str, message: str) -> None:
     with pytest.raises(HyalineError, match=message):
         read_experiment(write(tmp_path, text))
+
+
+def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> None:
+    path = write(
+        tmp_path,
+        """
+        [presets.demo]
+        [presets.tiny]
+        steps = 5
+        only = ["one-{preset}", "two-{preset}"]
+        [[runs]]
+        needs = ["datagen build {scene} --preset {preset} --out data/{dataset}"]
+        dataset = ["one-{preset}", "two-{preset}"]
+        method = "paper"
+        [[runs]]
+        needs = ["datagen add {dataset} --angles"]
+        dataset = "three-{preset}"
+        method = "paper"
+    """,
+    )
+    usual, tiny = read_experiment(path), read_experiment(path, preset="tiny")
+    assert usual == read_experiment(path, preset="demo")
+    assert [" ".join(run) for run in usual.runs] == ["paper one-demo", "paper two-demo", "paper three-demo"]
+    assert [" ".join(run) for run in tiny.runs] == ["paper one-tiny --steps 5", "paper two-tiny --steps 5"]
+    assert len(tiny.needs) == 2 and tiny.needs[1] == "datagen build two --preset tiny --out data/two-tiny"
+    with pytest.raises(HyalineError, match="preset 'huge': there is none of that name; known are demo, tiny"):
+        read_experiment(path, preset="huge")
+    with pytest.raises(HyalineError, match="has no presets; leave out --preset"):
+        read_experiment("headline", preset="tiny")
 
 
 def test_commands_before_and_after_are_filled_in_and_given_once(
@@ -133,9 +163,11 @@ def test_commands_before_and_after_are_filled_in_and_given_once(
     assert other.needs == () and other.then == ("model predict runs/three/paper-10-steps --variant x2",)
 
 
-def test_a_part_is_its_blocks_of_the_paper_s_tables() -> None:
+def test_a_part_is_its_blocks_of_the_paper_s_tables(is_full: bool) -> None:
     whole = read_experiment("paper-tables")
-    parts = {name: read_experiment(name) for name in ("table1", "deepvoxels")}
+    names = set(list_experiments()) - {path.stem for path in EXPERIMENTS.glob("*.toml")}
+    assert len(names) == 10
+    parts = {name: read_experiment(name) for name in (names if is_full else ("table1", "deepvoxels"))}
     assert {run[0] for run in parts["deepvoxels"].runs} == {"deepvoxels"}
     assert len(parts["table1"].runs) == 9 and parts["table1"].needs == ("datagen build glass_table",)
     for part in parts.values():
@@ -158,11 +190,11 @@ def test_a_command_before_that_fails_stops_the_sweep(
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
         read_experiment("tabel1")
-    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, budget"):
+    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, bench, b"):
         read_experiment(str(tmp_path / "mine.toml"))
 
 
-@pytest.mark.parametrize("name", list_experiments())
+@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
 def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(
     name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -33,7 +33,7 @@ CPU = torch.device("cpu")
 
 
 def test_training_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path) -> None:
-    config = dataclasses.replace(SMALL, steps=500, batch=512, lr=0.01, evaluate_every=500, checkpoint_every=1000)
+    config = dataclasses.replace(SMALL, steps=400, batch=512, lr=0.01, evaluate_every=400, checkpoint_every=1000)
     train(config, dataset, tmp_path / "run", label="paper", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
     scores = []

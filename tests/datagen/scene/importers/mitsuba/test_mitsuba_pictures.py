@@ -14,7 +14,7 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.rig import make_cameras
 
-WIDTH, HEIGHT = 60, 40
+WIDTH, HEIGHT = 30, 20
 SPP = 256
 SENSOR = f"""<integrator type="volpath"><integer name="max_depth" value="24"/><integer name="rr_depth" value="50"/>
 </integrator><sensor type="perspective"><float name="fov" value="42"/><string name="fov_axis" value="smaller"/>

@@ -1,0 +1,197 @@
+"""The commands of `hyaline-bench`: floors, submissions, scores, the leaderboard, and hidden tests."""
+
+import os
+import sys
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.terminal.command import next_command, run, say, tell
+from datagen.terminal.parsing import CommandGroup, group
+
+BENCH = Path("bench")
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run("hyaline-bench", commands(), sys.argv[1:])
+
+
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    by_name = {
+        "floors": floors,
+        "submit": submit,
+        "score": score,
+        "leaderboard": leaderboard,
+        "secret": secret,
+        "hide": hide,
+    }
+    return group("Submit to the benchmark, score submissions, and publish the leaderboard.", by_name, {})
+
+
+def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
+    """Predict with two methods that learn nothing: the mean training picture, and that of the nearest camera.
+
+    Args:
+        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        runs: Folder for the predictions.
+        data: Folder with the datasets.
+    """
+    from eval.bench.floors import write_floors
+    from eval.bench.protocol import load_protocol
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    for folder in write_floors(runs, data, preset, protocol):
+        tell(str(folder))
+    next_command(f"hyaline-bench submit --preset {preset}")
+
+
+def submit(
+    method: str | None = None,
+    /,
+    *,
+    preset: str = "demo",
+    track: str | None = None,
+    runs: Path = Path("runs"),
+    data: Path = Path("data"),
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Pack a method's predictions of all scenes, with their records, into one verified file.
+
+    The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
+
+    Args:
+        method: Name of the runs' folders. Default: every method, each packed into a file of its own.
+        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        track: What the method was told: pictures (and cameras), masks, proxies, shapes or materials. Default: by the
+            record of its runs.
+        runs: Folder with the runs.
+        data: Folder with the datasets, DATA/SCENE, for runs whose record names none.
+        out: File to write. Default: bench/PRESET/submissions/METHOD.tar.
+        overwrite: Replace an existing file.
+    """
+    from datagen.terminal.command import choose
+    from eval.bench.protocol import load_protocol
+    from eval.bench.submission import find_runs
+    from eval.bench.submission import submit as pack
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    found = find_runs(runs, data, preset, protocol)
+    if not found:
+        raise HyalineError(
+            f"{runs}: has no predictions of the {preset} datasets; make some with `model sweep bench --preset {preset}`"
+        )
+    if out is not None and method is None:
+        raise UsageError("--out: goes with a method; name one")
+    for name in sorted(found) if method is None else [choose("method", method, found)]:
+        place = out or BENCH / preset / "submissions" / f"{name}.tar"
+        tell(str(pack(found[name], preset=preset, track=track, out=place, protocol=protocol, overwrite=overwrite)))
+    next_command(f"hyaline-bench score --preset {preset}")
+
+
+def score(
+    submission: Path | None = None,
+    /,
+    *,
+    preset: str = "demo",
+    data: Path = Path("data"),
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Score a submission against the truth; no neural network runs, and no code of the submission.
+
+    Args:
+        submission: File that `hyaline-bench submit` wrote. Default: all in bench/PRESET/submissions.
+        preset: Whose submissions, if none is named.
+        data: Folder with the datasets that have the truth.
+        out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
+        overwrite: Replace the scores of another submission.
+    """
+    from eval.bench.leaderboard import scene_grid
+    from eval.bench.protocol import load_protocol
+    from eval.bench.score import score_submission
+    from eval.bench.submission import read_submission
+    from eval.tables.grids import TABLE_WIDTH
+    from eval.tables.looks import grid_text
+
+    protocol = load_protocol()
+    if out is not None and submission is None:
+        raise UsageError("--out: goes with a submission; name one")
+    folder = BENCH / preset / "submissions"
+    asked = sorted(folder.glob("*.tar")) if submission is None else [submission]
+    if not asked:
+        raise HyalineError(f"{folder}: has no submission; make one with `hyaline-bench submit --preset {preset}`")
+    for path in asked:
+        place = out or BENCH / read_submission(path).preset / "scores" / f"{path.stem}.json"
+        found = score_submission(path, data, place, protocol, overwrite=overwrite)
+        sys.stdout.write(grid_text(scene_grid(found, protocol), "table", width=TABLE_WIDTH) + "\n")
+        say(f"{place}: track {found.track}, {len(found.scenes)} scenes")
+    if submission is None:
+        next_command(f"hyaline-bench leaderboard --preset {preset}")
+
+
+def leaderboard(scores: Path | None = None, /, *, preset: str = "demo", out: Path | None = None) -> None:
+    """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
+
+    Args:
+        scores: Folder of files that `hyaline-bench score` wrote. Default: bench/PRESET/scores.
+        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        out: Folder for index.html. Default: bench/PRESET/leaderboard.
+    """
+    from eval.bench.leaderboard import leaderboard_page
+    from eval.bench.protocol import load_protocol
+    from eval.bench.score import read_scored
+    from eval.page.page import PAGE
+    from eval.page.report_folder import Drawing, write_report
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    folder, place = scores or BENCH / preset / "scores", out or BENCH / preset / "leaderboard"
+    found = [read_scored(path) for path in sorted(folder.glob("*.json"))]
+    if not found:
+        raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
+    for path in write_report(place, {PAGE: Drawing(draw=lambda: leaderboard_page(found, protocol))}):
+        say(f"wrote {path}: {len(found)} submissions")
+    tell(str(place / PAGE))
+
+
+def secret(file: Path, /, *, preset: str = "demo") -> None:
+    """For verifiers: print the commitment of a secret, and the commands that build the hidden scenes that it names.
+
+    Args:
+        file: File with the secret; drawn if it is missing. Keep it until the round is over.
+        preset: Size of the hidden datasets: demo or standard.
+    """
+    from eval.bench.hidden import commitment_of, read_secret, verifier_commands
+    from eval.bench.protocol import load_protocol
+
+    protocol = load_protocol()
+    if not protocol.hidden_scenes(preset):
+        raise UsageError(f"--preset: {preset} has no hidden scenes; expected demo or standard")
+    text = read_secret(file)
+    say(f"commitment: {commitment_of(text)}")
+    for line in verifier_commands(text, preset, protocol):
+        tell(line)
+
+
+def hide(dataset: Path, /, *, scene: str, out: Path = Path()) -> None:
+    """For verifiers: split a dataset into one to publish, without the truth of its test views, and one to score with.
+
+    Args:
+        dataset: Folder of a dataset of a secret seed.
+        scene: Name of the hidden scene, such as hidden-0.
+        out: Folder for public/SCENE-PRESET and truth/SCENE-PRESET.
+    """
+    from datagen.data.dataset import open_dataset
+    from eval.bench.hidden import hide_truth
+    from eval.bench.protocol import load_protocol
+
+    for folder in hide_truth(open_dataset(dataset), scene, out, load_protocol()):
+        tell(os.fspath(folder))
+
+
+if __name__ == "__main__":
+    main()

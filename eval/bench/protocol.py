@@ -1,0 +1,168 @@
+"""The benchmark's protocol: scenes, sizes, splits, edits and tracks, from protocol.toml."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split, SplitConfig, square
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.paths import is_fitted
+from datagen.data.variants import ANGLES
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, from_json, load_toml
+from datagen.scene.edits import edits_name, parse_edit
+from datagen.terminal.command import choose
+from eval.papers.known import KNOWLEDGE, knowledge_of
+from eval.score.runs import Run
+
+PROTOCOL = Path(__file__).with_name("protocol.toml")
+
+ALL, EDITS = "all", "edits"
+"""Columns besides the splits: the mean over all cameras' splits, and over the test splits of both edits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """The size of a preset's datasets."""
+
+    resolution: int
+    train: SplitConfig
+    test: SplitConfig
+    scenes: tuple[str, ...] = ()
+    """The scenes that belong to the preset; empty for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Random:
+    """The random scenes that everybody can build."""
+
+    first_seed: int
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """The scenes that only a verifier can build."""
+
+    count: int
+    commitment: str
+    """SHA-256 of the verifier's secret; empty while no round is open."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bootstrap:
+    """How intervals over scenes are found."""
+
+    resamples: int
+    seed: int
+    confidence: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """The content of protocol.toml."""
+
+    version: int
+    about: str
+    presets: dict[str, Size]
+    scenes: dict[str, tuple[str, ...]]
+    """The built-in scenes, and the edits of each."""
+    random: Random
+    hidden: Hidden
+    splits: dict[str, str]
+    """The splits that every submission predicts, and where their cameras are."""
+    tracks: dict[str, str]
+    """What a method may be told, from least to most."""
+    bootstrap: Bootstrap
+
+    def size(self, preset: str) -> Size:
+        return self.presets[choose("preset", preset, self.presets)]
+
+    def public_scenes(self, preset: str) -> list[str]:
+        """The scenes of a preset that everybody can build."""
+        seeds = range(self.random.first_seed, self.random.first_seed + self.random.count)
+        every = [*self.scenes, *(f"random-{seed:04d}" for seed in seeds)]
+        return [name for name in every if name in (self.size(preset).scenes or every)]
+
+    def hidden_scenes(self, preset: str) -> list[str]:
+        """The names under which hidden scenes are published; none in a preset that lists its scenes."""
+        return [] if self.size(preset).scenes else [f"hidden-{place}" for place in range(self.hidden.count)]
+
+    def all_scenes(self, preset: str) -> list[str]:
+        return [*self.public_scenes(preset), *self.hidden_scenes(preset)]
+
+    def edit_variants(self, scene: str) -> list[str]:
+        """The names of the variants with a scene's edits."""
+        return [edits_name((parse_edit(edit),)) for edit in self.scenes.get(scene, ())]
+
+    def variant_splits(self, scene: str) -> dict[str, Sequence[Split]]:
+        """The variants to predict beside the scene itself, and their splits."""
+        splits: dict[str, Sequence[Split]] = {ANGLES: [split for split in ANGLE_SPLITS if split in self.splits]}
+        return splits | dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)
+
+    def columns(self) -> dict[str, str]:
+        """What is averaged over scenes, with a short title."""
+        short = {"interpolating": "inter", "extrapolating": "extra"}
+        angles = {split: f"{degrees:.0f}°" for split, degrees in ANGLE_SPLITS.items()}
+        return {ALL: "all", **{split: (short | angles)[split] for split in self.splits}, EDITS: EDITS}
+
+
+@functools.cache
+def load_protocol() -> Protocol:
+    """The protocol of this version."""
+    return from_json(Protocol, cast(Json, load_toml(PROTOCOL)), where=str(PROTOCOL))
+
+
+def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
+    """True for a dataset of one of the preset's scenes.
+
+    Raises:
+        HyalineError: it has the preset's name, but another size.
+    """
+    config = dataset.config
+    if config.preset != preset or config.scene not in protocol.all_scenes(preset) or dataset.parent is not None:
+        return False
+    size = protocol.size(preset)
+    found = (config.resolution, config.train, config.interpolating, config.extrapolating)
+    if found != (square(size.resolution), size.train, size.test, size.test):
+        raise HyalineError(
+            f"{dataset.root}: is not of the size that hyaline-bench {protocol.version} names for {preset} "
+            f"({size.resolution} pixels, {size.train.views} + {size.test.views} + {size.test.views} views); build it "
+            f"again with `datagen build {config.scene} --preset {preset}`"
+        )
+    return True
+
+
+def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
+    """The first track in which a run may be told what its record says that it was told; None if it says nothing."""
+    pictures, masks, proxies, shapes, materials = tracks
+    if run.geometry is None:
+        return None
+    told: dict[str, str] = dict(zip(KNOWLEDGE, (materials, shapes, masks, masks, pictures), strict=True))
+    if (known := knowledge_of(run)) is not None:
+        return told[known]
+    assert run.geometry != NO_GEOMETRY and not is_fitted(run.geometry)
+    return materials if run.method == "light-path" else proxies
+
+
+def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
+    """The track of a run: the one that was asked for, if it may be told that much there, or the first that fits."""
+    least = least_track(run, tracks)
+    if asked is None:
+        if least is None:
+            raise HyalineError(
+                f"{run.folder}: its record does not say what the method was told; name the track with --track, one of "
+                f"{', '.join(tracks)}"
+            )
+        return least
+    choose("--track", asked, tracks)
+    order = list(tracks)
+    if least is not None and order.index(asked) < order.index(least):
+        raise HyalineError(
+            f"{run.folder}: was told more ({run.knowledge or run.geometry}) than the track {asked} allows; "
+            f"submit it to {least}"
+        )
+    return asked

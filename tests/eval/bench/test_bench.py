@@ -1,0 +1,387 @@
+"""Tests of the benchmark from predictions to the leaderboard, and of what it refuses."""
+
+import dataclasses
+import io
+import json
+import math
+import os
+import re
+import shutil
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import scipy.stats
+from support.builds import tree
+from support.commands import call, run
+from support.synthetic import look_at
+
+from datagen.data.cameras import Cameras
+from datagen.data.dataset import open_dataset
+from datagen.data.images import png_bytes, read_png
+from datagen.data.variants import open_variant
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import seal_bytes, sha256
+from eval.bench.floors import nearest_view
+from eval.bench.leaderboard import track_grid
+from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
+from eval.bench.score import mean_interval, read_scored, summarise
+from eval.bench.submission import INDEX
+from eval.score.runs import open_run
+
+SUBMISSION = Path("bench/tiny/submissions/nearest-view.tar")
+SCORES = Path("bench/tiny/scores/nearest-view.json")
+
+
+@pytest.fixture
+def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_protocol: Protocol) -> Path:
+    """A copy of both datasets, as the working directory."""
+    shutil.copytree(made / "data", tmp_path / "here" / "data")
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "here"
+
+
+@pytest.fixture
+def packed(here: Path) -> Path:
+    """The same with the floors' predictions and submissions."""
+    run("hyaline-bench floors --preset tiny")
+    run("hyaline-bench submit --preset tiny")
+    return here
+
+
+def psnr(one: np.ndarray, other: np.ndarray) -> float:
+    return 10 * math.log10(255**2 / np.mean((one.astype(float) - other) ** 2))
+
+
+# From predictions to the leaderboard
+
+
+def test_floors_are_submitted_scored_and_shown(packed: Path, small_protocol: Protocol) -> None:
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 0 and "nearest-view: each scene" in answer.out
+    scored = read_scored(SCORES)
+    assert (scored.track, scored.preset, len(scored.scenes)) == ("pictures", "tiny", 2)
+    assert scored.submission == sha256(SUBMISSION.read_bytes())
+    for name, scene in scored.scenes.items():
+        dataset = open_dataset(Path(f"data/{name}-tiny"))
+        assert scene.dataset == dataset.seal
+        angles = open_variant(dataset, "angles")
+        values, gaps = [], []
+        for source, split in ((dataset, "interpolating"), (dataset, "extrapolating"), (angles, "extrapolating-10deg")):
+            folder = Path(f"runs/{name}-tiny/nearest-view") / ("variants/angles" if source is angles else "")
+            own = [
+                psnr(read_png(folder / "predictions" / split / f"{view.index:04d}.png"), view.image)
+                for view in source.views(split)
+            ]
+            values.append(np.mean(own))
+            gaps.append((50 if source is dataset else 40) - np.mean(own))
+        assert scene.psnr_db(ALL) == pytest.approx(np.mean(values))
+        assert scene.gap_db(ALL) == pytest.approx(np.mean(gaps))  # noise_mse is 1e-5 and 1e-4.
+    edited = summarise(scored, EDITS, small_protocol.bootstrap)
+    assert edited is not None and edited.worst_scene == "synthetic" and edited.low is None
+    one, other = (scene.psnr_db(ALL) for scene in scored.scenes.values())
+    summary = summarise(scored, ALL, small_protocol.bootstrap)
+    assert summary is not None and one is not None and other is not None
+    assert (summary.low, summary.worst, summary.high) == pytest.approx(
+        (min(one, other), min(one, other), max(one, other))
+    )
+    assert {failure.scene for failure in scored.failures} == {"synthetic", "random-7100"}
+
+    run("hyaline-bench leaderboard --preset tiny")
+    page = Path("bench/tiny/leaderboard/index.html").read_text()
+    assert f">{summary.mean:.2f}<" in page and page.count('class="compare"') == 4
+    assert page.count('class="sortable"') == 3  # The track, and each submission's scenes.
+    assert "default-src 'none'; img-src data:" in page and "http:" not in page and "https:" not in page
+    before = tree(packed)
+    for command in ("floors", "submit", "score", "leaderboard"):
+        run(f"hyaline-bench {command} --preset tiny")
+    assert tree(packed) == before
+
+
+def test_a_foreign_method_names_its_track_and_need_not_predict_edits(here: Path) -> None:
+    run("hyaline-bench floors --preset tiny")
+    for name in ("synthetic", "random-7100"):
+        folder = Path(f"runs/{name}-tiny/mine")
+        shutil.copytree(f"runs/{name}-tiny/mean-picture", folder)
+        (folder / "run.json").unlink()
+        (folder / "costs.json").write_text('{"cpu_seconds": 90, "frames_per_second": 5}')
+    shutil.rmtree("runs/synthetic-tiny/mine/variants/remove-pane")
+    assert "name the track with --track" in call("hyaline-bench submit mine --preset tiny").error
+    Path("runs/gone/mine/predictions/interpolating").mkdir(parents=True)
+    answer = call("hyaline-bench submit mine --preset tiny --track masks --out mine.tar")
+    assert answer.status == 0 and "left out: runs/gone/mine: no dataset at data/gone" in answer.err
+    assert "mine.tar: track masks, 2 of 4 scenes" in answer.err
+    run("hyaline-bench score mine.tar --preset tiny --out mine.json")
+    scored = read_scored(Path("mine.json"))
+    assert scored.track == "masks" and not scored.scenes["synthetic"].values(EDITS)
+    assert scored.scenes["synthetic"].costs == {"cpu_seconds": 90, "frames_per_second": 5}
+    Path("scores").mkdir()
+    Path("mine.json").rename("scores/mine.json")
+    run("hyaline-bench leaderboard scores --preset tiny --out page")
+    row = re.search(r"<tr><th.*?>mine<.*?</tr>", Path("page/index.html").read_text())
+    assert row is not None and ">1.50<" in row[0] and ">5.00<" in row[0]
+
+
+def test_scores_of_another_submission_stay(packed: Path) -> None:
+    run(f"hyaline-bench score {SUBMISSION} --preset tiny --out kept.json")
+    before = Path("kept.json").read_bytes()
+    other = SUBMISSION.with_name("mean-picture.tar")
+    assert "is there already; pass --overwrite" in call(f"hyaline-bench score {other} --out kept.json").error
+    assert Path("kept.json").read_bytes() == before
+    run(f"hyaline-bench score {other} --out kept.json --overwrite")
+    assert read_scored(Path("kept.json")).name == "mean-picture"
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("predictions/interpolating/0001.png", r"missing \(1 of 2 are\)"),
+        ("variants/angles", "the protocol asks for extrapolating-10deg"),
+        ("predictions/extrapolating", "the protocol asks for all its views"),
+    ],
+)
+def test_incomplete_predictions_are_not_packed(packed: Path, file: str, message: str) -> None:
+    path = Path("runs/synthetic-tiny/nearest-view") / file
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    assert answer.status == 1 and re.search(message, answer.error) and not Path("new.tar").exists()
+
+
+def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made: Path) -> None:
+    text = (made / "protocol.toml").read_text()
+    (here / "protocol.toml").write_text(text.replace("resolution = 32", "resolution = 64"))
+    with pytest.MonkeyPatch.context() as patch:
+        from eval.bench import protocol
+
+        patch.setattr(protocol, "PROTOCOL", here / "protocol.toml")
+        protocol.load_protocol.cache_clear()
+        answer = call("hyaline-bench floors --preset tiny")
+    protocol.load_protocol.cache_clear()
+    assert answer.status == 1 and "is not of the size that hyaline-bench 1 names for tiny (64 pixels" in answer.error
+
+
+# Hostile submissions
+
+HOME = "synthetic/nearest-view"
+PICTURE = f"{HOME}/predictions/interpolating/0000.png"
+Files = dict[str, bytes]
+
+
+def read_files() -> tuple[dict[str, Any], Files]:
+    """The index of the submission without its digest, and its files, as tarfile reads them."""
+    with tarfile.open(SUBMISSION) as archive:
+        read = {entry.name.partition("/")[2]: archive.extractfile(entry).read() for entry in archive}  # pyright: ignore
+    index = json.loads(read.pop(INDEX))
+    del index["sha256"]
+    return index, read
+
+
+def write_archive(
+    index: dict[str, Any], files: Files, change: Callable[[tarfile.TarInfo], object] | None = None
+) -> bytes:
+    """An archive of these files, as an attacker writes it, whose index is sealed again."""
+    index["files"] = {path: {"size": len(data), "sha256": sha256(data)} for path, data in files.items()}
+    index["files"] |= index.pop("more", {})
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        for path, data in [(INDEX, seal_bytes(index)), *sorted(files.items())]:
+            entry = tarfile.TarInfo(f"{index['name']}/{path}")
+            entry.size = len(data)
+            if change is not None and path == PICTURE:
+                change(entry)
+            archive.addfile(entry, io.BytesIO(data))
+        length = archive.offset + 1024
+    return buffer.getvalue()[:length]
+
+
+def with_index(**keys: Any) -> Callable[[], bytes]:
+    """The submission with other values in its index."""
+
+    def make() -> bytes:
+        index, files = read_files()
+        return write_archive(index | keys, files)
+
+    return make
+
+
+def with_file(path: str, data: bytes | None) -> Callable[[], bytes]:
+    """The submission with another file; None: without it."""
+
+    def make() -> bytes:
+        index, files = read_files()
+        files.pop(path, None)
+        return write_archive(index, files if data is None else files | {path: data})
+
+    return make
+
+
+def with_entry(**keys: Any) -> Callable[[], bytes]:
+    """The submission with another header of one picture."""
+
+    def make() -> bytes:
+        index, files = read_files()
+        return write_archive(index, files, lambda entry: [setattr(entry, key, value) for key, value in keys.items()])
+
+    return make
+
+
+def zipped() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr("../../up.png", b"")
+    return buffer.getvalue()
+
+
+def huge_png(side: int) -> bytes:
+    """A small file that unpacks to side x side pixels."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return len(body).to_bytes(4) + kind + body + zlib.crc32(kind + body).to_bytes(4)
+
+    header = side.to_bytes(4) * 2 + bytes((8, 2, 0, 0, 0))
+    rows = zlib.compress(bytes(side * (1 + 3 * side)), 9)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+RECORD = b'{"method": "light-path", "geometry": "truth", "knowledge": "everything"}'
+HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
+    "a zip": (zipped, "is no archive of `hyaline-bench submit`"),
+    "empty": (lambda: b"", "is no archive of `hyaline-bench submit`"),
+    "cut off": (lambda: SUBMISSION.read_bytes()[:-600], r"has [\d,]+ bytes; expected"),
+    "longer": (lambda: SUBMISSION.read_bytes() + b"!", r"has [\d,]+ bytes; expected"),
+    "a way up": (with_file("../up.png", b""), "names '../up.png'; expected a file inside"),
+    "an absolute path": (with_file("/tmp/up.png", b""), "names '/tmp/up.png'; expected a file inside"),
+    "a program": (with_file(f"{HOME}/predictions/interpolating/run.sh", b""), "only records and predictions of the"),
+    "another run": (with_file("synthetic/other/run.json", b"{}"), "only records and predictions of the"),
+    "training views": (with_file(f"{HOME}/predictions/train/0000.png", b""), "only records and predictions of the"),
+    "a link": (with_entry(type=tarfile.SYMTYPE, linkname="/etc/passwd"), r"is damaged|has [\d,]+ bytes"),
+    "a hard link": (with_entry(type=tarfile.LNKTYPE, linkname="x"), r"is damaged|has [\d,]+ bytes"),
+    "a device": (with_entry(type=tarfile.CHRTYPE), "0000.png is damaged"),
+    "a sparse file": (with_entry(type=tarfile.GNUTYPE_SPARSE), "0000.png is damaged"),
+    "a bomb": (with_index(more={PICTURE: {"size": 1 << 50, "sha256": "0" * 64}}), r"expected at most 16,777,216"),
+    "a later version": (with_index(version=2), "version is 2; expected 1; update hyaline"),
+    "an unknown key": (with_index(extra=1), "unknown key 'extra'"),
+    "a long text": (with_index(code="x" * 201), "code: has 201 characters; expected at most 200"),
+    "a name that is a path": (with_index(name="../up"), "name: is '../up'; expected a name"),
+    "an unknown track": (with_index(track="all"), "track 'all': there is none of that name"),
+    "an unknown scene": (with_index(datasets={"attic": "0"}), "scene 'attic': there is none of that name"),
+    "another dataset": (with_index(datasets={"synthetic": "0" * 64}), "only records and pred|which is not there"),
+    "more told than the track allows": (with_file(f"{HOME}/run.json", RECORD), "was told more .everything. than the"),
+    "a missing view": (with_file(PICTURE, None), r"0000.png: missing \(1 of 2 are\)"),
+    "a view too many": (
+        with_file(PICTURE.replace("0000", "0002"), png_bytes(np.zeros((32, 32, 3), np.uint8))),
+        "not a",
+    ),
+    "no picture": (with_file(PICTURE, b"GIF89a"), "not a PNG"),
+    "another size": (with_file(PICTURE, png_bytes(np.zeros((32, 31, 3), np.uint8))), "is 31 x 32 pixels; expected 32"),
+    "a huge picture": (with_file(PICTURE, huge_png(9000)), "is 9000 x 9000 pixels; expected 32 x 32"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_submission_is_one_line_and_leaves_nothing(
+    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    make, reason = HOSTILE[name]
+    index, files = read_files()
+    assert write_archive(index, files) == SUBMISSION.read_bytes(), "what is changed here is a submission"
+    Path("hostile.tar").write_bytes(make())
+    (tmp_path / "temporary").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", os.fspath(tmp_path / "temporary"))
+    before = tree(tmp_path)
+    answer = call("hyaline-bench score hostile.tar --preset tiny --out new.json")
+    assert answer.status == 1 and answer.err.count("error: ") == 1
+    assert re.search(reason, answer.error), answer.error
+    assert "hostile.tar" in answer.error and tree(tmp_path) == before
+
+
+def test_the_truth_itself_is_no_prediction(packed: Path) -> None:
+    for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
+        Path(f"runs/synthetic-tiny/nearest-view/predictions/interpolating/{view.index:04d}.png").write_bytes(
+            png_bytes(view.image)
+        )
+    run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
+    assert (
+        answer.status == 1 and "synthetic: interpolating: every picture equals the truth with its noise" in answer.error
+    )
+
+
+# Tracks
+
+
+@pytest.mark.parametrize(
+    ("method", "geometry", "track"),
+    [
+        ("deepvoxels", "none", "pictures"),
+        ("light-path", "fitted", "masks"),
+        ("light-path", "fitted-hull", "masks"),
+        ("paper", "ellipsoid", "proxies"),
+        ("dnr-layers", "truth", "shapes"),
+        ("light-path", "fitted-materials", "shapes"),
+        ("light-path", "truth", "materials"),
+        ("light-path", "ellipsoid", "materials"),
+    ],
+)
+def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
+    here: Path, small_protocol: Protocol, method: str, geometry: str, track: str
+) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    found = dataclasses.replace(open_run(folder, here / "data"), method=method, geometry=geometry)
+    assert choose_track(found, None, small_protocol.tracks) == track
+    assert choose_track(found, "materials", small_protocol.tracks) == "materials"
+    for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:
+        with pytest.raises(HyalineError, match=f"than the track {lower} allows; submit it to {track}"):
+            choose_track(found, lower, small_protocol.tracks)
+
+
+# Floors and averages
+
+
+def test_the_nearest_view_is_chosen_by_cameras_alone() -> None:
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(9, 3)) + np.array([0, 0, 2])
+    poses = np.stack([look_at(3 * way / np.linalg.norm(way), np.zeros(3)) for way in ways])
+    train = Cameras(world_from_camera=poses, fov_x=1.0, width=4, height=4)
+    pictures = np.arange(9, dtype=np.uint8)[:, None, None, None] * np.ones((1, 4, 4, 3), np.uint8)
+    shuffled = rng.permutation(9)
+    nudged = poses[shuffled].copy()
+    nudged[:, :3, 3] += 1e-3
+    test = Cameras(world_from_camera=nudged, fov_x=1.0, width=4, height=4)
+    assert nearest_view(pictures, train, test)[:, 0, 0, 0].tolist() == shuffled.tolist()
+    # At one place, the viewing direction decides.
+    turned = np.stack([look_at(np.array([0.0, 0, 3]), np.array(target)) for target in ([0.1, 0, 0], [3.0, 0, 3])])
+    pair = Cameras(world_from_camera=turned, fov_x=1.0, width=4, height=4)
+    asked = Cameras(world_from_camera=turned[1:], fov_x=1.0, width=4, height=4)
+    assert nearest_view(pictures[:2], pair, asked)[0, 0, 0, 0] == 1
+
+
+def test_the_interval_is_that_of_scipys_percentile_bootstrap() -> None:
+    values = np.random.default_rng(1).normal(30, 3, 22)
+    low, high = mean_interval(values, Bootstrap(resamples=20_000, seed=0, confidence=0.95))
+    theirs = scipy.stats.bootstrap(
+        (values,), np.mean, method="percentile", n_resamples=20_000, rng=np.random.default_rng(5)
+    ).confidence_interval
+    assert (low, high) == pytest.approx((theirs.low, theirs.high), abs=0.03)  # Resampling alone spreads by 0.01.
+
+
+def test_the_interval_of_two_scenes_has_a_closed_form_and_one_scene_has_none() -> None:
+    # Resampled means are 20, 24 and 28 with probabilities 1/4, 1/2 and 1/4.
+    bootstrap = Bootstrap(resamples=4000, seed=0, confidence=0.6)
+    assert mean_interval(np.array([20.0, 28.0]), bootstrap) == (20, 28)
+    assert mean_interval(np.array([20.0, 28.0]), dataclasses.replace(bootstrap, confidence=0.4)) == (24, 24)
+    assert mean_interval(np.array([20.0]), bootstrap) == (None, None)
+
+
+def test_rows_with_fewer_scenes_come_last(packed: Path, small_protocol: Protocol) -> None:
+    run("hyaline-bench score --preset tiny")
+    scored = read_scored(SCORES)
+    few = dataclasses.replace(scored, name="few", scenes={"synthetic": scored.scenes["synthetic"]})
+    rows = track_grid("", [few, scored], small_protocol).rows
+    assert [(row[0], row[1]) for row in rows] == [("nearest-view", "2/4"), ("few", "1/4")]
