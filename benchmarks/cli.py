@@ -331,18 +331,21 @@ def step(choices: BenchChoices) -> None:
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
-def compare(commit: str, *, rounds: int = 3) -> None:
-    """This version beside an earlier commit: processor time of training steps and of a drawn view, by turns.
+def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable)) -> None:
+    """This version beside an earlier commit: processor time of training, drawing, tracing and short commands, by turns.
 
-    Each version builds a small dataset and trains with its own commands. A round takes about five minutes of one core.
+    Each version builds small datasets and runs its own commands. A round takes about three minutes of one core. What is
+    measured is kept in build/compare, so the same command continues where it was interrupted.
 
     Args:
-        commit: The earlier one, such as 4bd2d80.
+        commit: The earlier one, such as 4bd2d80; it is compared with the commit that is checked out.
         rounds: Turns of each version.
+        python: Python interpreter of an environment that also has the earlier commit's libraries, such as zarr for
+            4bd2d80.
     """
-    from benchmarks.versions import compare_versions, versions_table
+    from benchmarks.versions import compare_versions
 
-    print(versions_table(commit, compare_versions(commit, rounds=rounds)))
+    print(compare_versions(commit, rounds=rounds, python=python))
 
 
 def infer(choices: BenchChoices) -> None:

@@ -72,7 +72,8 @@ class Run:
 
     @property
     def metrics(self) -> list[dict[str, float | None]]:
-        """One entry an evaluation: step, loss, and held_out_psnr in dB (None without held-out views)."""
+        """One entry an evaluation: step, loss, and held_out_psnr in dB, of a quarter of the
+        held-out views' pixels (None without such views)."""
         return read_metrics(self.folder)
 
     @property

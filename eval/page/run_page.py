@@ -375,8 +375,8 @@ def _chart(key: str, points: Points, ceiling_db: float | None) -> Markup:
             )
         note = tag(
             "p",
-            "Held-out views are training views that are not trained on. They measure progress, and do not compare with "
-            f"the scores on test views: they are drawn with one ray a pixel, and are noisier {why}.",
+            "Held-out views are training views that are not trained on. They measure progress by a quarter of their "
+            f"pixels, and do not compare with the scores on test views, since they are noisier {why}.",
             class_="note",
         )
     chart = line_chart(tuple(lines), title=f"{title} by training step", x_title="step", y_title=y_title)

@@ -48,14 +48,13 @@ class Processes:
         """The random generator of an update in this process; the first one's equals that of a single process."""
         return np.random.default_rng([seed, step, update, self.rank])
 
-    def mean_loss(self, loss: Tensor, *, is_stopped: bool) -> tuple[float, bool]:
+    def mean_loss(self, loss: Tensor, *, is_stopped: bool) -> tuple[Tensor, bool]:
         """The mean over all processes, and whether any was asked to stop; all get the same result."""
         if self.count == 1:
-            return float(loss.item()), is_stopped
+            return loss.detach(), is_stopped
         total = torch.stack([loss.detach(), loss.new_tensor(float(is_stopped))])
         distributed.all_reduce(total)
-        loss_sum, stopped = total.tolist()
-        return loss_sum / self.count, stopped > 0
+        return total[0] / self.count, bool(total[1] > 0)
 
     def average_gradients(self, renderer: nn.Module) -> None:
         """Makes every gradient its mean over all processes; those of textures are whole tables, too."""

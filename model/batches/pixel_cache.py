@@ -37,7 +37,7 @@ from datagen.disk.ownership import remove_files
 from datagen.disk.records import Json
 from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, make_private, sha256, user_cache
 from datagen.terminal.command import say, track
-from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack
+from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack, to_device
 from model.settings.run_flags import Memory
 
 CACHE_VERSION = 1
@@ -118,11 +118,11 @@ class MappedPixels:
         row = index.flatten().cpu().numpy()
         uv, object_id = self.files.read(row, self.num_layers)
         self.files.let_go()
-        view = torch.from_numpy(row // self.pixels_per_view).to(self.device)
+        moved = to_device({"uv": uv, "object_id": object_id, "view": row // self.pixels_per_view}, self.device)
         return RayBatch(
-            uv=(torch.from_numpy(uv).to(self.device).int() & 0xFFFF).float() / UV_SCALE,
-            object_id=torch.from_numpy(object_id).to(self.device),
-            p_camera=self.p_camera[view],
+            uv=(moved["uv"].int() & 0xFFFF).float() / UV_SCALE,
+            object_id=moved["object_id"],
+            p_camera=self.p_camera[moved["view"]],
             grid=grid,
         )
 

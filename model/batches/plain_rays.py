@@ -12,7 +12,7 @@ from torch import Tensor
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from model.batches.rays import black, pixels_at_once, read_colors
+from model.batches.rays import black, pixels_at_once, read_colors, to_device
 from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of
 
 
@@ -40,10 +40,7 @@ class PlainRayPixels(RayPixels):
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> PlainRays:
         """One ray through each of the pixels with these row numbers."""
         origins, directions = self.rays.through(index.flatten().cpu().numpy(), 1, rng)
-        return PlainRays(
-            origins=torch.from_numpy(origins).to(self.device),
-            directions=torch.from_numpy(directions).to(self.device),
-        )
+        return PlainRays(**to_device({"origins": origins, "directions": directions}, self.device))
 
 
 def load_rays(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:

@@ -1,7 +1,7 @@
 """The training data in memory: every pixel of some views with its layers, and random batches of them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar, runtime_checkable
 
@@ -17,6 +17,9 @@ from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
 
 Batch_co = TypeVar("Batch_co", covariant=True)
+
+ALIGNMENT = 16
+"""Bytes between the starts of arrays that are copied together: a multiple of every type's size."""
 
 
 @runtime_checkable
@@ -44,6 +47,11 @@ class PixelSource(Protocol[Batch_co]):
     @property
     def chunk(self) -> int:
         """Pixels rendered at once."""
+        ...
+
+    @property
+    def whole_views(self) -> bool:
+        """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
         ...
 
     def to(self, device: torch.device) -> "PixelSource[Batch_co]": ...
@@ -194,7 +202,7 @@ def draw_patches(
     row, column = rng.integers(free, size=(2, number))
     rows, columns = (first[:, None] + np.arange(size) * stride[:, None] for first in (row, column))
     index = (view[:, None, None] * height + rows[:, :, None]) * width + columns[:, None, :]
-    return torch.from_numpy(index).to(pixels.rgb.device)
+    return to_device({"index": index}, pixels.rgb.device)["index"]
 
 
 def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> UInt8[Tensor, "pixel 3"]:
@@ -202,6 +210,24 @@ def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_im
     black = np.zeros((*dataset.config.resolution.shape, 3), np.uint8)
     images = [dataset.view(split, view).image if with_images else black for view in views]
     return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
+
+
+Key = TypeVar("Key")
+
+
+def to_device(arrays: Mapping[Key, np.ndarray], device: torch.device) -> dict[Key, Tensor]:
+    """Arrays as tensors on a device. A GPU gets them in one copy from pinned memory, for which nothing waits."""
+    if device.type == "cpu":
+        return {key: torch.from_numpy(np.ascontiguousarray(values)) for key, values in arrays.items()}
+    starts = np.cumsum([0, *(-(-values.nbytes // ALIGNMENT) * ALIGNMENT for values in arrays.values())]).tolist()
+    packed = np.empty(starts[-1], np.uint8)
+    for start, values in zip(starts, arrays.values()):
+        packed[start : start + values.nbytes] = np.ascontiguousarray(values).reshape(-1).view(np.uint8)
+    moved = torch.from_numpy(packed).pin_memory().to(device, non_blocking=True)
+    return {
+        key: moved[start : start + values.nbytes].view(torch.from_numpy(values[:0].copy()).dtype).view(values.shape)
+        for start, (key, values) in zip(starts, arrays.items())
+    }
 
 
 def black(cameras: Cameras) -> UInt8[Tensor, "pixel 3"]:
@@ -238,7 +264,7 @@ def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayB
     num_rays, num_layers = rays.object_id.shape
     last = np.full(num_rays, num_layers)
     place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
-    return insert_empty_layer(rays, torch.from_numpy(place).to(rays.object_id.device))
+    return insert_empty_layer(rays, to_device({"place": place}, rays.object_id.device)["place"])
 
 
 def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:

@@ -17,7 +17,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.rays import Pixels, RayBatch, black, read_colors
+from model.batches.rays import Pixels, RayBatch, black, read_colors, to_device
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
@@ -78,6 +78,10 @@ class RayPixels:
     def pixels_per_view(self) -> int:
         return self.resolution.pixels
 
+    @property
+    def whole_views(self) -> bool:
+        return False
+
     def to(self, device: torch.device) -> Self:
         return dataclasses.replace(self, rgb=self.rgb.to(device), device=device)
 
@@ -102,9 +106,7 @@ class TracedLayerPixels(RayPixels):
         with short_lived_workers():
             uv, object_id = self.peeler.peel_rays(origins, directions, self.num_layers)
         return RayBatch(
-            uv=torch.from_numpy(uv).to(self.device),
-            object_id=torch.from_numpy(object_id).to(self.device),
-            p_camera=torch.from_numpy(origins).to(self.device),
+            **to_device({"uv": uv, "object_id": object_id, "p_camera": origins}, self.device),
             samples=samples,
             grid=(index.shape[0], index.shape[1], index.shape[2]) if index.ndim == 3 else None,
         )

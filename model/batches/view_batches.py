@@ -51,6 +51,10 @@ class Views:
         return self.pixels_per_view
 
     @property
+    def whole_views(self) -> bool:
+        return True
+
+    @property
     def num_views(self) -> int:
         return len(self.cameras)
 

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.batches.rays import PixelSource, draw_patches, mean_color, take_colors, variance_of_mean
+from model.batches.rays import PixelSource, draw_patches, mean_color, take_colors, to_device, variance_of_mean
 
 Radiance = Callable[..., tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]]
 """Linear radiance of every ray of a batch, and the same numbers again with only the sky's gradients. Without the
@@ -49,7 +49,7 @@ def pixel_loss(
             trained sky learns only from the random pixels, not from patch terms.
         debias: share of `noise_penalty` that is then subtracted from the loss.
     """
-    index = torch.from_numpy(rng.integers(len(training.rgb), size=batch)).to(training.rgb.device)
+    index = to_device({"index": rng.integers(len(training.rgb), size=batch)}, training.rgb.device)["index"]
     patches = None if patch_terms is None else draw_patches(training, patch_terms.number, patch_terms.size, rng)
     together = index if patches is None else torch.cat([index, patches.flatten()])
     rendered = _render(renderer, training.take(together, rng), rng, radiance, debias)

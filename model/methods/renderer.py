@@ -5,7 +5,7 @@ from typing import Generic, Literal, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 from torch import Tensor, nn
 
 from model.batches.rays import PixelSource
@@ -55,10 +55,15 @@ class Renderer(nn.Module, Generic[SourceT]):
         """A hook after the last of `updates` weight updates, each from `batch` pixels; does nothing by default."""
         return
 
-    def render(self, pixels: SourceT) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels, neither clipped nor rounded; called at evaluation, without gradients."""
-        index = torch.arange(len(pixels.rgb), device=pixels.rgb.device)
-        return torch.cat([self(pixels.take(part, None)) for part in index.split(pixels.chunk)])
+    def render(self, pixels: SourceT, index: Int[Tensor, " pixel"] | None = None) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of pixels, neither clipped nor rounded; called at evaluation, without gradients.
+
+        Args:
+            index: row numbers, those of whole views if `pixels.whole_views`; None: all.
+        """
+        device = pixels.rgb.device
+        rows = torch.arange(len(pixels.rgb), device=device) if index is None else index.to(device)
+        return torch.cat([self(pixels.take(part, None)) for part in rows.split(pixels.chunk)])
 
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
         """All parameters, grouped by learning rate."""

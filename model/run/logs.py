@@ -1,7 +1,8 @@
 """The logs of a training run besides its metrics, for people to read; no command relies on them.
 
 RUN/costs.json                           with --costs: time and memory, summed over the sessions of a run
-RUN/snapshots/000500.png                 at each evaluation: held-out views, truth above prediction; 8-bit sRGB
+RUN/snapshots/000500.png                 at each evaluation: the scored pixels of the held-out views, truth above
+                                         prediction; 8-bit sRGB
 RUN/tensorboard/events.out.tfevents.*    with --tensorboard: loss and score as curves, held-out views as pictures
 
 Snapshots have equal bytes whenever the same run is trained, however often it was stopped. Costs and TensorBoard's files
@@ -150,12 +151,10 @@ class Events:
         if step % LOSS_EVERY == 0:
             self._writer.add_scalar("loss", loss, step)
 
-    def add_evaluation(self, step: int, score: float | None, picture: Picture | None) -> None:
+    def add_evaluation(self, step: int, score: float, picture: Picture) -> None:
         """A held-out PSNR in dB, and the picture of the held-out views."""
-        if score is not None:
-            self._writer.add_scalar("held-out PSNR (dB)", score, step)
-        if picture is not None:
-            self._writer.add_image("held-out views", picture, step, dataformats="HWC")
+        self._writer.add_scalar("held-out PSNR (dB)", score, step)
+        self._writer.add_image("held-out views", picture, step, dataformats="HWC")
         self._writer.flush()
 
     def close(self) -> None:
@@ -181,7 +180,7 @@ class LogChoices:
     """The logs of a run; none of them changes other files."""
 
     snapshots: bool = True
-    """A picture of the held-out views at each evaluation."""
+    """A small picture of the held-out views at each evaluation."""
     tensorboard: bool = False
     """Event files for TensorBoard."""
     costs: Meter | None = None
@@ -204,18 +203,17 @@ class Logs:
     def add_evaluation(
         self,
         step: int,
-        score: float | None,
+        score: float,
         truth: UInt8[np.ndarray, "view h w 3"],
         predicted: UInt8[np.ndarray, "view h w 3"],
     ) -> None:
-        """The held-out PSNR in dB (None without held-out views) and the held-out views after a step."""
-        picture = snapshot(truth, predicted) if len(truth) else None
-        if picture is not None and self._choices.snapshots:
+        """The held-out PSNR in dB and the scored pixels of the held-out views after a step."""
+        picture = snapshot(truth, predicted)
+        if self._choices.snapshots:
             write_snapshot(self._run, step, picture)
         if self._choices.preview:
-            scored = "" if score is None else f", {score:.2f} dB"
             shown = [np.concatenate(pair) for pair in zip(truth, predicted, strict=True)]
-            preview(shown, f"held-out views after step {step:,}{scored}: truth above prediction")
+            preview(shown, f"held-out views after step {step:,}, {score:.2f} dB: truth above prediction")
         if self._events is not None:
             self._events.add_evaluation(step, score, picture)
 

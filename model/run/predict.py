@@ -14,7 +14,7 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32, Int, UInt8
 from torch import Tensor, nn
 
 from datagen.data.cameras import Cameras
@@ -46,16 +46,21 @@ from model.run.run_folder import (
 from model.settings.runtime import keep_freed_memory
 
 
-def predict_pixels(renderer: Renderer, pixels: PixelSource) -> UInt8[np.ndarray, "pixel 3"]:
-    """8-bit sRGB colours of all pixels, clipped and rounded; batch norm uses its running statistics.
+def predict_pixels(
+    renderer: Renderer, pixels: PixelSource, index: Int[Tensor, " pixel"] | None = None
+) -> UInt8[np.ndarray, "pixel 3"]:
+    """8-bit sRGB colours of pixels, clipped and rounded; batch norm uses its running statistics.
 
     The renderer's mode (training or not) is the same afterwards.
+
+    Args:
+        index: row numbers, those of whole views if `pixels.whole_views`; None: all.
 
     Raises:
         NumericsError: a colour is not finite, which 8 bits would show as black.
     """
     with torch.inference_mode():
-        colors = predict_colors(renderer, pixels)
+        colors = predict_colors(renderer, pixels, index)
         if not bool(colors.isfinite().all()):
             raise NumericsError(
                 "a predicted colour is not finite, so its picture is not written; train again with --overwrite and a "
@@ -65,12 +70,14 @@ def predict_pixels(renderer: Renderer, pixels: PixelSource) -> UInt8[np.ndarray,
 
 
 @torch.inference_mode()
-def predict_colors(renderer: Renderer, pixels: PixelSource) -> Float32[Tensor, "pixel 3"]:
-    """sRGB colours of all pixels, neither clipped nor rounded; on the pixels' device."""
+def predict_colors(
+    renderer: Renderer, pixels: PixelSource, index: Int[Tensor, " pixel"] | None = None
+) -> Float32[Tensor, "pixel 3"]:
+    """As `predict_pixels`, but neither clipped nor rounded; on the pixels' device."""
     was_training = renderer.training
     renderer.eval()
     try:
-        return renderer.render(pixels)
+        return renderer.render(pixels, index)
     finally:
         renderer.train(was_training)
 

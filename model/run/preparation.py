@@ -82,12 +82,6 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
     )
 
 
-def choose_held_out(num_views: int, at_most: int) -> list[int]:
-    """The training views that are held out to measure progress: evenly spread, and at most a fifth of all."""
-    number = min(at_most, num_views // 5)
-    return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
-
-
 def load_training(
     config: TrainConfig, inputs: Inputs, views: list[int], *, processes: Processes, memory: Memory, device: torch.device
 ) -> PixelSource:

@@ -11,7 +11,6 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from torch import Tensor, nn
 
 from datagen.data.dataset import Dataset
@@ -29,13 +28,12 @@ from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import LogChoices, Logs
-from model.run.predict import predict_pixels
 from model.run.preparation import (
     Adam,
     build_renderer,
     check_inpainting,
-    choose_held_out,
     count_parameters,
     describe_run,
     load_training,
@@ -99,7 +97,7 @@ def train(
     training = load_training(config, inputs, shown, processes=processes, memory=memory, device=device)
     testing = None
     if held_out and processes.is_first:
-        testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
+        testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
     losses = make_losses(config, renderer, training, inputs, device=device)
 
     # Processes average whole tables of gradients, so several move no texture lazily.
@@ -116,8 +114,7 @@ def train(
         optimizer=optimizer,
         losses=losses,
         training=training,
-        testing=testing,
-        view_shape=dataset.config.resolution.shape,
+        held_out=testing,
         logs=logs if processes.is_first else LogChoices(),
     )
     progress = resume(run)
@@ -149,10 +146,8 @@ class Run:
     optimizer: Adam
     losses: Losses
     training: PixelSource
-    testing: PixelSource | None
+    held_out: HeldOut | None
     """The held-out views, in the first process; None if there are none."""
-    view_shape: tuple[int, int]
-    """Rows and columns of a view."""
     logs: LogChoices
     """Logs to write; none outside the first process."""
 
@@ -294,9 +289,9 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         processes.average_gradients(renderer)
-        loss_value, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
+        mean_loss, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
         is_stopped = is_stopped or is_asked
-        check_finite(loss_value, renderer, step=step, out=run.out)
+        loss_value = read_finite(mean_loss, renderer, step=step, out=run.out)
         done = (step + update / config.updates) / config.steps
         for learning, group in zip(run.optimizer.param_groups, run.groups, strict=True):
             learning["lr"] = run.losses.limit_rate(group.lr * decay(config.lr_decay, done), step)
@@ -310,13 +305,11 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
 
 def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
     """Scores the held-out views, writes a line of metrics, and resets the mean loss."""
-    predicted = truth = np.zeros((0, *run.view_shape, 3), np.uint8)
     score = None
-    if run.testing is not None:
-        predicted = predict_pixels(run.renderer, run.testing).reshape(-1, *run.view_shape, 3)
-        truth = run.testing.rgb.cpu().numpy().reshape(predicted.shape)
+    if run.held_out is not None:
+        truth, predicted = run.held_out.truth, run.held_out.draw(run.renderer)
         score = mean_psnr(predicted, truth)
-    logs.add_evaluation(progress.step, score, truth, predicted)
+        logs.add_evaluation(progress.step, score, truth, predicted)
     progress.psnr = math.nan if score is None else score
     progress.metrics.append({"step": progress.step, "loss": progress.loss, "held_out_psnr": score})
     write_metrics(run.out, progress.metrics)
@@ -372,28 +365,24 @@ def check_processes(config: TrainConfig, processes: Processes) -> None:
         )
 
 
-def check_finite(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:
-    """Stops a run before its optimiser sees a loss or gradient that is not finite: Adam would keep it for ever.
+def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:
+    """The loss; stops a run if it or a gradient is not finite, before the optimiser sees them: Adam would keep them for
+    ever.
 
-    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms.
+    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. A GPU is waited for once.
     """
     sums = {name: value.grad.sum() for name, value in renderer.named_parameters() if value.grad is not None}
-    bad = [name for name, total in zip(sums, torch.stack(list(sums.values())).tolist()) if not math.isfinite(total)]
+    value, *totals = torch.stack([loss, *sums.values()]).tolist()
+    bad = [name for name, total in zip(sums, totals, strict=True) if not math.isfinite(total)]
     bad += [
         f"{name}.table"
         for name, part in renderer.named_modules()
         if isinstance(part, NeuralTextures) and part.lazy is not None and not part.lazy.is_finite()
     ]
-    if not math.isfinite(loss) or bad:
-        what = f"the loss is {loss}" if not math.isfinite(loss) else f"the gradient of {bad[0]} is not finite"
+    if not math.isfinite(value) or bad:
+        what = f"the loss is {value}" if not math.isfinite(value) else f"the gradient of {bad[0]} is not finite"
         raise NumericsError(
             f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
             f"start over with --overwrite and a lower --lr"
         )
-
-
-def mean_psnr(predicted: UInt8[np.ndarray, "view h w 3"], truth: UInt8[np.ndarray, "view h w 3"]) -> float:
-    """The mean over views of the PSNR in dB of 8-bit pictures."""
-    error = (predicted.astype(np.float64) - truth) / 255
-    mse = np.square(error).reshape(len(truth), -1).mean(axis=1)
-    return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))
+    return value

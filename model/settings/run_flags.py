@@ -34,7 +34,8 @@ class RunFlags:
     $XDG_CACHE_HOME), of which each step reads what it needs, so that a dataset may be larger than memory. The results
     are identical, bit for bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
     snapshots: bool = choice(True)
-    """Leave a picture of the held-out views, above the truth, at each evaluation: in the run's folder snapshots."""
+    """Leave a small picture of the held-out views, below the truth, at each evaluation: in the run's folder
+    snapshots."""
     tensorboard: bool = choice(False)
     """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
     extra tensorboard."""

@@ -36,14 +36,14 @@ def run_bytes(out: Path) -> dict[str, bytes]:
 
 def stop_at(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
     """Kills training before a step's optimiser, as a power cut would: nothing after it runs."""
-    check = train_module.check_finite
+    check = train_module.read_finite
 
-    def die(loss: float, renderer: torch.nn.Module, *, step: int, out: Path, last: int = step) -> None:
+    def die(loss: torch.Tensor, renderer: torch.nn.Module, *, step: int, out: Path, last: int = step) -> float:
         if step == last:
             raise KeyboardInterrupt
-        check(loss, renderer, step=step, out=out)
+        return check(loss, renderer, step=step, out=out)
 
-    monkeypatch.setattr(train_module, "check_finite", die)
+    monkeypatch.setattr(train_module, "read_finite", die)
 
 
 def assert_resumes(

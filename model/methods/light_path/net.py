@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -81,9 +81,9 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         """sRGB colours of the pixels, at least 0."""
         return mean_color(self.radiance(paths))
 
-    def render(self, pixels: LightPathPixels) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels; pixels whose rays differ get more rays."""
-        return draw_refined(self.radiance, pixels)
+    def render(self, pixels: LightPathPixels, index: Int[Tensor, " pixel"] | None = None) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of pixels; those whose rays differ get more rays."""
+        return draw_refined(self.radiance, pixels, torch.arange(len(pixels.rgb)) if index is None else index)
 
     def loss(
         self,
@@ -293,12 +293,15 @@ ROUND_NUMBER = 256
 
 
 def draw_refined(
-    radiance_of: Callable[[LightPathBatch], Float32[Tensor, "pixel sample 3"]], pixels: LightPathPixels
+    radiance_of: Callable[[LightPathBatch], Float32[Tensor, "pixel sample 3"]],
+    pixels: LightPathPixels,
+    index: Int[Tensor, " pixel"],
 ) -> Float32[Tensor, "pixel 3"]:
-    """sRGB colours of all pixels: `render_samples` rays each, `refined_samples` for pixels whose rays differ."""
+    """sRGB colours of the pixels with these row numbers: `render_samples` rays each, `refined_samples` for pixels whose
+    rays differ."""
     config = pixels.config
     parts, doubts = [], []
-    for part in torch.arange(len(pixels.rgb)).split(pixels.chunk):
+    for part in index.split(pixels.chunk):
         radiance = radiance_of(pixels.take(part, None))
         parts.append(srgb_curve(radiance.mean(dim=1)))
         doubts.append(is_doubtful(radiance))
@@ -310,7 +313,7 @@ def draw_refined(
     finer = pixels.refined()
     for part in again.split(finer.chunk):
         filled = torch.cat([part, part[:1].expand(-len(part) % ROUND_NUMBER)])
-        colors[part] = mean_color(radiance_of(finer.take(filled, None)))[: len(part)]
+        colors[part] = mean_color(radiance_of(finer.take(index[filled], None)))[: len(part)]
     return colors
 
 

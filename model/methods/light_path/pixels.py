@@ -21,7 +21,7 @@ from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import Limits
 from model.batches.ahead import Ahead, Draw
-from model.batches.rays import black, read_colors
+from model.batches.rays import black, read_colors, to_device
 from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_pairs
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
@@ -45,11 +45,11 @@ class Ends:
     throughput: Float32[Tensor, "end 3"]
     cosine: Float32[Tensor, " end"]
     """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
-    position: Float32[Tensor, "end 3"] | None
+    position: Float32[Tensor, "end 3"] | None = None
     """None, like the next two, where the configuration uses none of them."""
-    reflected: Float32[Tensor, "end 3"] | None
+    reflected: Float32[Tensor, "end 3"] | None = None
     """The arriving direction, mirrored at the surface."""
-    uv_slope: Float32[Tensor, "end 2"] | None
+    uv_slope: Float32[Tensor, "end 2"] | None = None
     """Change of uv per metre of depth below the surface."""
 
 
@@ -95,7 +95,6 @@ class LightPathBatch:
 
 COUNTED_PIXELS = 4096
 """Pixels that decide the sizes of textures."""
-
 
 MAX_TEXTURE_SIZE = 2048
 
@@ -193,49 +192,48 @@ class LightPathPixels(RayPixels):
             if config.stack_hidden and config.straight_layers:
                 assert self.straight_tracer is not None
                 straight = _straight(self.straight_tracer, origins, directions, config.straight_layers)
-        stack = self._stack(paths, directions, straight)
+        moved: dict[str, dict[str, Tensor]] = {"ends": {}, "sky": {}, "stack": {}}
+        columns = self._columns(paths, starts, self._stack(paths, directions, straight))
+        for (part, name), values in to_device(columns, self.device).items():
+            moved[part][name] = values
+        ends, exits = (itertools.pairwise(np.searchsorted(rays, starts)) for rays in (paths.ray, paths.exit_ray))
         return [
             LightPathBatch(
-                num_pixels=(last - first) // samples,
+                num_pixels=(rows[1] - rows[0]) // samples,
                 samples=samples,
-                ends=self._ends(paths, first, last),
-                sky=self._sky(paths, first, last),
-                stack=None if stack is None else _rays_of(stack, first, last),
+                ends=Ends(**_rows(moved["ends"], *end_rows)),
+                sky=Sky(**_rows(moved["sky"], *exit_rows)),
+                stack=Stack(**_rows(moved["stack"], *rows)) if moved["stack"] else None,
             )
-            for first, last in itertools.pairwise(starts)
+            for rows, end_rows, exit_rows in zip(itertools.pairwise(starts), ends, exits, strict=True)
         ]
 
-    def _ends(self, paths: "PathEnds", first: int, last: int) -> Ends:
-        here = slice(*np.searchsorted(paths.ray, (first, last)))
-        details = {
-            name: None if values is None else self._tensor(values[here])
-            for name, values in (
-                ("position", paths.position),
-                ("reflected", paths.reflected),
-                ("uv_slope", paths.uv_slope),
-            )
+    def _columns(
+        self, paths: "PathEnds", starts: list[int], stack: dict[str, np.ndarray]
+    ) -> dict[tuple[str, str], np.ndarray]:
+        """The arrays of `Ends`, `Sky` and `Stack` by part and name; rays are counted in each batch on its own."""
+        details = {"position": paths.position, "reflected": paths.reflected, "uv_slope": paths.uv_slope}
+        parts: dict[str, dict[str, np.ndarray]] = {
+            "ends": {
+                "ray": _in_batch(paths.ray, starts),
+                "surface": _surface_of(paths.object_id, self.config.shells),
+                "uv": paths.uv,
+                "throughput": paths.throughput,
+                "cosine": paths.cosine,
+                **{name: values for name, values in details.items() if values is not None},
+            },
+            "sky": {
+                "ray": _in_batch(paths.exit_ray, starts),
+                "direction": paths.exit_direction,
+                "throughput": paths.exit_throughput,
+            },
+            "stack": stack,
         }
-        return Ends(
-            ray=self._tensor(paths.ray[here] - first),
-            surface=self._tensor(_surface_of(paths.object_id[here], self.config.shells)),
-            uv=self._tensor(paths.uv[here]),
-            throughput=self._tensor(paths.throughput[here]),
-            cosine=self._tensor(paths.cosine[here]),
-            **details,
-        )
-
-    def _sky(self, paths: "PathEnds", first: int, last: int) -> Sky:
-        here = slice(*np.searchsorted(paths.exit_ray, (first, last)))
-        return Sky(
-            ray=self._tensor(paths.exit_ray[here] - first),
-            direction=self._tensor(paths.exit_direction[here]),
-            throughput=self._tensor(paths.exit_throughput[here]),
-        )
+        return {(part, name): values for part, columns in parts.items() for name, values in columns.items()}
 
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
         """Random numbers by which each pixel's rays choose facets of rough surfaces: in pairs half a period apart, or
         all spread evenly, as in rendering."""
-
         if self.config.paired_rays:
             first = rng.random((num_pixels, -(-samples // 2), 2))
             points = in_pairs(first, lambda place: (place + 0.5) % 1)[:, :samples]
@@ -243,9 +241,12 @@ class LightPathPixels(RayPixels):
             points = (rng.random((num_pixels, 1, 2)) + r2_steps(samples)) % 1
         return points.reshape(-1, 2).astype(np.float32)
 
-    def _stack(self, paths: "PathEnds", directions: np.ndarray, straight: "TracedPaths | None") -> Stack | None:
+    def _stack(
+        self, paths: "PathEnds", directions: np.ndarray, straight: "TracedPaths | None"
+    ) -> dict[str, np.ndarray]:
+        """The arrays of `Stack`; none if no vertices were asked for."""
         if paths.stack is None:
-            return None
+            return {}
         columns = {
             "surface": _surface_of(paths.stack.object_id, self.config.shells),
             "uv": paths.stack.uv,
@@ -268,11 +269,7 @@ class LightPathPixels(RayPixels):
                 ("uv_slope", straight.uv_slope[0]),
             ):
                 columns[name] = np.moveaxis(values, 0, 1)
-        columns["direction"] = directions
-        return Stack(**{name: self._tensor(values) for name, values in columns.items()})
-
-    def _tensor(self, values: np.ndarray) -> Tensor:
-        return torch.from_numpy(np.ascontiguousarray(values)).to(self.device)
+        return {**columns, "direction": directions}
 
 
 def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
@@ -344,9 +341,13 @@ def _scaled(mesh: Mesh, scale: float) -> Mesh:
     return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
 
 
-def _rays_of(stack: Stack, first: int, last: int) -> Stack:
-    """The stack of some of the rays."""
-    return Stack(**{name: value[first:last] for name, value in vars(stack).items() if value is not None})
+def _rows(columns: dict[str, Tensor], first: int, last: int) -> dict[str, Tensor]:
+    return {name: values[first:last] for name, values in columns.items()}
+
+
+def _in_batch(rays: Int[np.ndarray, " end"], starts: list[int]) -> Int[np.ndarray, " end"]:
+    """Indices of rays, ascending, counted from the start of the batch that each ray belongs to."""
+    return rays - np.repeat(starts[:-1], np.diff(np.searchsorted(rays, starts)))
 
 
 def _surface_of(object_id: UInt8[np.ndarray, "*vertex"], shells: int) -> UInt8[np.ndarray, "*vertex"]:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
@@ -102,12 +102,14 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
 
-    def render(self, pixels: PixelSource[RayBatch]) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of all pixels, looked up and drawn by one compiled loop where possible."""
-        has_loop = self.extrinsics is None or self.extrinsics.kind == "view"
+    def render(
+        self, pixels: PixelSource[RayBatch], index: Int[Tensor, " pixel"] | None = None
+    ) -> Float32[Tensor, "pixel 3"]:
+        """sRGB colours of pixels; all pixels are looked up and drawn by one compiled loop where possible."""
+        has_loop = index is None and (self.extrinsics is None or self.extrinsics.kind == "view")
         kernels = find_kernels() if has_loop and self.net.precision == "fp32" and pixels.device.type == "cpu" else None
         if kernels is None or not isinstance(pixels, Pixels) or not isinstance(self.textures, NeuralTextures):
-            return super().render(pixels)
+            return super().render(pixels, index)
         stacks = Stacks(
             uv=pixels.uv,
             object_id=pixels.object_id,

@@ -39,13 +39,13 @@ def work(rank, ports, every, runs):
                    "MASTER_ADDR": "127.0.0.1"}
     import model.cli, model.run.run_folder, model.run.train
     model.run.run_folder.TrainConfig.__init__.__kwdefaults__ |= every
-    check = model.run.train.check_finite
+    check = model.run.train.read_finite
     for port, (last, words) in zip(ports, runs):
         def stop(loss, renderer, *, step, out, last=last):
             if step == last:
                 raise KeyboardInterrupt
-            check(loss, renderer, step=step, out=out)
-        model.run.train.check_finite = stop
+            return check(loss, renderer, step=step, out=out)
+        model.run.train.read_finite = stop
         os.environ["MASTER_PORT"] = str(port)
         sys.argv = ["model", "train", *words]
         try:

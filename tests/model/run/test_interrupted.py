@@ -151,15 +151,15 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
 ) -> None:
     assert train("whole") == 0
     capsys.readouterr()
-    check = train_module.check_finite
+    check = train_module.read_finite
 
-    def interrupt(loss: float, renderer: torch.nn.Module, *, step: int, out: Path) -> None:
+    def interrupt(loss: torch.Tensor, renderer: torch.nn.Module, *, step: int, out: Path) -> float:
         if step == 2:
             os.kill(os.getpid(), number)
-        check(loss, renderer, step=step, out=out)
+        return check(loss, renderer, step=step, out=out)
 
     with monkeypatch.context() as patch:
-        patch.setattr(train_module, "check_finite", interrupt)
+        patch.setattr(train_module, "read_finite", interrupt)
         assert train("parts", *flags) == 128 + number
     way_on = "the same command without --overwrite" if flags else "the same command"
     said = capsys.readouterr().err.splitlines()

@@ -70,25 +70,26 @@ def poison_parameter(name: str, row: int) -> Callable[[nn.Module], None]:
 def inject(monkeypatch: pytest.MonkeyPatch, site: str) -> None:
     """Puts one NaN where it is asked for, in the step after the last good checkpoint."""
     step_now = 0
-    check = train_module.check_finite
+    check = train_module.read_finite
 
-    def before_check(loss: float, renderer: nn.Module, *, step: int, out: Path) -> None:
+    def before_check(loss: torch.Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:
         nonlocal step_now
         step_now = step + 1
         if step == LAST_GOOD and site == "gradient":
             renderer.get_parameter("net.last.weight").grad[0, 0] = NAN  # pyright: ignore[reportOptionalSubscript]
         if step == LAST_GOOD and site == "loss":
-            loss = NAN
-        check(loss, renderer, step=step, out=out)
+            loss = loss * NAN
+        value = check(loss, renderer, step=step, out=out)
         if step == LAST_GOOD and site in parameters:
             parameters[site](renderer)
+        return value
 
     # A texel that no ray meets, and a bias: neither has to show in any loss.
     parameters = {
         "texture": poison_parameter("textures.table", 0),
         "weights": poison_parameter("net.first.linear.weight", 0),
     }
-    monkeypatch.setattr(train_module, "check_finite", before_check)
+    monkeypatch.setattr(train_module, "read_finite", before_check)
     take_colors, take, colors = losses.take_colors, Pixels.take, predict.predict_colors
     if site == "image":
         monkeypatch.setattr(

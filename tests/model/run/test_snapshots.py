@@ -40,16 +40,17 @@ def trained(dataset: Dataset, out: Path, **choices: bool) -> Path:
     return out
 
 
-def test_each_evaluation_leaves_the_held_out_view_above_its_prediction(dataset: Dataset, tmp_path: Path) -> None:
+def test_each_evaluation_leaves_the_scored_pixels_above_their_prediction(dataset: Dataset, tmp_path: Path) -> None:
     out = trained(dataset, tmp_path / "run")
     assert sorted(path for path in run_bytes(out) if path.endswith(".png")) == SNAPSHOTS
     last = read_png(out / SNAPSHOTS[-1])
     view = dataset.view("train", 4)  # Of eight views the middle one is held out.
-    assert last.shape == (2 * 16 + GAP, 16, 3)
-    assert np.array_equal(last[:16], view.image)
-    assert (last[16 : 16 + GAP] == 255).all()
+    assert last.shape == (2 * 8 + GAP, 8, 3)
+    assert np.array_equal(last[:8], view.image[::2, ::2])
+    assert (last[8 : 8 + GAP] == 255).all()
     predicted = predict_pixels(load_renderer(out, CONFIG, dataset), load(CONFIG.net, dataset, [4]))
-    assert np.array_equal(last[-16:], predicted.reshape(16, 16, 3))
+    thinned = predicted.reshape(16, 16, 3)[::2, ::2]
+    assert thinned.std() > 1 and np.abs(last[-8:].astype(int) - thinned).max() <= 1  # Whole views take another loop.
 
 
 def test_without_snapshots_every_other_byte_is_the_same(dataset: Dataset, tmp_path: Path) -> None:
@@ -157,7 +158,7 @@ def test_thumbnails_are_shown_at_each_evaluation_when_asked_and_change_no_byte(
     shown: list[tuple[tuple[int, ...], str]] = []
     monkeypatch.setattr("model.run.logs.preview", lambda seen, said: shown.append((seen[0].shape, said)))
     with_them = run_bytes(trained(dataset, tmp_path / "with", preview=True))
-    assert [shape for shape, _ in shown] == [(32, 16, 3)] * 3
+    assert [shape for shape, _ in shown] == [(16, 8, 3)] * 3
     assert shown[-1][1].startswith("held-out views after step 5, ") and shown[-1][1].endswith("truth above prediction")
     assert with_them == run_bytes(trained(dataset, tmp_path / "without"))
     assert len(shown) == 3

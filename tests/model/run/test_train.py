@@ -21,7 +21,6 @@ from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_checkpoint, load_state
 from model.run.predict import render_predictions
-from model.run.preparation import choose_held_out
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
 from model.run.train_flags import _completes, parse_train
@@ -79,17 +78,18 @@ def test_a_fingerprint_depends_on_values_and_not_on_the_order_of_keys() -> None:
 def test_a_loss_or_gradient_that_is_no_number_stops_before_the_step(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, site: str
 ) -> None:
-    check = train_module.check_finite
+    check = train_module.read_finite
 
-    def poison(loss: float, renderer: torch.nn.Module, *, step: int, out: Path) -> None:
+    def poison(loss: torch.Tensor, renderer: torch.nn.Module, *, step: int, out: Path) -> float:
         if step == 9 and site == "gradient":
             renderer.get_parameter("textures.table").grad[7, 3] = float("inf")  # pyright: ignore[reportOptionalSubscript]
-        check(loss, renderer, step=step, out=out)
+        value = check(loss, renderer, step=step, out=out)
         if step == 8 and site != "gradient":
             name = {"texture": "textures.table", "network": "net.first.linear.weight"}[site]
             renderer.get_parameter(name).grad.fill_(float("nan"))  # pyright: ignore[reportOptionalMemberAccess]
+        return value
 
-    monkeypatch.setattr(train_module, "check_finite", poison)
+    monkeypatch.setattr(train_module, "read_finite", poison)
     what = "the gradient of textures.table is not finite" if site == "gradient" else "the loss is nan"
     with pytest.raises(HyalineError, match=f"{what} at step 9, so training stopped; the last good checkpoint is kept"):
         train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
@@ -135,12 +135,6 @@ def test_another_configuration_or_dataset_is_refused_by_name(dataset: Dataset, t
         check_same_run(tmp_path, deeper, **seals)
     with pytest.raises(HyalineError, match="another dataset"):
         check_same_run(tmp_path, config, **{**seals, "dataset_seal": "else"})
-
-
-def test_held_out_views_are_few_and_spread() -> None:
-    assert choose_held_out(100, 4) == [12, 37, 62, 87]
-    assert choose_held_out(8, 4) == [4]
-    assert choose_held_out(4, 4) == []
 
 
 def test_the_learning_rate_decays_as_named() -> None:
