@@ -42,6 +42,11 @@ ENOUGH = 3e-4
 BISECTIONS = 20
 """Interval halvings along a ray; they narrow it to a micrometre."""
 
+FLAT, THICK = 0.06, 0.02
+"""Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
+get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
+its faces, out of sight."""
+
 EXPLAINED = 0.1
 """Share of edge pixels that an upright box may get wrong before others are tried from any direction."""
 
@@ -96,18 +101,42 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
         rough = [
             _fitted(_fitted(box, few, turn, SOFTNESS[0], support), few, turn, SOFTNESS[1], support) for box in starts
         ]
-        best = min((_judged(box, few) for box in rough), key=lambda box: box.unexplained)
-        for softness in SOFTNESS[1:]:
-            best = _fitted(best, edge, turn, softness, support)
-        return _judged(best, edge)
+        return sharpen(min((_judged(box, few) for box in rough), key=_errors_of), turn, SOFTNESS[1:])
+
+    def sharpen(box: Box, turn: Float64[np.ndarray, "turn 3"], steps: Sequence[float]) -> Box:
+        for softness in steps:
+            box = _fitted(box, edge, turn, softness, support)
+        return _judged(box, edge)
 
     about_up, any_way = np.asarray(up, np.float64)[None], np.eye(3)
     upright = search([_turned(start, angle * about_up[0]) for angle in np.radians(range(0, 90, 15))], about_up)
+    if upright.unexplained > THICK:
+        panes = [sharpen(pane, about_up, SOFTNESS[2:]) for pane in _panes(upright)]
+        upright = min([upright, *panes], key=_errors_of)
     others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
     tilted = search([upright, *others], any_way)
     best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
+
+
+def _errors_of(box: Box) -> float:
+    return box.unexplained
+
+
+def _panes(box: Box) -> list[Box]:
+    """Thin boxes at the upper and the lower face of one."""
+    width, depth, height = box.half_sizes
+    half = min(FLAT * min(width, depth), height)
+    return [
+        dataclasses.replace(
+            box,
+            center=box.center + side * (height - half) * box.axes[2],
+            half_sizes=np.array([width, depth, half]),
+            rounding=min(box.rounding, half / 2),
+        )
+        for side in (1, -1)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
