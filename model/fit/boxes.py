@@ -36,6 +36,9 @@ COARSE_RAYS = 2500
 STEPS = 30
 """Largest number of steps in a round."""
 
+LEAST_DAMPING = 1e-6
+"""Share of the curvature that is added to itself; where rays do not tell two numbers apart, it is singular without."""
+
 ENOUGH = 3e-4
 """A round ends when a step gains less, relative to the misfit."""
 
@@ -197,7 +200,8 @@ def _fitted(
         tried = _moved(box, step, turn, support)
         new, new_passes = _misfit(tried, rays, width)
         if new < loss:
-            gain, box, loss, passes, damping = loss - new, tried, new, new_passes, damping / 4
+            gain, box, loss, passes = loss - new, tried, new, new_passes
+            damping = max(damping / 4, LEAST_DAMPING)
             if gain < ENOUGH * loss:
                 break
         elif damping > 1e3:
