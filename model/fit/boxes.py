@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
@@ -95,7 +95,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     """
     rng = np.random.default_rng(0)
     edge = rays.at_edges()
-    few = _only(rays, np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
+    few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
     center, radius = find_center(rays)
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
@@ -257,10 +257,6 @@ def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
     return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
-
-
-def _only(rays: NearRays, kept: Int[np.ndarray, " kept"]) -> NearRays:
-    return NearRays(**{field.name: getattr(rays, field.name)[kept] for field in dataclasses.fields(rays)})
 
 
 def _rounded(box: Box) -> Mesh:
