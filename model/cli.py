@@ -167,15 +167,9 @@ def fit(
     if steps < 1 or (mask_errors or 0) < 0:
         raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
     opened = open_dataset(find_dataset(dataset))
-    usual_errors = 0 if masks is None and opened.imported is None else 2
-    choices = FitChoices(
-        unknown=unknown,
-        masks=masks,
-        mask_errors=usual_errors if mask_errors is None else mask_errors,
-        steps=steps,
-        skip=skip,
-        seed=seed,
-    )
+    if mask_errors is None:
+        mask_errors = 0 if masks is None and opened.imported is None else 2
+    choices = FitChoices(unknown=unknown, masks=masks, mask_errors=mask_errors, steps=steps, skip=skip, seed=seed)
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))
@@ -338,12 +332,13 @@ def sweep(
     The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
 
     Args:
-        experiment: A TOML file (see model/run/experiments.py), paper-tables (all tables of the paper) or one of its
-            parts, paper-sizes, headline, proxies, ablation or random.
+        experiment: A TOML file (see model/run/experiments.py), paper-tables or one of its parts (table1, table2,
+            square, zero-layer, variants, budget, claims, figure8, deepvoxels, larger), paper-sizes, headline, proxies,
+            ablation or random.
         dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
-        jobs: Parallel processes, on the CPU (which divide its cores equally) or on each GPU. On a CPU, as many as fit
-            in memory (4 GB each) finish the most runs per hour; a run's numbers then differ by rounding.
+        jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. As many as fit in memory (4 GB
+            each) finish the most runs per hour; a run's numbers then differ by rounding.
         dry_run: Print all commands and an estimate of the processor time, and do nothing.
     """
     from model.run.experiments import read_experiment

@@ -51,7 +51,7 @@ def make_and_peel(
     """
     say(f"{dataset.root}: makes {spec.geometry} proxies of {len(dataset.objects)} objects")
     if not make_proxies(dataset, spec, overwrite=overwrite):
-        say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them anew")
+        say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them again")
     reports = read_reports(dataset, spec.geometry)
     peel_dataset(dataset, spec.geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
     peel_variants(dataset, workers=workers)

@@ -34,7 +34,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
     wall, a floor).
 
     Raises:
-        HyalineError: there is no such place.
+        HyalineError: no such place exists.
     """
     if not isinstance(scene.cameras, CameraRig):
         raise HyalineError(

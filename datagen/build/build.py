@@ -31,7 +31,7 @@ from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say, this_command, track
 
 MANY_PERCENT = 1.0
-"""Of rays that meet more surfaces than are kept: from there on it is said how to keep more."""
+"""Percentage of rays that lose surfaces above which the build explains how to keep more."""
 
 
 def build_dataset(
@@ -50,7 +50,7 @@ def build_dataset(
     stopped. `num_layers` are kept of each ray.
 
     Raises:
-        HyalineError: something else stands at `root`, or another process writes there.
+        HyalineError: `root` holds something else, or another process writes there.
     """
     check_settings(num_layers=num_layers, workers=workers)
     if config.train.views < 1:
@@ -144,7 +144,7 @@ def _start_layers(
     root = layers_root(dataset.root, geometry)
     is_started = not overwrite and _is_started(dataset, geometry, meshes_hash, num_layers=num_layers)
     if overwrite and is_ours(root, LAYERS):
-        # Views that verify under the new head are kept, unless all are asked for anew.
+        # Keeps views that verify under the new head, unless all are to be replaced.
         remove_files(root, [record_path_of_layers(Path(), *task).as_posix() for task in _tasks(dataset)])
     create_layers(dataset, geometry, num_layers=num_layers, geometry_hash=meshes_hash, replace=not is_started)
 

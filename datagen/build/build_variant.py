@@ -88,7 +88,7 @@ def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool, is_alone: bool
     """The variant, when it is this plan's and of this dataset; an empty one where none is, or an outdated one.
 
     Args:
-        overwrite: begin anew in any case.
+        overwrite: start over even if files exist.
         is_alone: False: other processes may be doing the same; nothing is deleted.
     """
     root = variant_root(base.root, plan.name)
@@ -121,7 +121,7 @@ def _is_current(base: Dataset, plan: Plan, record: Variant, contents: dict[str, 
 
 
 def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: str) -> None:
-    """Proxies stand where their objects stand; a copy has that of its original."""
+    """The proxies, moved with their objects; a copy has its original's proxy."""
     edited = edited_scene(base, edit)
     meshes = {item.name: mesh for item, mesh in zip(base.objects, read_meshes(base, geometry), strict=True)}
     records = {record.object: record for record in read_proxy_records(base, geometry)}

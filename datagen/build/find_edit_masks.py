@@ -15,7 +15,7 @@ from datagen.disk.records import Json
 from datagen.disk.storage import check_files, commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 
 SIGMAS = 3.0
-"""A difference counts when it is so many times the standard deviation of its noise."""
+"""Least difference that counts, in standard deviations of its noise."""
 
 
 LEAST = 0.5 / 255
@@ -30,7 +30,7 @@ def write_edit_masks(base: Dataset, edited: Dataset) -> None:
     """Finds and commits the edit masks of all test views, unless they are there; both truths are built and peeled."""
     root = edited.root / EDIT_MASKS_FOLDER
     if is_ours(root, EDIT_MASKS) and load_sealed(root / EDIT_MASKS.head).get("dataset") == edited.seal:
-        with contextlib.suppress(HyalineError):  # Missing, or damaged: found anew.
+        with contextlib.suppress(HyalineError):  # Missing or damaged masks are made again.
             check_files(edited.root, edit_mask_files(edited))
             return
     files: dict[str, bytes] = {}

@@ -27,7 +27,7 @@ class Plan:
     name: str
     config: DatasetConfig
     cameras: dict[Split, Cameras]
-    """Of the splits that the variant has."""
+    """Cameras of the variant's splits."""
     objects: tuple[DatasetObject, ...]
     edit: SceneEdit | None = None
     scene: Mapping[str, bytes] = field(default_factory=dict)
@@ -47,10 +47,10 @@ def plan_angles(base: Dataset) -> Plan:
 
 
 def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
-    """The test splits so many times as wide and high, with as many samples per pixel.
+    """The test splits, enlarged by an integer factor, with the same samples per pixel.
 
     Args:
-        views: of each split, evenly chosen; all unless told.
+        views: number of views of each split, chosen evenly; None: all.
 
     Raises:
         HyalineError: an unfit scale or number of views.

@@ -1,4 +1,4 @@
-"""What stands in a folder: every file, folder, link and pipe below it, told apart without opening one.
+"""Everything in a folder: files, folders, links and pipes, classified without opening any.
 
 No link is followed: what it leads to is not in the folder.
 """

@@ -31,7 +31,7 @@ from datagen.terminal.parsing import flag_words
 Value = TypeVar("Value")
 
 NAMED = 3
-"""Of many files with the same problem, this many are named."""
+"""Number of files that are named if more have the same problem."""
 
 
 class Findings(NamedTuple):
@@ -110,7 +110,7 @@ class _Search:
         if not what:
             self.good.add(relative)
             return True
-        # What a file replaces is a file, a link or a pipe; all else is the user's to move away.
+        # A repair may replace a file, a link or a pipe; users move anything else away themselves.
         is_in_the_way = place in self.survey.kinds and (place != relative or self.survey.kinds[place] == "folder")
         self.wrong(place, f"{what}; move it away, then run" if is_in_the_way else f"{what}; repair it with", command)
         return False
@@ -284,7 +284,7 @@ class _Search:
         )
 
     def _foreign(self) -> list[str]:
-        """What is no part of the dataset, where nothing of it could lie."""
+        """Files that are not part of the dataset, without those that an unread record may name."""
         unread = tuple(place.rsplit("/", 1)[0] + "/" for place in self.lines if place.endswith(("ts.json", "rs.json")))
         foreign = [
             path

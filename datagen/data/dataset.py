@@ -170,7 +170,7 @@ class Dataset:
     def noise_ceiling_db(self, split: Split) -> float | None:
         """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split.
 
-        None where the pictures were imported: how noisy they are, nobody knows.
+        None for imported pictures, whose noise is unknown.
         """
         ceilings = [view.record.ceiling_db for view in self.views(split)]
         known = [ceiling for ceiling in ceilings if ceiling is not None]

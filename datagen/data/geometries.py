@@ -242,7 +242,7 @@ class GeometryKey:
     seal: str
     geometry: str
     hashes: tuple[str, ...]
-    """Of the meshes, and of the materials that differ from the scene's."""
+    """SHA-256 of the meshes, and of the materials that differ from the scene's."""
 
 
 def geometry_key(dataset: Dataset, geometry: str) -> GeometryKey:

@@ -22,7 +22,7 @@ def is_fitted(geometry: str) -> bool:
 
 
 def follows_light(geometry: str) -> bool:
-    """True if light can be followed through a geometry as through the truth: it is no coarse proxy."""
+    """True if light paths can be traced through a geometry: the truth and fits, not coarse proxies."""
     return geometry == TRUTH or is_fitted(geometry)
 
 

@@ -15,7 +15,7 @@ NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+,-]*")
 MAX_NAME = 220
 """Characters; a file system takes 255 bytes, and endings follow."""
 MAX_PART_BYTES, MAX_PATH_BYTES = 255, 1024
-"""Of what lies between two slashes of a path, and of all of it: what every usual file system takes."""
+"""Limits of common file systems: bytes of one path component, and of a whole path."""
 
 _UNFIT_FOR_FILES = re.compile(r"[^\w.+,-]")
 
@@ -76,7 +76,7 @@ def find_file(root: Path, relative: str, *, where: str) -> Path:
 
 
 def check_regular(path: Path, root: Path, *, where: str) -> None:
-    """Refuses a file outside of `root`, by a link, and what is no regular file.
+    """Refuses links that lead out of `root`, and anything but regular files.
 
     Raises:
         DamagedError: it is one of these, or a link that leads nowhere.

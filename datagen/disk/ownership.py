@@ -1,9 +1,9 @@
 """Whose a folder is: what in it may be removed or replaced, and what is never touched.
 
-A folder is ours when its head says so, a sealed JSON file that is written before all else: whatever a killed command
-leaves is then ours, too. Only what a head lists, or what the folder's format names, is ever removed or replaced there,
-and the temporary files of writers, whose names nobody else gives; all else stays. In a folder without a head nothing is
-written, unless it is empty. Below a folder's head no links are followed: they lead to what is not ours.
+A folder is ours if it has a head, a sealed JSON file that is written first, so that whatever a killed command leaves is
+ours, too. Only files that a head lists or the folder's format names are ever removed or replaced, and temporary files
+of writers, whose names no other program uses; everything else is kept. A folder without a head is written to only if it
+is empty. Links below a head are not followed, since they lead to files that are not ours.
 """
 
 import contextlib
@@ -224,7 +224,7 @@ _NOT_TO_REMOVE = (errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
 def remove_files(root: Path, files: Iterable[str]) -> None:
     """Deletes files of ours below `root`, then the folders that are empty without them; the caller holds the folder.
 
-    What is no regular file stays.
+    Anything but regular files is kept.
 
     Args:
         files: paths relative to `root`; those at which nothing stands are passed over.
@@ -274,7 +274,7 @@ def _remove_temporaries(root: Path, kind: FolderKind) -> None:
 
 
 def _foreign_files(root: Path, kind: FolderKind, files: Mapping[str, bytes]) -> Iterator[str]:
-    """What stands in a folder besides `files`, temporaries, and folders that have heads of their own."""
+    """Everything in a folder except `files`, temporaries, and folders with heads of their own."""
     nested = {path for pattern in kind.nested for path in root.glob(pattern) if _has_own_head(path)}
     for place, folders, names in os.walk(root):
         folders[:] = sorted(name for name in folders if Path(place) / name not in nested)

@@ -38,10 +38,10 @@ MAX_DIGITS = 20
 """Longest integer accepted in JSON; 64-bit integers have at most 19 digits."""
 
 _OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
-"""What says nothing about the file: no reason to take it for damaged and to make it again."""
+"""Errors of the machine, not of the file: they are no reason to call it damaged and to make it again."""
 
 MAX_ITEMS = 10_000
-"""Of a list in a record: what asks for more would only keep somebody waiting for its refusal."""
+"""Most items of a list in a record; checking longer ones would only delay their refusal."""
 
 _REPR = reprlib.Repr()
 _REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
@@ -59,7 +59,7 @@ def to_json(value: object) -> Json:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = {field.name: to_json(getattr(value, field.name)) for field in dataclasses.fields(value)}
         name = type(value).__name__
-        # Private records describe a file's layout; they stand in no union and need no tag.
+        # Private records describe a file's layout; they are never part of a union and need no tag.
         return fields if name.startswith("_") else {"type": name, **fields}
     if isinstance(value, (tuple, list)):
         return [to_json(item) for item in value]
@@ -217,7 +217,7 @@ def load_json(path: Path) -> dict[str, Json]:
 
     Raises:
         HyalineError: missing, not UTF-8 JSON, not an object, a key that stands twice in one object, a number that is
-            not finite or does not fit into 64 bits, or a string that is no text.
+            not finite or does not fit into 64 bits, or a string that is not valid Unicode.
     """
     return parse_json(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
 

@@ -23,10 +23,10 @@ SEAL = "sha256"
 """Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
 
 HASH_BYTES = 32
-"""Of the hash that `write_hashed` appends."""
+"""Length of the hash that `write_hashed` appends, in bytes."""
 
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
-"""What a file that is being written is called, which a killed writer may leave; nobody else gives such names."""
+"""Name of a file while it is written. A killed writer may leave one; no other program uses such names."""
 
 
 def sha256(data: bytes) -> str:
@@ -39,7 +39,7 @@ def sha256_file(path: Path) -> str:
 
     Raises:
         DamagedError: the file is missing.
-        HyalineError: it is no regular file, or cannot be read.
+        HyalineError: it is not a regular file, or cannot be read.
     """
     try:
         return sha256(read_regular(path))
@@ -260,7 +260,7 @@ def make_private(folder: Path) -> str | None:
     user, and neither the group nor others may write there.
 
     Returns:
-        None when nobody else can write in it; otherwise what is wrong with it.
+        None if no other user can write to it; otherwise what is wrong with it.
     """
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)

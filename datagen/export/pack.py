@@ -2,10 +2,10 @@
 
     SCENE/hyaline-pack.json    sealed: version, scene, seal of the dataset, licence, size and SHA-256 of every file
     SCENE/...                  the dataset's files, sorted by path
-    SCENE/dataset.json         the last, without which a folder is no dataset
+    SCENE/dataset.json         last: a folder without it is not a dataset
 
-Any tar program unpacks it. `unpack_archive` takes nothing else than the bytes that `pack_dataset` writes: it compares
-headers with those that the index asks for, and follows none. Pictures and layers are compressed already; another
+Any tar program unpacks it. `unpack_archive` accepts only the bytes that `pack_dataset` writes: it compares headers with
+those that follow from the index, and acts on none of them. Pictures and layers are compressed already; another
 compression of the archive would save 2 %.
 """
 
@@ -104,7 +104,7 @@ def _members(index: _Index) -> tuple[bytes, list[_Member]]:
 
 
 def _header(name: str, size: int) -> bytes:
-    """Of a regular file with mode 644, without owner and time."""
+    """The header of a regular file with mode 644, without owner or time."""
     entry = tarfile.TarInfo(name)
     entry.size = size
     return entry.tobuf(tarfile.PAX_FORMAT)
@@ -114,15 +114,15 @@ def _header(name: str, size: int) -> bytes:
 
 
 def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
-    """Writes a finished dataset, of which every byte verifies, into an archive; files that are not its own stay out.
+    """Packs a finished dataset, after verifying every byte, into an archive; files that are not its own are left out.
 
-    What a killed call wrote is kept beside `out` under a temporary name; the next call goes on after it.
+    A killed call leaves its work beside `out` under a temporary name, and the next call continues it.
 
     Returns:
         The archive: `out`, or by default one in `exports`.
 
     Raises:
-        HyalineError: the dataset is unfinished or damaged, or another file stands at `out`.
+        HyalineError: the dataset is unfinished or damaged, or `out` is another file.
     """
     out = out or EXPORTS / f"{real_path(root).name}.tar"
     if out.suffix != ".tar":
@@ -161,8 +161,8 @@ def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
 
 @contextmanager
 def _held_file(out: Path) -> Iterator[tuple[BinaryIO, Path]]:
-    """The file that becomes `out`, held by this process alone, with whatever an earlier one wrote, and its name."""
-    # Its name is the same for each call, and one that only writers of ours give.
+    """The temporary file that becomes `out`, locked by this process, with an earlier process's work; and its path."""
+    # The same name in each call, so that an interrupted one is continued.
     path = out.with_name(f"{out.name}.{sha256(INDEX.encode())[:16]}.hyaline-tmp")
     with naming(out):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -180,7 +180,7 @@ def _held_file(out: Path) -> Iterator[tuple[BinaryIO, Path]]:
 
 
 def _write(archive: BinaryIO, root: Path, index: bytes, members: list[_Member]) -> None:
-    """Writes what is not there yet of an archive, and cuts off what does not belong there."""
+    """Writes the missing rest of an archive, after cutting off whatever does not belong there."""
     archive.seek(0)
     done = place = 0
     while done < len(members) and _read_member(archive, members[done]):
@@ -229,13 +229,13 @@ def _holds(path: Path, members: list[_Member]) -> bool:
 def unpack_archive(path: Path, into: Path | None) -> Path:
     """Unpacks a dataset, and returns its folder, which appears when all of it is there and verifies.
 
-    What a killed call wrote is kept beside the folder under a temporary name; the next call goes on after it.
+    A killed call leaves its work beside the folder under a temporary name, and the next call continues it.
 
     Args:
         into: the dataset's folder; None: its scene's name in `data`.
 
     Raises:
-        HyalineError: the archive is damaged or none of ours, or something else stands in the folder.
+        HyalineError: the archive is damaged or was not made by `pack_dataset`, or the folder holds something else.
     """
     with open_regular(path) as archive:
         index, members = _read_index(archive, path)
@@ -262,7 +262,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
 
 
 def _read_index(archive: BinaryIO, path: Path) -> tuple[_Index, list[_Member]]:
-    """The index at the start of an archive, which goes on as long as that says, and no further."""
+    """Reads the index at the start of an archive, and checks the length of the whole file against it."""
     start = archive.read(BLOCK)
     try:
         size = tarfile.TarInfo.frombuf(start, "utf-8", "strict").size

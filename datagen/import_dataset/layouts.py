@@ -1,4 +1,4 @@
-"""What a folder of another project's dataset names, before any picture is decoded: the layouts with transforms files.
+"""Layouts of other projects' datasets with transforms files, read before any picture is decoded.
 
     refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json, as
                    `datagen export --format refref` adds them

@@ -79,7 +79,7 @@ def _flushed() -> Iterator[None]:
 
 
 def _is_reader_gone() -> bool:
-    """True when nobody reads standard output or standard error any more."""
+    """True if the reader of standard output or standard error has gone."""
     poll = select.poll()
     for number in (1, 2):
         poll.register(number, 0)
@@ -87,7 +87,7 @@ def _is_reader_gone() -> bool:
 
 
 def _end_unread() -> NoReturn:
-    """Ends as other tools do whose output nobody reads any more (`report | head`): without a word."""
+    """Exits silently, as other tools do when their reader has gone (`report | head`)."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for number in (1, 2):
         os.dup2(nowhere, number)  # Else the interpreter would complain when it flushes them at its end.
@@ -150,7 +150,7 @@ def next_command(line: str) -> None:
 
 
 def this_command() -> str:
-    """What to type to go on with the command that runs: its own words, but without `--overwrite`, which starts anew."""
+    """The command line that continues the running command: its words without `--overwrite`."""
     return shlex.join([_program(), *(word for word in sys.argv[1:] if word != "--overwrite")])
 
 
@@ -223,7 +223,7 @@ def is_in_notebook() -> bool:
 def _track_in_notebook(
     items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
 ) -> Iterator[Item]:
-    display = importlib.import_module("IPython.display")  # Kernels have it; it is no dependency of ours.
+    display = importlib.import_module("IPython.display")  # Kernels have it; hyaline does not depend on it.
 
     def bar(count: int, left: str) -> object:
         text = html.escape(f"{label} {done + count}/{total} {left} {status()}")
@@ -264,7 +264,7 @@ class _Clock:
         self.times.append(time.monotonic())
 
     def left_s(self, rest: int) -> float | None:
-        """Seconds for so many more; None: nobody can tell from a single one."""
+        """Estimated seconds for the rest; None after only one item."""
         if rest == 0:
             return 0.0
         if len(self.times) < 2:

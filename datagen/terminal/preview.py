@@ -17,8 +17,7 @@ GAP = "  "
 
 
 def preview(pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]], caption: str) -> None:
-    """Shows pictures side by side on stderr, as many as fit; nothing where stdout or stderr is no terminal, or one
-    without true colour."""
+    """Shows as many pictures as fit side by side on stderr, if stdout and stderr are terminals with true colour."""
     out, err = (_below_progress(file) for file in (sys.stdout, sys.stderr))
     if not (out.isatty() and err.isatty()):
         return
@@ -35,7 +34,7 @@ def preview(pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]], caption: str) -> Non
 
 
 def _below_progress(file: IO[str]) -> IO[str]:
-    """The file itself: while rich shows a progress bar, one stands in its place that denies to be a terminal."""
+    """The underlying file: during a progress bar, rich replaces it with a proxy that denies being a terminal."""
     return file.rich_proxied_file if isinstance(file, FileProxy) else file
 
 

@@ -1,4 +1,4 @@
-"""What a method is: a configuration record, which builds a renderer and loads the pixels that it learns from.
+"""The protocol of methods: a configuration record, which builds a renderer and loads the pixels that it learns from.
 
 A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
 model/settings/flags.py); its methods make everything else. Importing it must not import torch, so that `--help` answers

@@ -131,9 +131,9 @@ class Adam(torch.optim.Adam):
     """
 
     lazy: Sequence[LazyAdam] = ()
-    """Of tables in the group of textures."""
+    """Optimizers of the large tables in the group of textures."""
     lazy_group = 0
-    """Index of that group."""
+    """Index of that parameter group."""
 
     @torch.no_grad()
     def step(self, closure: None = None) -> None:

@@ -275,7 +275,7 @@ def drawn_along(dataset: Dataset) -> list[Dataset]:
 
 def told_finished(out: Path) -> str:
     """What to say of a run that is asked for again."""
-    return f"{out}: finished before, nothing to do; --overwrite trains it anew"
+    return f"{out}: finished before, nothing to do; --overwrite trains it again"
 
 
 def write_prediction_hashes(out: Path, files: dict[str, str], **seals: str) -> None:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 RecordT = TypeVar("RecordT", bound="DataclassInstance")
 
 Limits = tuple[float, float]
-"""The least and the largest value of a number; infinity where there is no largest."""
+"""Least and largest value of a number; infinity if it has no upper limit."""
 
 COUNT: Limits = (1, math.inf)
 AMOUNT: Limits = (0, math.inf)

@@ -33,12 +33,12 @@ def check_width(width: int, blocks: int) -> None:
 
 
 def check_samples(name: str, samples: int) -> None:
-    """Raises a HyalineError where a pixel cannot be tiled by a square grid of so many cells."""
+    """Raises a HyalineError unless this number of cells tiles a pixel as a square grid."""
     if not 1 <= samples <= MOST_RAYS or math.isqrt(samples) ** 2 != samples:
         raise HyalineError(f"{name}: is {samples}; expected a square number of rays per pixel, 1 to {MOST_RAYS}")
 
 
 def check_texels(name: str, size: int, *, is_open: bool = False) -> None:
-    """Raises a HyalineError where a texture cannot be so many texels wide; 0 may stand for a size that is open."""
+    """Raises a HyalineError unless a texture can have this width in texels; with `is_open`, 0 leaves it open."""
     if not (2 <= size <= 8192 or (is_open and size == 0)):
         raise HyalineError(f"{name}: is {size}; expected 2 to 8192 texels")

@@ -9,7 +9,7 @@ from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 DIRECTIONS, MOST_OPEN = 16, 1
-"""A point is inside a vessel if at most so many of these horizontal directions lead out of it."""
+"""Most horizontal directions that may lead out of a vessel from a point inside it."""
 
 LEAST_PART = 0.1
 """Part of a mesh's vertices that lie inside a vessel."""

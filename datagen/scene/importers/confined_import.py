@@ -86,7 +86,7 @@ def write_imported(files: Mapping[str, bytes], record: Mapping[str, Json], root:
         check_free(root, overwrite=overwrite)
         before = _listed(root) if is_ours(root, IMPORTED) else []
         refuse_taken(root, IMPORTED, files, before)
-        # What a killed command leaves is ours, and no scene, since scene.json comes last.
+        # A killed command leaves files of ours but not a scene, since scene.json is written last.
         remove_files(root, [path for path in before if path not in files or path == "scene.json"])
         begin(root, IMPORTED, seal_bytes(content), files)
         commit_sealed(root / RECORD, content)

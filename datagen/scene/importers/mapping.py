@@ -27,7 +27,7 @@ from datagen.scene.values import Color
 MIN_ALPHA = 0.001
 """Smallest GGX alpha that is rendered; below it a surface is smooth."""
 SMOOTH_ALPHA = 0.0025
-"""Facets that nobody sees in glass."""
+"""GGX alpha below which facets are invisible in glass."""
 MATT = 0.6
 """Perceptual roughness from which on no highlight is seen."""
 BRIGHT_ENOUGH = 0.9
@@ -35,9 +35,9 @@ BRIGHT_ENOUGH = 0.9
 METAL_ENOUGH = 0.5
 """Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
 MIN_TRANSMITTANCE = 1e-4
-"""Of a channel after the attenuation distance: a black one would absorb without end."""
+"""Least share of a channel after the attenuation distance; 0 would mean infinite absorption."""
 MAX_MIRRORED = 0.8
-"""By a pane of glass, whose index stays below 10."""
+"""Largest share of light that a pane of glass mirrors; its index stays below 10."""
 UNIFORM = 0.05
 """Standard deviation of an image's values over a surface up to which they are one value."""
 ANGLES, POINTS = 64, 32
@@ -263,11 +263,11 @@ class Coat:
     """
 
     mirrored: float
-    """By the coat, from outside."""
+    """Share of light from outside that the coat mirrors."""
     passed: float
-    """Through the coat, in and out again, were the base white and nothing thrown back onto it."""
+    """Share that passes the coat both ways over a white base, without reflections back onto the base."""
     returned: float
-    """Of what the base scatters, back onto it."""
+    """Share of the base's scattered light that is reflected back onto it."""
 
     def seen(self, base: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
         """What light from everywhere shows of a base, without what the coat mirrors."""

@@ -1,4 +1,4 @@
-"""What an import says about itself: each approximation, and each thing done that nobody asked for, in a line."""
+"""Remarks of an import: one line for each approximation and each unrequested change."""
 
 from dataclasses import dataclass
 
