@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
@@ -36,11 +36,19 @@ COARSE_RAYS = 2500
 STEPS = 30
 """Largest number of steps in a round."""
 
+LEAST_DAMPING = 1e-6
+"""Share of the curvature that is added to itself; where rays do not tell two numbers apart, it is singular without."""
+
 ENOUGH = 3e-4
 """A round ends when a step gains less, relative to the misfit."""
 
 BISECTIONS = 20
 """Interval halvings along a ray; they narrow it to a micrometre."""
+
+FLAT, THICK = 0.06, 0.02
+"""Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
+get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
+its faces, out of sight."""
 
 EXPLAINED = 0.1
 """Share of edge pixels that an upright box may get wrong before others are tried from any direction."""
@@ -87,7 +95,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     """
     rng = np.random.default_rng(0)
     edge = rays.at_edges()
-    few = _only(rays, np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
+    few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
     center, radius = find_center(rays)
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
@@ -96,18 +104,42 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
         rough = [
             _fitted(_fitted(box, few, turn, SOFTNESS[0], support), few, turn, SOFTNESS[1], support) for box in starts
         ]
-        best = min((_judged(box, few) for box in rough), key=lambda box: box.unexplained)
-        for softness in SOFTNESS[1:]:
-            best = _fitted(best, edge, turn, softness, support)
-        return _judged(best, edge)
+        return sharpen(min((_judged(box, few) for box in rough), key=_errors_of), turn, SOFTNESS[1:])
+
+    def sharpen(box: Box, turn: Float64[np.ndarray, "turn 3"], steps: Sequence[float]) -> Box:
+        for softness in steps:
+            box = _fitted(box, edge, turn, softness, support)
+        return _judged(box, edge)
 
     about_up, any_way = np.asarray(up, np.float64)[None], np.eye(3)
     upright = search([_turned(start, angle * about_up[0]) for angle in np.radians(range(0, 90, 15))], about_up)
+    if upright.unexplained > THICK:
+        panes = [sharpen(pane, about_up, SOFTNESS[2:]) for pane in _panes(upright)]
+        upright = min([upright, *panes], key=_errors_of)
     others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
     tilted = search([upright, *others], any_way)
     best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
+
+
+def _errors_of(box: Box) -> float:
+    return box.unexplained
+
+
+def _panes(box: Box) -> list[Box]:
+    """Thin boxes at the upper and the lower face of one."""
+    width, depth, height = box.half_sizes
+    half = min(FLAT * min(width, depth), height)
+    return [
+        dataclasses.replace(
+            box,
+            center=box.center + side * (height - half) * box.axes[2],
+            half_sizes=np.array([width, depth, half]),
+            rounding=min(box.rounding, half / 2),
+        )
+        for side in (1, -1)
+    ]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -168,7 +200,8 @@ def _fitted(
         tried = _moved(box, step, turn, support)
         new, new_passes = _misfit(tried, rays, width)
         if new < loss:
-            gain, box, loss, passes, damping = loss - new, tried, new, new_passes, damping / 4
+            gain, box, loss, passes = loss - new, tried, new, new_passes
+            damping = max(damping / 4, LEAST_DAMPING)
             if gain < ENOUGH * loss:
                 break
         elif damping > 1e3:
@@ -224,10 +257,6 @@ def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
     return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
-
-
-def _only(rays: NearRays, kept: Int[np.ndarray, " kept"]) -> NearRays:
-    return NearRays(**{field.name: getattr(rays, field.name)[kept] for field in dataclasses.fields(rays)})
 
 
 def _rounded(box: Box) -> Mesh:

@@ -20,6 +20,10 @@ NEAR_CENTER, WIDEST = 0.8, 1.5
 """Limits for an object inside a vessel: distance between their centres, and half the object's diagonal, both relative
 to the vessel's radius."""
 
+SEEN_THROUGH = 0.4
+"""Least share of the pixels that see an object inside a vessel through its glass; over what is on a pane, there is
+none."""
+
 AROUND = 0.9
 """Least share of the pixels around a drink's mask that show its vessel."""
 
@@ -52,7 +56,9 @@ def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
             low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
             is_near = np.linalg.norm((low + high) / 2 - center) < NEAR_CENTER * reach
             if is_near and np.linalg.norm(high - low) / 2 < WIDEST * reach:
-                filling.add(place + 1)
+                behind = sightings.first[sightings.met == place + 1] == object_id
+                if behind.sum() > SEEN_THROUGH * len(behind):
+                    filling.add(place + 1)
     return dataclasses.replace(sightings, filling=tuple(sorted(filling)))
 
 

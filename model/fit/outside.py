@@ -23,6 +23,9 @@ WORTH_A_TILT = 0.003
 COARSE = 129
 """Heights while the axis is searched."""
 
+MOST_RAYS = 40_000
+"""Rays that the search for the axis looks at: a table top has five times as many at its edges."""
+
 WRONG_RAYS = 0.003
 """Share of the rays that meet an object that need not be explained where masks may be wrong."""
 
@@ -66,6 +69,8 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     """
     center, radius = find_center(rays)
     edge = rays.at_edges()
+    if len(edge.hits) > MOST_RAYS:
+        edge = edge.only(np.sort(np.random.default_rng(0).permutation(len(edge.hits))[:MOST_RAYS]))
     if (~edge.hits).sum() <= order or not edge.hits.any():
         raise HyalineError("masks do not show its shape: no ray passes beside it")
     axis = Axis(point=center, direction=up)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, UInt8
 from scipy import ndimage
 
 from datagen.data.cameras import Cameras
@@ -149,7 +149,10 @@ class NearRays:
 
     def at_edges(self) -> "NearRays":
         """The rays at the edges alone: those farther in or out say little of where the object is."""
-        return NearRays(**{field.name: getattr(self, field.name)[self.is_edge] for field in dataclasses.fields(self)})
+        return self.only(self.is_edge)
+
+    def only(self, kept: Bool[np.ndarray, " ray"] | Int[np.ndarray, " kept"]) -> "NearRays":
+        return NearRays(**{field.name: getattr(self, field.name)[kept] for field in dataclasses.fields(self)})
 
 
 def rays_near(sightings: Sightings, object_id: int) -> NearRays:

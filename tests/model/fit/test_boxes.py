@@ -52,6 +52,13 @@ def test_a_pane_thinner_than_a_pixel_that_leans_is_found_with_its_thickness() ->
     assert worst_corner(box, (0, 0, 0.055), sizes, turn) < 0.001
 
 
+def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face() -> None:
+    center, sizes = (0, 0, 0.09), (0.17, 0.12, 0.003)
+    box = found(block(center, sizes, np.eye(3)), support=None)
+    assert 2 * box.half_sizes.min() == pytest.approx(0.006, abs=0.0006)
+    assert worst_corner(box, center, sizes, np.eye(3)) < 0.001
+
+
 def test_a_box_that_stands_on_a_surface_does_not_reach_below_it() -> None:
     box = found(block((0, 0, 0.04), (0.03, 0.03, 0.04), np.eye(3)))
     assert box.center[2] - box.half_sizes[2] == pytest.approx(0, abs=3e-4)

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from support.silhouettes import views_around
 
-from datagen.data.meshes import Mesh, check_mesh, open_edges, signed_volume
+from datagen.data.meshes import Mesh, check_mesh, no_mesh, open_edges, signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
+from datagen.scene.modelling import moved, rounded_box
 from model.fit.drinks import find_filling, find_holders, merged, with_drink
 from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly, revolved
 from model.fit.views import Sightings
@@ -116,3 +117,10 @@ def test_a_known_straw_says_nothing_of_the_outside_of_its_vessel() -> None:
     assert found.is_open(VESSEL)[~sees_straw].all()
     table = dataclasses.replace(straw, vertices=straw.vertices * np.float32([100, 100, 1]))
     assert find_filling(sightings, (empty, table)).filling == ()
+
+
+def test_what_is_on_a_pane_is_not_inside_it() -> None:
+    pane = moved(rounded_box((0.2, 0.2, 0.01), bevel=0.001), (0, 0, 0.005))
+    book = moved(rounded_box((0.06, 0.04, 0.03), bevel=0.001), (0.02, 0, 0.026))
+    sightings = seen(pane, book, unknown=(VESSEL,))
+    assert find_filling(sightings, (no_mesh(), book)).filling == ()
