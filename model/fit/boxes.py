@@ -30,8 +30,8 @@ MOST_ROUNDING = 0.9
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
 
-COARSE_RAYS = 2500
-"""Rays that the first two rounds look at."""
+COARSE_RAYS, RAYS = 2500, 20_000
+"""Rays that the first two rounds look at, and the most for the others."""
 
 STEPS = 30
 """Largest number of steps in a round."""
@@ -94,7 +94,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
         support: height along `up` of the known surface below it; an upright box ends there.
     """
     rng = np.random.default_rng(0)
-    edge = rays.at_edges()
+    edge = rays.at_edges().thinned(RAYS)
     few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
     center, radius = find_center(rays)
     axes = np.stack([*perpendicular(up), up])

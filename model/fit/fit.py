@@ -36,16 +36,19 @@ from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import choose_outside
 from model.fit.search import (
+    Cell,
+    Misses,
     alternatives,
     count_cells,
     count_searches,
     find_absorption,
-    find_index,
-    find_roughness,
+    find_material,
     grid_row,
+    is_shaded,
     refine,
     scan,
 )
+from model.fit.shapes import Glass
 from model.fit.views import Sightings, known_meshes, read_sightings
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -199,16 +202,23 @@ class _Work:
 
     def _learn_room(self) -> dict[str, State]:
         pixels = self._pixels({})
-        beside = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
-        free = np.logical_not(beside)
-        state = room.room_state(room.learn(pixels, np.flatnonzero(free), self.choices.steps, seed=self.choices.seed))
+        state = self._learn(pixels, np.flatnonzero(self._beside_glass()))
         self._show_room(room.load_room(state, pixels))
         return state
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
         pixels = self._pixels(found)
-        rows = np.arange(len(pixels.rgb))
-        return room.room_state(room.learn(pixels, rows, self.choices.steps, seed=self.choices.seed))
+        return self._learn(pixels, np.arange(len(pixels.rgb)))
+
+    def _learn(self, pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> dict[str, State]:
+        is_sky = np.isinf(self.sightings.depth) & self._beside_glass()
+        sky = room.SeenSky(rows=np.flatnonzero(is_sky), directions=self.sightings.rays()[1][is_sky])
+        return room.room_state(room.learn(pixels, rows, sky, self.choices.steps, seed=self.choices.seed))
+
+    def _beside_glass(self) -> Bool[np.ndarray, "view h w"]:
+        """Pixels that neither show unknown glass nor touch one that does."""
+        seen = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
+        return np.logical_not(seen)
 
     def _find_outsides(self) -> Objects:
         found: Objects = {}
@@ -258,9 +268,8 @@ class _Work:
             start = item.glass
             if item.drink_id is not None:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
-            cells = list(track(scan(start, misses), label=self._name(object_id), total=count_cells(start)))
+            cells, glass = self._guess(start, misses, rows, self._name(object_id))
             best, second = alternatives(cells)
-            glass = find_roughness(find_index(best.glass, misses), misses)
             drawn.put(ids, glass)
             words = f"  {self._name(object_id)}: {in_words(glass)}"
             if second is not best:
@@ -272,6 +281,19 @@ class _Work:
             found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
         self._show_drawn("grid", drawn, found)
         return found
+
+    def _guess(
+        self, start: Glass, misses: Misses, rows: Int[np.ndarray, " pixel"], name: str
+    ) -> tuple[list[Cell], Glass]:
+        """Draws the grid, and chooses a material for its best cell."""
+
+        def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
+            cells = list(track(scan(start, misses, like), label=name, total=count_cells(start)))
+            return cells, find_material(alternatives(cells)[0].glass, misses, self._is_even(rows))
+
+        cells, glass = drawn(None)
+        # Clear glass was drawn, which may explain the darkness of tinted or frosted glass by a wrong wall.
+        return drawn(glass) if is_shaded(glass) and len(cells) > 1 else (cells, glass)
 
     def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: int) -> Objects:
         drawn = self._room(textures, found)
