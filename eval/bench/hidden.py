@@ -21,9 +21,7 @@ from typing import cast
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.metadata import Variant
 from datagen.data.paths import TRUTH
-from datagen.data.variants import ANGLES, has_variant, open_variant, variant_command, variant_root
 from datagen.data.writing import commit_view, head_contents, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
@@ -69,7 +67,6 @@ def verifier_commands(secret: str, preset: str, protocol: Protocol) -> list[str]
         source = f"secret/{name}-{preset}"
         lines += [
             shlex.join(["datagen", "build", scene, "--preset", preset, "--out", source]),
-            shlex.join(["datagen", "add", source, "--angles"]),
             shlex.join(["hyaline-bench", "hide", source, "--scene", name]),
         ]
     return lines
@@ -85,20 +82,14 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     choose("scene", name, protocol.hidden_scenes(preset))
     if source.imported is not None or source.parent is not None:
         raise HyalineError(f"{source.root}: is imported, or a variant; expected what `datagen build` made")
-    if not has_variant(source, ANGLES):
-        raise HyalineError(f"{source.root}: has no angles; make them with `{variant_command(source, ANGLES)}`")
     scene = load_scene(source.root / "scene", is_sealed=True)
     files = scene_files(without_colours(scene, name))
-    angles, num_layers = open_variant(source, ANGLES), source.layer_store().head.num_layers
+    num_layers = source.layer_store().head.num_layers
     public, truth = (out / kind / f"{name}-{preset}" for kind in ("public", "truth"))
     for root, is_truth in ((public, False), (truth, True)):
         with holding(root, DATASET):
-            made = _write(root, source, name, files, None, is_truth=is_truth)
+            made = _write(root, source, name, files, is_truth=is_truth)
         _peel(made, num_layers)
-        inner = variant_root(root, ANGLES)
-        with holding(inner, DATASET, within=root):
-            outside = _write(inner, angles, name, {}, Variant(of=made.seal, splits=angles.splits), is_truth=is_truth)
-        _peel(outside, num_layers)
         say(f"{root}: dataset {made.seal[:12]}, {'with' if is_truth else 'without'} the truth of its test views")
     return public, truth
 
@@ -121,9 +112,7 @@ def without_colours(scene: Scene, name: str) -> Scene:
     return dataclasses.replace(scene, name=name, description="", objects=objects, environment=sky, lights=())
 
 
-def _write(
-    root: Path, source: Dataset, name: str, scene: dict[str, bytes], variant: Variant | None, *, is_truth: bool
-) -> Dataset:
+def _write(root: Path, source: Dataset, name: str, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
     cameras = {split: source.cameras(split) for split in source.splits}
     made = write_head(
         root,
@@ -131,7 +120,6 @@ def _write(
         source.objects,
         cameras,
         scene,
-        variant=variant,
         stated_license=source.stated_license,
     )
     if made.files != {path: sha256(data) for path, data in head_contents(scene, cameras).items()}:

@@ -22,9 +22,9 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.looks import html_table
 
 NOTES = (
-    "PSNR: the mean over a split's pictures, then over the five splits (all), then over scenes. Interval: 95 %, from a "
+    "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
     "percentile bootstrap over scenes. Below ceiling: distance to the PSNR that the noise of the truth allows. Median "
-    "and worst: of the scenes. Edits: both edits of the built-in scenes, predicted without training again.",
+    "and worst: of the scenes. 10°, 20°, 40° and edits: of the built-in scenes.",
     "CPU min, GB, frames/s: of training and prediction, means over scenes (memory: the largest), where the run's "
     "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with fewer scenes "
     "come last: their averages are over other scenes.",

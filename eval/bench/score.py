@@ -64,7 +64,7 @@ class SceneResult:
             return [result for name, result in self.splits.items() if "/" not in name]
         if column == EDITS:
             return [result for name, result in self.splits.items() if "/" in name]
-        return [self.splits[column]]
+        return [self.splits[column]] if column in self.splits else []
 
     def psnr_db(self, column: str) -> float | None:
         return _mean([result.metrics["psnr_db"] for result in self.values(column)])
@@ -222,8 +222,8 @@ def _failure(scene: str, psnr_db: float, run: Run, split: Split, view: int) -> F
 
 
 def summarise(scored: Scored, column: str, bootstrap: Bootstrap) -> Summary | None:
-    """A column over scenes; None if a scene lacks it. Edits are averaged over the scenes that have them."""
-    scenes = {name: scene for name, scene in scored.scenes.items() if column != EDITS or scene.values(EDITS)}
+    """A column over the scenes that have it; None if there are none, or a score is undefined."""
+    scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
     known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
     if not known or len(known) < len(scenes):
         return None

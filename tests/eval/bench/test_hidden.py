@@ -9,7 +9,6 @@ from support.builds import tree
 from support.commands import call, run
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.variants import open_variant
 from datagen.disk.storage import sha256
 from datagen.scene.folder import load_scene
 from eval.bench.hidden import GREY, hidden_seed
@@ -29,14 +28,13 @@ def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_prot
 def test_the_published_dataset_is_that_of_the_verifier_without_test_pictures_colours_light_and_seed(here: Path) -> None:
     source, public, truth = map(open_dataset, map(Path, ("secret", "public/hidden-1-tiny", "truth/hidden-1-tiny")))
     assert public.seal == truth.seal != source.seal
-    assert open_variant(public, "angles").seal == open_variant(truth, "angles").seal
     assert (public.config.scene, public.config.seed, public.num_views) == ("hidden-1", 0, source.num_views)
     published, kept = tree(here / "public/hidden-1-tiny"), tree(here / "truth/hidden-1-tiny")
     assert published.items() < kept.items()
     withheld = sorted(set(kept) - set(published))
-    secret_file = r"(variants/angles/)?(images|records)/(interpolating|extrapolating)"
+    secret_file = r"(images|records)/(interpolating|extrapolating)"
     assert all(re.match(secret_file, path) for path in withheld)
-    assert len(withheld) == 3 * (4 + 6)  # PNG, EXR and record of each view.
+    assert len(withheld) == 3 * 4  # PNG, EXR and record of each view.
     pictures = {sha256(data) for path, data in tree(here / "secret").items() if re.match(secret_file, path)}
     assert pictures.isdisjoint(map(sha256, published.values()))
     for split in ("interpolating", "extrapolating"):
@@ -91,10 +89,7 @@ def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
     ):
         answer = call(line)
         assert answer.status == 1 and message in answer.error
-    shutil.rmtree("secret/variants")
-    answer = call("hyaline-bench hide secret --scene hidden-0")
-    assert answer.status == 1 and "has no angles; make them with `datagen add secret --angles`" in answer.error
-    assert {path: data for path, data in before.items() if not path.startswith("secret/variants")} == tree(here)
+    assert tree(here) == before
 
 
 def test_a_damaged_view_is_not_published(here: Path) -> None:

@@ -52,7 +52,7 @@ def test_the_sweep_trains_every_method_on_every_public_scene_and_predicts_every_
     assert all(datasets == {f"{scene}-{preset}" for scene in scenes} for datasets in found.values())
     edited = [shlex.split(line)[2:] for line in experiment.then if line.startswith("model predict")]
     for scene in scenes:
-        assert f"datagen add {scene}-{preset} --angles" in experiment.needs
+        assert (f"datagen add {scene}-{preset} --angles" in experiment.needs) == (scene in PROTOCOL.scenes)
         runs = {run for run, _, _ in edited if f"runs/{scene}-{preset}/" in run}
         assert len(runs) == (7 if PROTOCOL.scenes.get(scene) else 0)
         for edit in PROTOCOL.scenes.get(scene, ()):
