@@ -33,6 +33,7 @@ def main(report: Path, kind: str, words: list[str]) -> None:
                 run_command(words)
             finally:
                 reader.join(timeout=10)  # It ends the process.
+            sys.exit(f"{' '.join(words)}: printed nothing")
         case "steps":
             stamps = watch(report, last_step=int(words[0]))
             run_command(words[1:])

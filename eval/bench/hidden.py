@@ -19,6 +19,7 @@ import shlex
 from pathlib import Path
 from typing import cast
 
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
@@ -113,7 +114,7 @@ def without_colours(scene: Scene, name: str) -> Scene:
 
 
 def _write(root: Path, source: Dataset, name: str, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
-    cameras = {split: source.cameras(split) for split in source.splits}
+    cameras: dict[Split, Cameras] = {split: source.cameras(split) for split in source.splits}
     made = write_head(
         root,
         dataclasses.replace(source.config, scene=name, seed=0),
