@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64, Int
+from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
@@ -30,8 +30,8 @@ MOST_ROUNDING = 0.9
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
 
-COARSE_RAYS = 2500
-"""Rays that the first two rounds look at."""
+COARSE_RAYS, RAYS = 2500, 20_000
+"""Rays that the first two rounds look at, and the most for the others."""
 
 STEPS = 30
 """Largest number of steps in a round."""
@@ -86,8 +86,8 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
         support: height along `up` of the known surface below it; an upright box ends there.
     """
     rng = np.random.default_rng(0)
-    edge = rays.at_edges()
-    few = _only(rays, np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
+    edge = rays.at_edges().thinned(RAYS)
+    few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
     center, radius = find_center(rays)
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
@@ -224,10 +224,6 @@ def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
     return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
-
-
-def _only(rays: NearRays, kept: Int[np.ndarray, " kept"]) -> NearRays:
-    return NearRays(**{field.name: getattr(rays, field.name)[kept] for field in dataclasses.fields(rays)})
 
 
 def _rounded(box: Box) -> Mesh:

@@ -20,8 +20,11 @@ FINE = 501
 WORTH_A_TILT = 0.003
 """Share of a mask's rays that a tilted axis has to explain beyond those that an upright one does."""
 
-COARSE = 129
-"""Heights while the axis is searched."""
+COARSE, COARSE_RAYS = 129, 20_000
+"""Heights, and most rays, while the axis is searched."""
+
+INSIDE_RAYS = 20_000
+"""Most rays through a mask's inside."""
 
 WRONG_RAYS = 0.003
 """Share of the rays that meet an object that need not be explained where masks may be wrong."""
@@ -65,7 +68,7 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
         HyalineError: the masks do not show its edge.
     """
     center, radius = find_center(rays)
-    edge = rays.at_edges()
+    edge = rays.at_edges().thinned(COARSE_RAYS)
     if (~edge.hits).sum() <= order or not edge.hits.any():
         raise HyalineError("masks do not show its shape: no ray passes beside it")
     axis = Axis(point=center, direction=up)
@@ -92,6 +95,11 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
 
 def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
+    num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
+    # What explains the edge of a mask mostly explains its inside: of many rays there, some stand for all.
+    each = max(1, -(-int(is_inside.sum()) // INSIDE_RAYS))
+    rays = rays.only(~is_inside | (np.cumsum(is_inside) % each == 0))
+    weight = np.where(rays.is_edge, 1, each)[rays.hits]
     rho = crossings(rays, axis, heights)
     radii = _hull_radii(rho, rays.hits, order=order)
     inside = rho[rays.hits] <= radii
@@ -102,11 +110,12 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
         return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), bounds=radii, unexplained=1.0)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
     # Some rays miss: where masks may be wrong, and where a rim is rounder than the spacing of heights.
-    spare = round((WRONG_RAYS if order else STRAY_RAYS) * len(lowest))
+    spare = min(round((WRONG_RAYS if order else STRAY_RAYS) * num_hits), len(lowest) - 1)
     top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare if order else 0]
     place = np.arange(len(heights))
     kept = np.where((place >= bottom) & (place <= top), radii, 0)
-    return Hull(axis=axis, heights=heights, radii=kept, bounds=radii, unexplained=float(1 - explained.mean()))
+    unexplained = float(weight[~explained].sum() / num_hits)
+    return Hull(axis=axis, heights=heights, radii=kept, bounds=radii, unexplained=unexplained)
 
 
 def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int, UInt8
 from scipy import ndimage
 
 from datagen.data.cameras import Cameras
@@ -147,9 +147,17 @@ class NearRays:
     is_edge: Bool[np.ndarray, " ray"]
     """Within 2 pixels of where the mask begins."""
 
+    def only(self, kept: slice | Bool[np.ndarray, " ray"] | Int[np.ndarray, " kept"]) -> "NearRays":
+        """Some of the rays."""
+        return NearRays(**{field.name: getattr(self, field.name)[kept] for field in dataclasses.fields(self)})
+
+    def thinned(self, most: int) -> "NearRays":
+        """At most about this many rays, evenly spread."""
+        return self.only(slice(None, None, max(1, round(len(self.hits) / most))))
+
     def at_edges(self) -> "NearRays":
         """The rays at the edges alone: those farther in or out say little of where the object is."""
-        return NearRays(**{field.name: getattr(self, field.name)[self.is_edge] for field in dataclasses.fields(self)})
+        return self.only(self.is_edge)
 
 
 def rays_near(sightings: Sightings, object_id: int) -> NearRays:
