@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
+
 from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
@@ -16,6 +18,9 @@ from eval.tables.grids import CEILING, MISSING, TABLE_WIDTH, Column, Grid, ceili
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.named import TABLES
 from eval.tables.results import RESULTS_VERSION
+
+COVERED = 0.9
+"""Share of the intervals that should hold the truth."""
 
 MOST_NAMES = 3
 """So many datasets are named in the list of pages."""
@@ -200,25 +205,48 @@ def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
 
 
 def _coverage_grids(scenes: list[Stored]) -> list[Grid]:
-    """How many intervals of all fits hold the truth; nothing without fits whose truth is known."""
-    holds: dict[str, list[bool]] = {}
+    """How many intervals of fits hold the truth, by dataset and kind of number; nothing where no truth is known."""
+    misses: dict[str, dict[str, list[float]]] = {}
     for scene in scenes:
         for objects in scene["analyses"].get("fits", {}).values():
             for item in objects.values():
                 for key, found in item["numbers"].items():
                     if (true := item["measured"]["true"].get(key)) is not None:
-                        holds.setdefault(key.split("_")[0], []).append(found["low"] <= true <= found["high"])
-    if not holds:
+                        of_scene = misses.setdefault(scene["scene"], {})
+                        of_scene.setdefault(key.split("_")[0], []).append(_miss(found, true))
+    if not misses:
         return []
-    titles = {"ior": "index"}
+    keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
+    pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
+    rows = [(scene, *(_held(of_scene.get(key, [])) for key in keys)) for scene, of_scene in misses.items()]
+    rows.append(("all", *(_held(pooled[key]) for key in keys)))
+    wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
+    rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
     return [
         Grid(
             title="intervals of fits that hold the truth",
-            columns=(Column(group="number", is_number=False), Column(group="hold it"), Column(group="of")),
-            rows=tuple((titles.get(key, key), str(sum(each)), str(len(each))) for key, each in holds.items()),
-            notes=("Over all fits above. Absorption: each colour channel by itself.",),
+            columns=(
+                Column(group="dataset", is_number=False),
+                *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
+            ),
+            rows=tuple(rows),
+            notes=(
+                "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
+                f"{100 * COVERED:.0f} % of all to hold the truth.",
+            ),
         )
     ]
+
+
+def _miss(found: Stored, true: float) -> float:
+    """Distance of the truth from a value, relative to the interval's width on that side; 1 at its end."""
+    value = found["value"]
+    side = found["high"] - value if true > value else value - found["low"]
+    return abs(true - value) / side if side > 0 else (0.0 if true == value else math.inf)
+
+
+def _held(misses: list[float]) -> str:
+    return f"{sum(miss <= 1 for miss in misses)} of {len(misses)}" if misses else MISSING
 
 
 def _groups(scene: Stored) -> list[list[str]]:

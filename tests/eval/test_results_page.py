@@ -107,7 +107,9 @@ def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
     assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
     assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
     intervals = page.splitlines()[page.splitlines().index("### intervals of fits that hold the truth") :]
-    assert "| index | 1 | 1 |" in intervals and "| absorption | 1 | 2 |" in intervals
+    assert "| glass_table | 1 of 1 | 1 of 2 |" in intervals and "| all | 1 of 1 | 1 of 2 |" in intervals
+    # The index is a third of its interval's half away from the truth, one channel five halves.
+    assert "| factor for 90 % | 0.3 | 5.0 |" in intervals
 
 
 def test_what_none_recorded_is_said(tmp_path: Path) -> None:
