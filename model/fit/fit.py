@@ -36,16 +36,19 @@ from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import choose_outside
 from model.fit.search import (
+    Cell,
+    Misses,
     alternatives,
     count_cells,
     count_searches,
     find_absorption,
-    find_index,
-    find_roughness,
+    find_material,
     grid_row,
+    is_shaded,
     refine,
     scan,
 )
+from model.fit.shapes import Glass
 from model.fit.views import Sightings, known_meshes, read_sightings
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -258,9 +261,8 @@ class _Work:
             start = item.glass
             if item.drink_id is not None:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
-            cells = list(track(scan(start, misses), label=self._name(object_id), total=count_cells(start)))
+            cells, glass = self._guess(start, misses, rows, self._name(object_id))
             best, second = alternatives(cells)
-            glass = find_roughness(find_index(best.glass, misses), misses)
             drawn.put(ids, glass)
             words = f"  {self._name(object_id)}: {in_words(glass)}"
             if second is not best:
@@ -272,6 +274,19 @@ class _Work:
             found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
         self._show_drawn("grid", drawn, found)
         return found
+
+    def _guess(
+        self, start: Glass, misses: Misses, rows: Int[np.ndarray, " pixel"], name: str
+    ) -> tuple[list[Cell], Glass]:
+        """Draws the grid, and chooses a material for its best cell."""
+
+        def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
+            cells = list(track(scan(start, misses, like), label=name, total=count_cells(start)))
+            return cells, find_material(alternatives(cells)[0].glass, misses, self._is_even(rows))
+
+        cells, glass = drawn(None)
+        # Clear glass was drawn, which may explain the darkness of tinted or frosted glass by a wrong wall.
+        return drawn(glass) if is_shaded(glass) and len(cells) > 1 else (cells, glass)
 
     def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: int) -> Objects:
         drawn = self._room(textures, found)

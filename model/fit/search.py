@@ -26,8 +26,11 @@ CORNERS = (0.3, 0.6)
 ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """1/m."""
 
-WORTH_A_TINT = 0.02
-"""Share of a channel's penalty that absorption has to take away from clear glass."""
+TINT_REACH = 0.6
+"""Half the bracket of the logarithm of an absorption that was found before."""
+
+WORTH_IT = 0.02
+"""Share of the penalty of clear, smooth glass that tint or frost has to take away; a tint, of a channel's."""
 
 ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
 """GGX alpha."""
@@ -103,10 +106,28 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
     return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
 
 
-def scan(outside: Glass, misses: Misses) -> Iterator[Cell]:
-    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid."""
+def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
+    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
+
+    Args:
+        like: a glass whose tint and roughness they share; None: they keep those of the outside.
+    """
     for glass in _cells(outside):
-        yield Cell(glass=glass, loss=float(misses(glass).mean()))
+        shaded = glass if like is None else _as_dark_as(glass, like)
+        yield Cell(glass=shaded, loss=float(misses(shaded).mean()))
+
+
+def _as_dark_as(glass: Glass, other: Glass) -> Glass:
+    """With the roughness of another glass, and its tint so that as much light gets through walls of this thickness."""
+    absorption = np.array(other.absorption) * (_thickness(other) / _thickness(glass))
+    return dataclasses.replace(glass, absorption=as_vector(absorption), roughness=other.roughness)
+
+
+def _thickness(glass: Glass) -> float:
+    """Of a vessel's wall; of a solid, half its width. 1 for shapes that are always solid."""
+    if not isinstance(glass, Revolution):
+        return 1.0
+    return float(glass.outside[:, 0].max()) if glass.wall is None else glass.wall
 
 
 def count_cells(outside: Glass) -> int:
@@ -131,7 +152,7 @@ def find_absorption(
         name: `absorption`, or `drink_absorption` of what a vessel holds.
     """
     now = np.array(getattr(glass, name))
-    tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-0.6, 0.6, STEPS)))
+    tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-TINT_REACH, TINT_REACH, STEPS)))
     values = np.array(tried)[:, None] * (1 if not now.any() else np.where(now > 0, now, now.max()))
     values = np.broadcast_to(values, (len(tried), 3))
     drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
@@ -150,7 +171,7 @@ def find_absorption(
 def _explains_more(drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
     """Whether absorption explains more than clear glass, which was drawn first: a little of it hides other errors."""
     losses = np.stack([miss.mean(axis=0) for miss in drawn])
-    return bool((losses.min(axis=0) < (1 - WORTH_A_TINT) * losses[0]).any())
+    return bool((losses.min(axis=0) < (1 - WORTH_IT) * losses[0]).any())
 
 
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -160,6 +181,20 @@ def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarr
         return 0.0
     near = slice(max(place - 1, 1), place + 2)
     return float(np.exp(vertex(np.log(values[near]), losses[near]))) if place > 1 else float(values[place])
+
+
+def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
+    """First guesses of tint, index and roughness. Tint and index of a solid are found in turns."""
+    glass, _ = find_absorption(glass, "absorption", misses, is_even)
+    found = find_index(glass, misses)
+    if found.ior != glass.ior:
+        found, _ = find_absorption(found, "absorption", misses, is_even)
+    return find_roughness(found, misses)
+
+
+def is_shaded(glass: Glass) -> bool:
+    """Whether it is tinted or frosted."""
+    return any(glass.absorption) or glass.roughness is not None
 
 
 def find_index(glass: Glass, misses: Misses) -> Glass:
@@ -175,9 +210,11 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
 
 
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
-    """Frosted, if that explains the pictures better than smooth glass does."""
-    tried = [glass, *(dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES)]
-    return min(tried, key=lambda each: float(misses(each).mean()))
+    """Frosted, if that explains more than smooth glass does: a little of it hides other errors."""
+    smooth = float(misses(glass).mean())
+    tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
+    losses = [float(misses(each).mean()) for each in tried]
+    return tried[int(np.argmin(losses))] if min(losses) < (1 - WORTH_IT) * smooth else glass
 
 
 def refine(
@@ -252,13 +289,23 @@ def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " valu
 def interval(name: str, found: Found) -> tuple[float, float]:
     """Between which values a number is likely to lie: on either side as far as the two halves of the views differ, as
     the last round moved it, and as the values that were tried last lie apart."""
-    spread = abs(found.even - found.odd)
+    spread = max(abs(found.even - found.odd), _last_step(name, found.value))
     if found.before is not None:
         spread = max(spread, abs(found.value - found.before))
-    if name in NUMBERS:
-        step = 2 * reach_of(name, LAST) / (STEPS - 1)
-        spread = max(spread, step * found.value if NUMBERS[name].is_factor else step)
-    return found.value - spread, found.value + spread
+    low = found.value - spread
+    return (max(low, 0.0) if _is_absorption(name) else low), found.value + spread
+
+
+def _last_step(name: str, value: float) -> float:
+    """Distance between the values that were tried last."""
+    if _is_absorption(name):
+        return max(TINT_REACH * 2 / (STEPS - 1) * value, ABSORPTIONS[1])
+    step = 2 * reach_of(name, LAST) / (STEPS - 1)
+    return step * value if NUMBERS[name].is_factor else step
+
+
+def _is_absorption(name: str) -> bool:
+    return "absorption" in name
 
 
 def grid_row(cell: Cell) -> tuple[float, ...]:

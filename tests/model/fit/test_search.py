@@ -6,7 +6,19 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from model.fit.search import Found, alternatives, find_absorption, find_index, interval, penalty, refine, scan, vertex
+from model.fit.search import (
+    Found,
+    alternatives,
+    find_absorption,
+    find_index,
+    find_material,
+    find_roughness,
+    interval,
+    penalty,
+    refine,
+    scan,
+    vertex,
+)
 from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 
 PIXELS = 400
@@ -63,6 +75,39 @@ def test_the_first_guess_of_an_index_may_be_far_away() -> None:
     assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
     vessel = OUTSIDE_OF.hollowed(0.07, 0.13, 0.45)
     assert find_index(vessel, misses_of(dataclasses.replace(vessel, ior=1.78))) == vessel
+
+
+def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
+    like = dataclasses.replace(OUTSIDE_OF.hollowed(0.08, 0.1, 0.3), absorption=(30.0, 0.0, 6.0), roughness=0.1)
+    cells = [cell.glass for cell in scan(OUTSIDE_OF, misses_of(TRUTH), like)]
+    assert len(cells) == len(list(scan(OUTSIDE_OF, misses_of(TRUTH))))
+    for glass in cells:
+        length = 0.05 if glass.wall is None else glass.wall
+        assert np.array(glass.absorption) * length == pytest.approx(np.array([30.0, 0.0, 6.0]) * 0.08 * 0.05)
+        assert glass.roughness == 0.1
+
+
+def test_a_solid_is_tinted_after_its_index_was_found() -> None:
+    truth = dataclasses.replace(OUTSIDE_OF, ior=1.8, absorption=(8.0, 0.0, 20.0))
+    found = find_material(OUTSIDE_OF, misses_of(truth), IS_EVEN)
+    assert found.ior == 1.8 and found.roughness is None
+    assert found.absorption == pytest.approx(truth.absorption, rel=0.25, abs=0.3)
+
+
+@pytest.mark.parametrize(("gain", "found"), [(0.01, None), (0.03, 0.06)])
+def test_glass_is_frosted_only_if_that_explains_enough(gain: float, found: float | None) -> None:
+    def misses(glass: Revolution) -> np.ndarray:
+        return np.full((PIXELS, 3), 1.0 - gain * (glass.roughness == 0.06))
+
+    assert find_roughness(OUTSIDE_OF, misses).roughness == found
+
+
+def test_an_interval_is_no_narrower_than_the_values_that_were_tried() -> None:
+    sure = {"even": 10.0, "odd": 10.0, "before": 10.0}
+    assert interval("absorption_red", Found(value=10.0, **sure)) == pytest.approx((8.0, 12.0))
+    assert interval("wall", Found(value=10.0, **sure)) == pytest.approx((9.6, 10.4))
+    # Less than the least tint was not tried, and a negative one means nothing.
+    assert interval("drink_absorption_blue", Found(value=0.0, even=0.0, odd=0.0)) == (0.0, 0.5)
 
 
 def test_what_the_last_round_moved_is_in_doubt() -> None:
