@@ -202,16 +202,23 @@ class _Work:
 
     def _learn_room(self) -> dict[str, State]:
         pixels = self._pixels({})
-        beside = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
-        free = np.logical_not(beside)
-        state = room.room_state(room.learn(pixels, np.flatnonzero(free), self.choices.steps, seed=self.choices.seed))
+        state = self._learn(pixels, np.flatnonzero(self._beside_glass()))
         self._show_room(room.load_room(state, pixels))
         return state
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
         pixels = self._pixels(found)
-        rows = np.arange(len(pixels.rgb))
-        return room.room_state(room.learn(pixels, rows, self.choices.steps, seed=self.choices.seed))
+        return self._learn(pixels, np.arange(len(pixels.rgb)))
+
+    def _learn(self, pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> dict[str, State]:
+        is_sky = np.isinf(self.sightings.depth) & self._beside_glass()
+        sky = room.SeenSky(rows=np.flatnonzero(is_sky), directions=self.sightings.rays()[1][is_sky])
+        return room.room_state(room.learn(pixels, rows, sky, self.choices.steps, seed=self.choices.seed))
+
+    def _beside_glass(self) -> Bool[np.ndarray, "view h w"]:
+        """Pixels that neither show unknown glass nor touch one that does."""
+        seen = ndimage.binary_dilation(self.sightings.touched, np.ones((1, 3, 3), bool))
+        return np.logical_not(seen)
 
     def _find_outsides(self) -> Objects:
         found: Objects = {}

@@ -17,7 +17,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.materials import Material
 from datagen.terminal.command import track
-from model.batches.rays import read_colors, srgb_curve
+from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.batches.traced_layers import SubpixelRays
 from model.fit.search import Misses, penalty
 from model.fit.shapes import Glass
@@ -88,11 +88,24 @@ def load_pixels(
     )
 
 
-def learn(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], steps: int, *, seed: int) -> LightPathRenderer:
-    """Learns textures and sky from some of the pixels."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenSky:
+    """The pixels that show the sky and nothing else."""
+
+    rows: Int[np.ndarray, " pixel"]
+    directions: Float32[np.ndarray, "pixel 3"]
+
+
+def learn(
+    pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], sky: SeenSky, steps: int, *, seed: int
+) -> LightPathRenderer:
+    """Learns textures and sky from some of the pixels; the sky starts from what is seen of it."""
     torch.manual_seed(seed)
     sizes = texel_widths(pixels, pixels.num_objects, pixels.resolution.mean_side)
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
+    if len(sky.rows):
+        colors = linear_curve(pixels.rgb[torch.from_numpy(sky.rows)].float() / 255)
+        renderer.environment.start_from(torch.from_numpy(sky.directions), colors)
     optimisation = pixels.config.optimisation()
     groups = renderer.groups(optimisation)
     optimizer = make_optimizer(groups, beta1=optimisation.beta1)

@@ -12,6 +12,9 @@ from model.nets.texture import FINER_COUNTS, level_scales
 LOBE_RATE = 2.5
 """Learning rate of the lobes relative to the maps: they are few numbers, each constrained by many rays."""
 
+DARKEST = 1e-3
+"""Least radiance of a map that starts from what was seen."""
+
 LOBE_SHARPNESS = 6.0
 """Initial sharpness of a lobe: it falls to half its brightness at 28 degrees."""
 
@@ -40,13 +43,42 @@ class LearnedSky(nn.Module):
 
     def forward(self, direction: Float32[Tensor, "exit 3"]) -> Float32[Tensor, "exit 3"]:
         """Radiance from unit directions; arbitrary for the zero vector, whose throughput is 0."""
-        x, y, z = direction.unbind(-1)
-        azimuth = torch.atan2(y, x) / torch.pi  # Both from -1 to 1.
-        polar = 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
-        maps = [_look_up_map(texels, azimuth, polar) for texels in self.maps]
-        scales = level_scales(len(maps), FINER_COUNTS)
-        soft = functional.softplus(torch.stack([scale * level for scale, level in zip(scales, maps)]).sum(dim=0))
+        soft = functional.softplus(self._before_softplus(*_angles(direction), first=0))
         return soft if self.lobes is None else soft + self.lobes(direction)
+
+    @torch.no_grad()
+    def start_from(self, direction: Float32[Tensor, "ray 3"], radiance: Float32[Tensor, "ray 3"]) -> None:
+        """Sets the maps to what was seen in some directions, with the lobes as they are.
+
+        Each map adds what coarser ones lack, in texels that were seen; a step of training moves a texel by little, and
+        few rays meet each of the finest.
+        """
+        rest = radiance if self.lobes is None else radiance - self.lobes(direction)
+        azimuth, polar = _angles(direction)
+        scales = level_scales(self.num_maps, FINER_COUNTS)
+        for level in reversed(range(self.num_maps)):
+            texels = self.maps[level]
+            _, height, width = texels.shape
+            row, column = (((polar + 1) / 2 * height).long(), ((azimuth + 1) / 2 * width).long())
+            place = row.clamp(max=height - 1) * width + column.clamp(max=width - 1)
+            count = torch.bincount(place, minlength=height * width).clamp(min=1e-9)
+            mean = torch.zeros(height * width, 3).index_add(0, place, rest) / count[:, None]
+            mean = mean.clamp(min=DARKEST)
+            wanted = mean + torch.log(-torch.expm1(-mean))  # The softplus of it is the mean.
+            at = torch.arange(height * width)
+            middle = (2 * (at % width) + 1) / width - 1, (2 * (at // width) + 1) / height - 1
+            lack = (wanted - self._before_softplus(*middle, first=level + 1)) / scales[level]
+            texels.copy_(torch.where((count >= 1)[:, None], lack, 0).T.reshape(3, height, width))
+
+    def _before_softplus(
+        self, azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"], *, first: int
+    ) -> Float32[Tensor, "exit 3"]:
+        """The sum of the maps from the `first` on."""
+        if first == self.num_maps:
+            return torch.zeros(len(azimuth), 3, device=azimuth.device)
+        maps = [_look_up_map(texels, azimuth, polar) for texels in self.maps[first:]]
+        scales = level_scales(self.num_maps, FINER_COUNTS)[first:]
+        return torch.stack([scale * level for scale, level in zip(scales, maps, strict=True)]).sum(dim=0)
 
 
 class SkyLobes(nn.Module):
@@ -78,6 +110,12 @@ def spread_directions(count: int) -> Float32[Tensor, "direction 3"]:
 def _map_sizes(height: int) -> list[tuple[int, int]]:
     """Heights and widths of the maps of the sky: twice as wide as high, then halved down to a single texel."""
     return [*((height >> level, 2 * height >> level) for level in range(height.bit_length())), (1, 1)]
+
+
+def _angles(direction: Float32[Tensor, "exit 3"]) -> tuple[Float32[Tensor, " exit"], Float32[Tensor, " exit"]]:
+    """Azimuth and polar angle of unit directions, both from -1 to 1."""
+    x, y, z = direction.unbind(-1)
+    return torch.atan2(y, x) / torch.pi, 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
 
 
 def _look_up_map(

@@ -283,6 +283,25 @@ def test_the_sky_where_no_ray_has_been_is_filled_in_from_around(lobes: int, most
     assert (behind - color).abs().max() < most  # One map alone would say 0.69 there: 1.3 off.
 
 
+@pytest.mark.parametrize("lobes", [0, 12])
+def test_a_sky_starts_from_what_was_seen_and_fills_in_the_rest(lobes: int) -> None:
+    generator = torch.Generator().manual_seed(0)
+    asked = torch.nn.functional.normalize(torch.randn(200_000, 3, generator=generator), dim=-1)
+    seen = asked[asked[:, 0] > -0.5]
+
+    def pattern(direction: torch.Tensor) -> torch.Tensor:
+        stripes = torch.sin(12 * torch.atan2(direction[:, 1], direction[:, 0]))
+        return torch.stack([0.5 + 0.3 * stripes, 0.5 - 0.3 * stripes, 0.2 + 0.1 * direction[:, 2]], dim=-1)
+
+    sky = LearnedSky(64, lobes)
+    sky.start_from(seen, pattern(seen))
+    with torch.no_grad():
+        # Noise of about 25 rays in each texel, and texels of 2.8 degrees across stripes of 15.
+        assert (sky(seen) - pattern(seen)).abs().mean() < 0.02
+        behind = sky(asked[asked[:, 0] < -0.8])
+    assert (behind.mean(dim=0) - torch.tensor([0.5, 0.5, 0.2])).abs().max() < 0.1
+
+
 def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() -> None:
     # Pixel 0 looks at the lamp, and is clipped; pixel 1 sees it mirrored by glass of which 4 % reflect.
     lamp, share = 4.0, 0.04
