@@ -262,7 +262,7 @@ def find_commit(name: str) -> str:
     """A commit's short hash.
 
     Raises:
-        HyalineError: there is none of this name.
+        HyalineError: no commit has this name.
     """
     words = ["git", "rev-parse", "--short=7", "--verify", f"{name}^{{commit}}"]
     found = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -75,7 +75,7 @@ def packed_json(files: Mapping[str, PackedFile]) -> Json:
 def list_members(
     index: bytes, name: str, folder: str, files: Mapping[str, PackedFile], *, last: str = ""
 ) -> list[Member]:
-    """Everything in the archive in its order: the index, then the files, of which `last` is the last."""
+    """Everything in the archive in its order: the index, then the files, with `last` at the end."""
     listed = {name: PackedFile(size=len(index), sha256=sha256(index))}
     listed |= sorted(files.items(), key=lambda item: (item[0] == last, item[0]))
     top = folder[:MAX_FOLDER]

@@ -139,7 +139,7 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
 
 
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
-    """The first track in which a run may be told what its record says that it was told; None if it says nothing."""
+    """The first track that allows what a run was told, by its record; None if the record does not say."""
     pictures, masks, proxies, shapes, materials = tracks
     if run.geometry is None:
         return None

@@ -155,7 +155,7 @@ def submit(
 
     Args:
         runs: by scene, all of one name.
-        track: None: the first track in which the method may be told what its record names.
+        track: None: the first track that allows what the method was told, by its record.
     """
     if out.suffix != ".tar":
         raise UsageError(f"--out {out}: ends in {out.suffix!r}; expected .tar")

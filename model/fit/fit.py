@@ -298,18 +298,19 @@ class _Work:
     def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: int) -> Objects:
         drawn = self._room(textures, found)
         found = dict(found)
-        total = rounds * sum(count_searches(item.glass) for item in found.values())
-        for _ in track(self._rounds(stage, drawn, found, rounds), label=stage, total=total):
+        first = 0 if stage == "search" else ROUNDS
+        numbers = range(first, first + rounds)
+        total = sum(count_searches(item.glass, number) for number in numbers for item in found.values())
+        for _ in track(self._rounds(stage, drawn, found, numbers), label=stage, total=total):
             pass
         for object_id, item in found.items():
             say(f"  {self._name(object_id)}: {in_words(item.glass)}")
         self._show_drawn(stage, drawn, found)
         return found
 
-    def _rounds(self, stage: str, drawn: room.Room, found: Objects, rounds: int) -> Iterator[None]:
+    def _rounds(self, stage: str, drawn: room.Room, found: Objects, numbers: range) -> Iterator[None]:
         """Searches all numbers of all objects, round by round, and replaces them in `found`."""
-        first = 0 if stage == "search" else ROUNDS
-        for number in range(first, first + rounds):
+        for number in numbers:
             for object_id in found:
                 item = found[object_id]
                 rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)

@@ -44,6 +44,9 @@ STEPS = 7
 LAST = 5
 """Number of the last round."""
 
+INDEX_HELD = 2
+"""Rounds in which a vessel keeps its index: as long as walls are wrong, a wrong index explains pictures best."""
+
 SHRINKS = 0.55
 """Factor by which brackets shrink from round to round."""
 
@@ -124,7 +127,7 @@ def _as_dark_as(glass: Glass, other: Glass) -> Glass:
 
 
 def _thickness(glass: Glass) -> float:
-    """Of a vessel's wall; of a solid, half its width. 1 for shapes that are always solid."""
+    """Thickness of a vessel's wall, or half the width of a solid; 1 for shapes that are always solid."""
     if not isinstance(glass, Revolution):
         return 1.0
     return float(glass.outside[:, 0].max()) if glass.wall is None else glass.wall
@@ -233,22 +236,23 @@ def refine(
         glass, channels = find_absorption(glass, name, misses, is_even)
         for channel, found in zip(CHANNELS, channels, strict=True):
             yield glass, f"{name}_{channel}", found
-    for name in _searched(glass):
+    for name in _searched(glass, number):
         glass, found = _search(glass, name, reach_of(name, number), misses, is_even)
         yield glass, name, found
 
 
-def count_searches(glass: Glass) -> int:
-    """How much `refine` yields."""
-    return len(CHANNELS) * len(_absorptions(glass)) + len(_searched(glass))
+def count_searches(glass: Glass, number: int) -> int:
+    """How much `refine` yields in a round."""
+    return len(CHANNELS) * len(_absorptions(glass)) + len(_searched(glass, number))
 
 
 def _absorptions(glass: Glass) -> tuple[str, ...]:
     return ("absorption",) if getattr(glass, "drink_ior", None) is None else ("absorption", "drink_absorption")
 
 
-def _searched(glass: Glass) -> list[str]:
-    return [name for name in NUMBERS if getattr(glass, name, None) is not None]
+def _searched(glass: Glass, number: int) -> list[str]:
+    held = {"ior"} if number < INDEX_HELD and hollow_of(glass) is not None else set()
+    return [name for name in NUMBERS if getattr(glass, name, None) is not None and name not in held]
 
 
 def reach_of(name: str, number: int) -> float:

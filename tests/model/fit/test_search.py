@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from model.fit.search import (
+    INDEX_HELD,
     Found,
     alternatives,
+    count_searches,
     find_absorption,
     find_index,
     find_material,
@@ -130,6 +132,16 @@ def test_rounds_find_every_number_and_its_interval() -> None:
         low, high = interval(name, found[name])
         assert low < getattr(TRUTH, name) < high, name
     assert current.absorption == pytest.approx(TRUTH.absorption, rel=0.2, abs=0.3)
+
+
+@pytest.mark.parametrize(("glass", "held"), [(TRUTH, True), (OUTSIDE_OF, False)], ids=["vessel", "solid"])
+def test_the_index_of_a_vessel_waits_for_its_wall(glass: Revolution, held: bool) -> None:
+    names = [
+        [name for _, name, _ in refine(glass, misses_of(glass), IS_EVEN, number=number)]
+        for number in range(INDEX_HELD + 1)
+    ]
+    assert ["ior" in each for each in names] == [not held] * INDEX_HELD + [True]
+    assert [count_searches(glass, number) for number in range(INDEX_HELD + 1)] == list(map(len, names))
 
 
 def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
