@@ -31,6 +31,7 @@ class Glints:
     resolution: Resolution = square(1)  # noqa: RUF009
     pixels_per_view: int = 1
     chunk: int = 1024
+    whole_views: bool = False
 
     def to(self, device: torch.device) -> "Glints":
         return self
