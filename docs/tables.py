@@ -84,17 +84,34 @@ def demo_table() -> str:
         )
         size = f"{found.runs('glass_table', run)[0]['num_parameters']:,}"
         bold = "**" if run == "light-path" else ""
-        rows.append((
-            *about, size, f"{bold}{near:.2f}{bold}", f"{bold}{far:.2f}{bold}", _signed(near - far),
-            f"{glass_near:.2f}", f"{glass_far:.2f}", f"{ssim_near:.3f} / {ssim_far:.3f}",
-            f"*{wrap_near:.2f} / {wrap_far:.2f}*",
-        ))  # fmt: skip
+        rows.append(
+            (
+                *about,
+                size,
+                f"{bold}{near:.2f}{bold}",
+                f"{bold}{far:.2f}{bold}",
+                _signed(near - far),
+                f"{glass_near:.2f}",
+                f"{glass_far:.2f}",
+                f"{ssim_near:.3f} / {ssim_far:.3f}",
+                f"*{wrap_near:.2f} / {wrap_far:.2f}*",
+            )
+        )
     ceiling = found.scene("glass_table")["noise_ceiling_db"]
     rows.append(("noise of the truth (ceiling)", "", "", "", f"{ceiling[NEAR]:.2f}", f"{ceiling[FAR]:.2f}", *[""] * 5))
     columns = (
-        "run", "geometry", "knows", "parameters", "PSNR inter.", "PSNR extra.", "drop", "glass inter.", "glass extra.",
-        "SSIM inter. / extra.", "*wrapped* inter. / extra.",
-    )  # fmt: skip
+        "run",
+        "geometry",
+        "knows",
+        "parameters",
+        "PSNR inter.",
+        "PSNR extra.",
+        "drop",
+        "glass inter.",
+        "glass extra.",
+        "SSIM inter. / extra.",
+        "*wrapped* inter. / extra.",
+    )
     return table_of(columns, rows, texts=3)
 
 
