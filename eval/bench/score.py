@@ -156,7 +156,9 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
     scenes, worst = {}, []
     for scene, run in track(runs.items(), label=f"scoring {index.name}", total=len(runs)):
         if not is_of_preset(run.dataset, index.preset, protocol):
-            raise HyalineError(f"{path}: {scene} is not a scene of {index.preset}; submit it to the preset of its dataset")
+            raise HyalineError(
+                f"{path}: {scene} is not a scene of {index.preset}; submit it to the preset of its dataset"
+            )
         splits: dict[str, SplitResult] = {}
         shown: list[tuple[float, Run, Split, int]] = []
         for part, names in list_predictions(run, protocol):
