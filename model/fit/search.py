@@ -45,7 +45,7 @@ LAST = 5
 """Number of the last round."""
 
 INDEX_HELD = 2
-"""Rounds in which a vessel keeps its index: as long as walls are wrong, a wrong index explains pictures best."""
+"""Number of rounds before a vessel's index is searched: while walls are wrong, a wrong index explains pictures best."""
 
 SHRINKS = 0.55
 """Factor by which brackets shrink from round to round."""

@@ -12,7 +12,7 @@
     then = ["model predict {run} --variant x2"]   # commands on each finished run
     parts = ["table1"]                    # experiments of their own that the block belongs to
 
-    [presets.demo]                        # sizes in which the experiment can be run, the usual one first; its name
+    [presets.demo]                        # sizes of the experiment, the usual one first; the size's name
     [presets.tiny]                        # takes the place of {preset} in datasets and commands
     only = ["one-{preset}"]               # the datasets that are left; without the key, all
     steps = 50                            # other keys are flags that every block gets
