@@ -142,10 +142,10 @@ def scale(
     Args:
         factor: Multiply each quantity by this, the others staying as they are. May be repeated. Default: 1, 2, 4 and 8.
         quantities: Only these of pixels, layers, objects, triangles.
-        out: The figure, a PNG; a file that stands there is kept.
+        out: The figure, a PNG; an existing file is kept.
         rounds: Turns at each size.
         json: Print JSON instead of a table.
-        overwrite: Replace a file that stands at --out.
+        overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import refuse_file
     from datagen.terminal.command import choose
@@ -291,12 +291,12 @@ def random_sheet(
 
     Args:
         seed: A scene to show; 0 is an object, 1 a table, 2 nested media, and so on. May be repeated. Default: 0 to 8.
-        out: The picture, a WebP; a file that stands there is kept.
+        out: The picture, a WebP; an existing file is kept.
         view: Which of six training cameras.
         size: Width and height of each in pixels.
         spp: Samples per pixel.
         quality: Of the WebP, 1 to 100.
-        overwrite: Replace a file that stands at --out.
+        overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import refuse_file
 
@@ -375,8 +375,8 @@ def sky(
     Args:
         runs: Run folders.
         names: What the picture calls them, instead of their paths.
-        out: The picture, a PNG; a file that stands there is kept.
-        overwrite: Replace a file that stands at --out.
+        out: The picture, a PNG; an existing file is kept.
+        overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import refuse_file
 
@@ -396,9 +396,9 @@ def errors(
     Args:
         before: A run folder.
         after: Another one, of the same dataset.
-        out: The picture, a PNG; a file that stands there is kept.
+        out: The picture, a PNG; an existing file is kept.
         views: How many views are shown.
-        overwrite: Replace a file that stands at --out.
+        overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import refuse_file
 
@@ -432,7 +432,7 @@ def turntable(
         size: Width of each picture in pixels.
         spp: Samples per pixel of the path-traced one.
         fps: Frames a second.
-        overwrite: Replace a file that stands at --out.
+        overwrite: Replace an existing file.
     """
     from benchmarks.drawings import draw_turntable
     from datagen.terminal.command import tell
@@ -480,13 +480,13 @@ def screenshot(
 
     Args:
         page: The page.
-        out: The picture, a PNG; a file that stands there is kept.
+        out: The picture, a PNG; an existing file is kept.
         width: Of the browser's window, in pixels.
         height: Of the browser's window, in pixels.
         dark: Let the browser ask for dark colours.
         rays: Rays a pixel that the page draws before the picture is taken; 0 for a report or a look, which draw none.
         link: What the page's own "Copy link" gives after the #: a camera and edits; in a report a part of it.
-        overwrite: Replace a file that stands at --out.
+        overwrite: Replace an existing file.
     """
     from benchmarks.compare import take_screenshot
     from datagen.disk.ownership import refuse_file

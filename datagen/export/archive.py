@@ -12,15 +12,15 @@ import hashlib
 import io
 import os
 import tarfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
 from datagen.disk.errors import DamagedError, HyalineError, naming
 from datagen.disk.names import check_relative
-from datagen.disk.records import MAX_JSON_BYTES, Json, open_regular, parse_json, shown
+from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, open_regular, parse_json, shown
 from datagen.disk.storage import SEAL, sha256, sha256_file, sync_folder
 from datagen.terminal.command import track
 
@@ -30,6 +30,8 @@ END = bytes(2 * BLOCK)
 MAX_FOLDER = 64
 """Characters of the folder's name, with which the header of the index is a single block."""
 CHUNK = 1 << 20
+
+Index = TypeVar("Index")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,12 +180,27 @@ def holds(path: Path, members: Sequence[Member]) -> bool:
 # Unpacking
 
 
-def read_index(archive: BinaryIO, path: Path, *, name: str, version: int, maker: str) -> tuple[dict[str, Json], bytes]:
-    """The index at the start of an archive, without its seal, and its bytes; `check_archive` verifies them.
+def read_index(
+    archive: BinaryIO,
+    path: Path,
+    kind: type[Index],
+    lay_out: Callable[[Index], tuple[bytes, list[Member]]],
+    *,
+    name: str,
+    version: int,
+    maker: str,
+) -> tuple[Index, list[Member]]:
+    """The index at the start of an archive, verified, and what the archive holds.
 
     Args:
+        kind: the index's record.
+        lay_out: the bytes that an index should have, and the archive's members.
         name: the index's file name.
         maker: the command that writes such archives.
+
+    Raises:
+        HyalineError: another kind of archive, or another version.
+        DamagedError: the index is damaged, or the archive is not as long as its members.
     """
     start = archive.read(BLOCK)
     try:
@@ -197,21 +214,17 @@ def read_index(archive: BinaryIO, path: Path, *, name: str, version: int, maker:
     content.pop(SEAL, None)
     if content.get("version") != version:
         raise HyalineError(f"{path}: version is {shown(content.get('version'))}; expected {version}; update hyaline")
-    return content, start + data
-
-
-def check_archive(archive: BinaryIO, path: Path, found: bytes, index: bytes, members: Sequence[Member]) -> None:
-    """Raises a DamagedError unless an archive begins with this index, and is as long as its members.
-
-    Args:
-        found: the header and the bytes of the index that `read_index` read.
-        index: the bytes that the index should have.
-    """
-    if found != members[0].header + index:
+    try:
+        index = from_json(kind, content, where=name)
+    except HyalineError as error:
+        raise HyalineError(f"{path}: {error}") from None
+    expected, members = lay_out(index)
+    if start + data != members[0].header + expected:
         raise DamagedError(f"{path}: {members[0].path} does not match its own checksum; get the archive again")
-    size, length = os.fstat(archive.fileno()).st_size, sum(member.length for member in members) + len(END)
-    if size != length:
-        raise DamagedError(f"{path}: has {size:,} bytes; expected {length:,}; get the archive again")
+    found, length = os.fstat(archive.fileno()).st_size, sum(member.length for member in members) + len(END)
+    if found != length:
+        raise DamagedError(f"{path}: has {found:,} bytes; expected {length:,}; get the archive again")
+    return index, members
 
 
 def is_there(root: Path, member: Member) -> bool:

@@ -12,7 +12,7 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import cast
 
 from datagen.build.verify import Findings, verify_dataset
 from datagen.data.dataset import open_dataset
@@ -21,12 +21,11 @@ from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError, UsageError, naming
 from datagen.disk.names import check_name, real_path
 from datagen.disk.ownership import DATASET, refuse_file
-from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, open_regular, to_json
+from datagen.disk.records import MAX_JSON_BYTES, Json, open_regular, to_json
 from datagen.disk.storage import one_writer, seal_bytes, sync_folder
 from datagen.export.archive import (
     Member,
     PackedFile,
-    check_archive,
     check_packed,
     holds,
     is_there,
@@ -126,7 +125,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
         HyalineError: the archive is damaged or was not made by `pack_dataset`, or the folder holds something else.
     """
     with open_regular(path) as archive:
-        index, members = _read_index(archive, path)
+        index, members = read_index(archive, path, _Index, _members, name=INDEX, version=VERSION, maker="datagen pack")
         into = into or DATA_ROOT / index.scene
         if os.path.lexists(into) and not (into.is_dir() and not any(into.iterdir())):
             other = next((member.path for member in members[1:] if not is_there(into, member)), None)
@@ -147,18 +146,6 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
             sync_folder(into.parent)
     say(f"{into}: {len(index.files):,} files; licence: {index.license}")
     return into
-
-
-def _read_index(archive: BinaryIO, path: Path) -> tuple[_Index, list[Member]]:
-    """The index at the start of an archive, verified, and what the archive holds."""
-    content, found = read_index(archive, path, name=INDEX, version=VERSION, maker="datagen pack")
-    try:
-        index = from_json(_Index, content, where=INDEX)
-    except HyalineError as error:
-        raise HyalineError(f"{path}: {error}") from None
-    expected, members = _members(index)
-    check_archive(archive, path, found, expected, members)
-    return index, members
 
 
 def _check_unpacked(path: Path, found: Findings) -> None:

@@ -23,12 +23,11 @@ from datagen.data.variants import ANGLES, has_variant, open_variant, variant_com
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.names import check_name
 from datagen.disk.ownership import refuse_file
-from datagen.disk.records import Json, from_json, open_regular, read_regular, to_json
+from datagen.disk.records import Json, open_regular, read_regular, to_json
 from datagen.disk.storage import seal_bytes, sha256
 from datagen.export.archive import (
     Member,
     PackedFile,
-    check_archive,
     check_packed,
     holds,
     list_members,
@@ -251,11 +250,4 @@ def _open_runs(index: Submission, root: Path, truths: Mapping[str, Dataset]) -> 
 
 def _read_index(archive: BinaryIO, path: Path) -> tuple[Submission, list[Member]]:
     version = load_protocol().version
-    content, found = read_index(archive, path, name=INDEX, version=version, maker="hyaline-bench submit")
-    try:
-        index = from_json(Submission, content, where=INDEX)
-    except HyalineError as error:
-        raise HyalineError(f"{path}: {error}") from None
-    expected, members = _members(index)
-    check_archive(archive, path, found, expected, members)
-    return index, members
+    return read_index(archive, path, Submission, _members, name=INDEX, version=version, maker="hyaline-bench submit")
