@@ -217,7 +217,7 @@ def train(
             label=label or place.name,
             device=choose_device(device),
             memory=run.memory,
-            anew=overwrite,
+            overwrite=overwrite,
         )
     except Stopped as stopped:
         if stopped.status != 128 + signal.SIGINT:

@@ -109,7 +109,7 @@ def _train_method(method: str, asked: "Asked") -> None:
         out,
         label=asked.run.label or out.name,
         device=choose_device(asked.run.device),
-        anew=asked.run.overwrite,
+        overwrite=asked.run.overwrite,
         memory=asked.run.memory,
         logs=LogChoices(
             snapshots=asked.run.snapshots,

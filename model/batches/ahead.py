@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from model.batches.rays import PixelSource
+from model.batches.rays import PixelSource, draw_rows
 
 Batch = TypeVar("Batch")
 Draw = tuple[Int[Tensor, " pixel"], np.random.Generator]
@@ -42,11 +42,16 @@ class Ahead(Generic[Batch]):
     """
 
     def __init__(
-        self, pixels: TracedPixels[Batch], draw: Callable[[int], list[np.random.Generator]], *, size: int
+        self,
+        pixels: Callable[[int], PixelSource[Batch]],
+        draw: Callable[[int], list[np.random.Generator]],
+        *,
+        size: int,
     ) -> None:
         """Makes nothing before the first step begins.
 
         Args:
+            pixels: what a step draws from, by step; `TracedPixels`.
             draw: fresh generators of a step's batches, by step.
             size: pixels in each batch.
         """
@@ -78,8 +83,8 @@ class Ahead(Generic[Batch]):
         self._thread.shutdown(cancel_futures=True)
 
     def _make(self, step: int) -> list[tuple[object, Draw, Batch]]:
-        draws = [
-            (torch.from_numpy(rng.integers(len(self._pixels.rgb), size=self._size)), rng) for rng in self._draw(step)
-        ]
+        pixels = self._pixels(step)
+        assert isinstance(pixels, TracedPixels)
+        draws = [(torch.from_numpy(draw_rows(pixels, self._size, rng)), rng) for rng in self._draw(step)]
         before = [rng.bit_generator.state for _, rng in draws]
-        return list(zip(before, draws, self._pixels.take_all(draws, beside_torch=True), strict=True))
+        return list(zip(before, draws, pixels.take_all(draws, beside_torch=True), strict=True))

@@ -9,7 +9,16 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
-from model.batches.rays import PixelSource, draw_patches, mean_color, take_colors, to_device, variance_of_mean
+from model.batches.rays import (
+    PixelSource,
+    draw_patches,
+    draw_rows,
+    draws_of,
+    mean_color,
+    take_colors,
+    to_device,
+    variance_of_mean,
+)
 
 Radiance = Callable[..., tuple[Float32[Tensor, "pixel sample 3"], Float32[Tensor, "pixel sample 3"] | None]]
 """Linear radiance of every ray of a batch, and the same numbers again with only the sky's gradients. Without the
@@ -49,12 +58,18 @@ def pixel_loss(
             trained sky learns only from the random pixels, not from patch terms.
         debias: share of `noise_penalty` that is then subtracted from the loss.
     """
-    index = to_device({"index": rng.integers(len(training.rgb), size=batch)}, training.rgb.device)["index"]
+    index = to_device({"index": draw_rows(training, batch, rng)}, training.rgb.device)["index"]
     patches = None if patch_terms is None else draw_patches(training, patch_terms.number, patch_terms.size, rng)
     together = index if patches is None else torch.cat([index, patches.flatten()])
     rendered = _render(renderer, training.take(together, rng), rng, radiance, debias)
     truth = take_colors(training, together)
-    loss = _pixel_terms(rendered, truth, softness, batch)
+    missed, variance = _misses(rendered, truth, batch)
+    if (draws := draws_of(training)) is not None:
+        draws.add(index, missed, variance)
+    loss = _soft_mean(missed, softness, variance)
+    if rendered.of_sky is not None:  # Adds gradients, but nothing to the value.
+        squares = _mean_square(*_misses(rendered.of_sky, truth, batch))
+        loss = loss + (squares - squares.detach())
     if patch_terms is None or patches is None:
         return loss
     shape = (*patches.shape, 3)
@@ -86,16 +101,6 @@ def _render(
 
 def _average(rays: Float32[Tensor, "pixel sample 3"], debias: float) -> _Rendered:
     return _Rendered(colors=mean_color(rays), variance=debias * variance_of_mean(rays))
-
-
-def _pixel_terms(rendered: _Rendered, truth: Float32[Tensor, "_ 3"], softness: float, number: int) -> Tensor:
-    """The loss of the first `number` pixels. The sky's term adds gradients, but nothing to its value."""
-    missed, variance = _misses(rendered, truth, number)
-    loss = _soft_mean(missed, softness, variance)
-    if rendered.of_sky is None:
-        return loss
-    squares = _mean_square(*_misses(rendered.of_sky, truth, number))
-    return loss + (squares - squares.detach())
 
 
 def _misses(

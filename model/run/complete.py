@@ -36,7 +36,7 @@ def complete_run(
     label: str,
     device: torch.device,
     memory: Memory = "ram",
-    anew: bool = False,
+    overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> bool:
     """Trains a method and renders the test splits; a run that was stopped resumes, a finished one stays as it is.
@@ -44,7 +44,7 @@ def complete_run(
     Args:
         label: what tables call the run.
         memory: where training pixels are held; no number depends on it.
-        anew: delete the run in `out` and start over.
+        overwrite: delete the run in `out` and start over.
         logs: what to leave for people to watch.
 
     Returns:
@@ -61,7 +61,7 @@ def complete_run(
             device=device,
             processes=processes,
             memory=memory,
-            anew=anew,
+            overwrite=overwrite,
             logs=logs,
         )
         if not processes.is_first:
@@ -72,9 +72,9 @@ def complete_run(
         with holding(out, FOLDER):
             refuse_others(out, FOLDER)
             finish_clearing(out)
-            if not anew and _is_finished(config, dataset, out, processes):
+            if not overwrite and _is_finished(config, dataset, out, processes):
                 return True
-            if processes.broadcast(anew or not (out / WEIGHTS).is_file()):
+            if processes.broadcast(overwrite or not (out / WEIGHTS).is_file()):
                 train_here()
             else:
                 delete_checkpoints(out)

@@ -138,15 +138,15 @@ def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
     return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
 
 
-def begin_run(out: Path, record: RunRecord, *, anew: bool) -> None:
-    """Writes the record of a run that starts or resumes; `anew` first deletes the run that is there.
+def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
+    """Writes the record of a run that starts or resumes; `overwrite` first deletes the run that is there.
 
     If it is killed at any moment, the folder holds the old run or a new one: never files without a record.
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
         begin(out, FOLDER, seal_bytes(content), {})
-    elif anew:
+    elif overwrite:
         refuse_taken(out, FOLDER, [] if _is_run(out / NEXT_RUN) else [NEXT_RUN], [])
         commit_sealed(out / NEXT_RUN, content)
         finish_clearing(out)

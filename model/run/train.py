@@ -20,6 +20,7 @@ from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.distributed import ALONE, Processes
+from model.batches.draws import DrawSchedule, make_schedule
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
@@ -59,7 +60,7 @@ def train(
     device: torch.device,
     processes: Processes = ALONE,
     memory: Memory = "ram",
-    anew: bool = False,
+    overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
     """Trains until `out` contains weights.pt; resumes from the newest intact checkpoint if there is one.
@@ -72,7 +73,7 @@ def train(
     Args:
         processes: the processes that call this together; only the first one writes to `out`.
         memory: where training pixels are held; the result does not depend on it.
-        anew: first delete the existing run in `out`.
+        overwrite: first delete the existing run in `out`.
         logs: logs to write for people to read.
 
     Raises:
@@ -89,7 +90,7 @@ def train(
     sizes = count_parameters(groups)
     with processes.in_turn():
         if processes.is_first:
-            begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), anew=anew)
+            begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), overwrite=overwrite)
 
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
@@ -114,6 +115,7 @@ def train(
         optimizer=optimizer,
         losses=losses,
         training=training,
+        draws=make_schedule(training, config.draws, dataset, shown),
         held_out=testing,
         logs=logs if processes.is_first else LogChoices(),
     )
@@ -124,7 +126,7 @@ def train(
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
     say_all(told_fine_patterns(dataset, config.geometry, renderer))
-    take_steps(run, progress, anew=anew)
+    take_steps(run, progress, overwrite=overwrite)
 
 
 def prepare_processor(config: TrainConfig, device: torch.device) -> None:
@@ -146,6 +148,7 @@ class Run:
     optimizer: Adam
     losses: Losses
     training: PixelSource
+    draws: DrawSchedule
     held_out: HeldOut | None
     """The held-out views, in the first process; None if there are none."""
     logs: LogChoices
@@ -203,6 +206,7 @@ def resume(run: Run) -> Progress:
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         run.losses.load_state(checkpoint.get("losses"))
+        run.draws.load_state(checkpoint.get("draws"))
         progress.step = cast(int, checkpoint["step"])
         progress.loss_sum = cast(float, checkpoint["loss_sum"])
         progress.loss_count = cast(int, checkpoint["loss_count"])
@@ -214,7 +218,7 @@ def resume(run: Run) -> Progress:
     return progress
 
 
-def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
+def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
     """Takes the remaining steps and saves the weights.
 
     Raises:
@@ -244,7 +248,7 @@ def take_steps(run: Run, progress: Progress, *, anew: bool) -> None:
                 saved_at = time.monotonic()
             if is_stopped:
                 processes.broadcast()  # `torchrun` ends all processes when one ends, so the first has to save before.
-                again = "the same command without --overwrite" if anew else "the same command"
+                again = "the same command without --overwrite" if overwrite else "the same command"
                 raise Stopped(
                     held.number or signal.SIGTERM,
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
@@ -269,14 +273,14 @@ def batches_ahead(run: Run) -> Iterator[Ahead | None]:
     def draw(step: int) -> list[np.random.Generator]:
         return [run.processes.generator(config.seed, step, update) for update in range(config.updates)]
 
-    ahead = Ahead(run.training, draw, size=run.processes.share(config.batch // config.updates))
+    ahead = Ahead(run.draws.at, draw, size=run.processes.share(config.batch // config.updates))
     with contextlib.closing(ahead):
         yield ahead
 
 
 def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead | None) -> bool:
     """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
-    config, processes, renderer, training = run.config, run.processes, run.renderer, run.training
+    config, processes, renderer, training = run.config, run.processes, run.renderer, run.draws.at(step)
     batch = config.batch // config.updates
     if ahead is not None:
         assert isinstance(training, TracedPixels)
@@ -299,6 +303,7 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
         progress.loss_sum += loss_value
         progress.loss_count += 1
     progress.step = step + 1
+    run.draws.end(progress.step, processes)
     progress.loss = progress.loss_sum / progress.loss_count
     return is_stopped
 
@@ -327,6 +332,7 @@ def save_progress(run: Run, progress: Progress) -> None:
         "loss_sum": progress.loss_sum,
         "loss_count": progress.loss_count,
         "losses": run.losses.state(),
+        "draws": run.draws.state(),
         "metrics": cast(State, progress.metrics),
     }
     save_checkpoint(run.out, state)

@@ -9,6 +9,7 @@ from model.settings.flags import AMOUNT, COUNT, check_limits, choice, unflagged
 from model.settings.losses import LossConfig
 
 LrDecay = Literal["none", "linear", "cosine"]
+DrawKind = Literal["uniform", "error"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +56,9 @@ class Optimisation:
 class PixelOptimisation(Optimisation):
     """The same for methods to whose loss further terms can be added."""
 
+    draws: DrawKind = choice("uniform", {"uniform": "uniform", "error": "by-error"})
+    """How training pixels are drawn. uniform: all are equally likely. error: three quarters of them where the error,
+    above the known noise of pictures and rays, is large."""
     loss: LossConfig = field(default_factory=LossConfig)
 
 

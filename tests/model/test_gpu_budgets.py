@@ -39,7 +39,7 @@ STEPS = {
     "dnr": Budget(451, 1, 33),
     "dnr-authors": Budget(226, 1, 33),
     "authors-code": Budget(254, 1, 2.3),
-    "light-path": Budget(2520, 4, 168),
+    "light-path": Budget(2546, 4, 168),
     "deepvoxels": Budget(5950, 44, 2.4),
 }
 """A training step on 256 pixels; `light-path` makes four updates in it."""

@@ -144,7 +144,14 @@ class LightPathConfig(MethodConfig):
     def optimisation(self) -> PixelOptimisation:
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         return PixelOptimisation(
-            batch=2048, lr=0.002, texture_lr=0.04, lr_decay="cosine", updates=4, loss=LossConfig(softness=0.05)
+            batch=2048,
+            lr=0.002,
+            texture_lr=0.04,
+            lr_decay="cosine",
+            updates=4,
+            loss=LossConfig(softness=0.05),
+            # Without pairs the noise of rays counts as error; not tried there.
+            draws="error" if self.paired_rays else "uniform",
         )
 
     def sized(self, texture_sizes: tuple[int, ...]) -> Self:

@@ -15,9 +15,9 @@ from model.run.train import train
 SHORT = dataclasses.replace(SMALL, steps=6, checkpoint_every=2)
 
 
-def trained(dataset: Dataset, out: Path, *, costs: bool = True, anew: bool = False) -> Path:
+def trained(dataset: Dataset, out: Path, *, costs: bool = True, overwrite: bool = False) -> Path:
     logs = LogChoices(costs=Meter() if costs else None)
-    train(SHORT, dataset, out, label="run", device=torch.device("cpu"), logs=logs, anew=anew)
+    train(SHORT, dataset, out, label="run", device=torch.device("cpu"), logs=logs, overwrite=overwrite)
     return out
 
 
@@ -45,7 +45,7 @@ def test_what_a_session_took_is_added_to_those_before_it_and_a_new_run_begins_an
     assert 1000 < costs["seconds"]
     assert 2000 < costs["cpu_seconds"]
     assert costs["peak_memory_bytes"] == 1e15
-    trained(dataset, out, anew=True)
+    trained(dataset, out, overwrite=True)
     assert read_costs(out)["peak_memory_bytes"] < 1e15
     assert read_costs(out)["seconds"] < costs["seconds"]
 

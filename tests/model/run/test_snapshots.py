@@ -76,7 +76,7 @@ def test_a_new_run_deletes_the_old_ones_pictures_and_no_foreign_file(dataset: Da
     events = out / "tensorboard" / "events.out.tfevents.1.host.2.0"
     events.write_bytes(b"")
     assert list_snapshots(out, evaluate_every=2, steps=5) == SNAPSHOTS
-    begin_run(out, dataclasses.replace(read_run(out), seed=1), anew=True)
+    begin_run(out, dataclasses.replace(read_run(out), seed=1), overwrite=True)
     assert sorted(run_bytes(out)) == sorted([*foreign, "run.json"])
 
 
