@@ -98,6 +98,7 @@ def test_a_commit_that_does_not_exist_is_named() -> None:
         versions.find_commit("0000000")
 
 
+@pytest.mark.full
 def test_the_child_notes_the_first_line_each_step_and_each_view(tmp_path: Path) -> None:
     version = Version(tree=ROOT, folder=tmp_path, python=Path(sys.executable))
     (line,) = version.watch("first-line", "datagen", "scenes")["first line"]
@@ -113,7 +114,7 @@ def test_the_child_notes_the_first_line_each_step_and_each_view(tmp_path: Path) 
     assert stamps["steps"] == sorted(stamps["steps"]) and stamps["steps"][-1] < stamps["views"][0]
 
 
-@pytest.mark.parametrize("kind", ["first-line", "views"])
+@pytest.mark.parametrize("kind", ["first-line", pytest.param("views", marks=pytest.mark.full)])
 def test_a_command_that_fails_gives_its_last_line(kind: str, tmp_path: Path) -> None:
     version = Version(tree=ROOT, folder=tmp_path, python=Path(sys.executable))
     with pytest.raises(HyalineError, match="data/absent: no dataset"):

@@ -84,6 +84,7 @@ def test_a_run_trained_in_a_notebook_is_rendered_from_anywhere(examples: Path) -
     assert [frame.shape for frame in names["frames"]] == [(32, 32, 3)] * 4
 
 
+@pytest.mark.full
 def test_a_random_scene_is_built_trained_on_and_reported_in_a_few_cells(examples: Path) -> None:
     names, shown = run_notebook("randomise_a_scene.ipynb")
     assert len(code_of("randomise_a_scene.ipynb")) == 5 and all(item is not None for item in shown)

@@ -37,7 +37,7 @@ def pictures(renderer: Renderer, cameras: Cameras, first_seed: int) -> np.ndarra
     ("glass", "floor"),
     [
         pytest.param(Dielectric(ior=1.5, absorption=(2.0, 0.5, 0.1)), GREY, id="absorbing", marks=pytest.mark.full),
-        pytest.param(Dielectric(ior=1.5, dispersion=0.8), PLASTIC, id="dispersive on plastic"),
+        pytest.param(Dielectric(ior=1.5, dispersion=0.8), PLASTIC, id="dispersive on plastic", marks=pytest.mark.full),
         pytest.param(RoughDielectric(ior=1.4, roughness=0.1, tint=(0.9, 0.8, 1.0)), GREY, id="frosted"),
         pytest.param(Conductor(color=(0.9, 0.8, 0.4), roughness=0.0), GREY, id="mirror", marks=pytest.mark.full),
     ],

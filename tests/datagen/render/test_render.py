@@ -102,7 +102,7 @@ PANEL = RectangleLight(corner=(-0.5, -1.5, 2), edge_u=(0, 1, 0), edge_v=(1, 0, 0
 
 @pytest.mark.parametrize(
     ("environment", "lights"),
-    [(DUSK, ()), (SPARK, ()), (DUSK, (PANEL,)), (SPARK, (PANEL,))],
+    [(DUSK, ()), (SPARK, ()), pytest.param(DUSK, (PANEL,), marks=pytest.mark.full), (SPARK, (PANEL,))],
     ids=["soft sky", "small light in it", "lamp", "both"],
 )
 def test_the_path_tracer_is_unbiased_against_mitsubas_own(

@@ -327,6 +327,7 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
     assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
 
 
+@pytest.mark.full
 def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
     net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0, adversarial=False)
