@@ -85,7 +85,7 @@ METRIC_NOTES = (
 )
 WRAPPED_NOTE = (
     "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
-    "them. No PSNR; it stands here only beside their tables."
+    "them. No PSNR; shown only beside their tables."
 )
 
 

@@ -21,10 +21,9 @@ from model.settings.state import State
 BLOCK = 8
 """Width and height in pixels of the blocks whose errors are known."""
 
-BY_ERROR = 0.75
-"""Share of a batch that is drawn by error; the rest is uniform, so that every pixel is seen. `light-path` on the glass
-table has 39.84 / 40.62 dB after 1,250 uniform steps (seed 0), 39.99 / 40.75 with half, 39.99 / 40.92 with three
-quarters."""
+BY_ERROR = 0.5
+"""Share of a batch that is drawn by error; the rest is uniform, so that every pixel is seen. Three quarters are better
+in short runs of `light-path`, and worse in full ones (docs/notes/speed.md)."""
 
 MOST = 6.0
 """How many times as often as on average a pixel is drawn by error, at most."""

@@ -57,8 +57,8 @@ class PixelOptimisation(Optimisation):
     """The same for methods to whose loss further terms can be added."""
 
     draws: DrawKind = choice("uniform", {"uniform": "uniform", "error": "by-error"})
-    """How training pixels are drawn. uniform: all are equally likely. error: three quarters of them where the error,
-    above the known noise of pictures and rays, is large."""
+    """How training pixels are drawn. uniform: all are equally likely. error: half of them where the error, above
+    the known noise of pictures and rays, is large."""
     loss: LossConfig = field(default_factory=LossConfig)
 
 

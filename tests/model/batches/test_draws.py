@@ -94,7 +94,7 @@ def test_no_block_gets_more_than_a_limit_and_a_perfect_renderer_draws_uniformly(
         )
 
 
-def test_a_part_of_a_batch_is_uniform_and_the_rest_follows_the_shares() -> None:
+def test_half_of_a_batch_is_uniform_and_half_follows_the_shares() -> None:
     blocks = Blocks(num_views=2, resolution=Resolution(width=2 * BLOCK, height=BLOCK))
     share = np.array([0.0, 0.7, 0.3, 0.0])
     draws = BlockDraws(errors=errors_of(blocks, np.zeros(4, int), np.zeros(4)), edges=np.cumsum(share))
