@@ -153,7 +153,10 @@ def _parse_record(kind: type, data: Json, where: str) -> object:
     if missing := sorted(required - set(entries)):
         raise HyalineError(f"{where}: key {missing[0]!r} is missing; expected {', '.join(sorted(required))}")
     values = {name: _parse(hints[name], entries[name], f"{where}.{name}") for name in fields if name in entries}
-    return kind(**values)
+    try:
+        return kind(**values)
+    except HyalineError as error:  # A record names its field, not where it was read.
+        raise HyalineError(f"{where}: {error}") from None
 
 
 def _checked(data: typing.Any, is_good: bool, where: str, expected: str) -> typing.Any:

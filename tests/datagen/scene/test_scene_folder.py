@@ -97,7 +97,7 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
         (lambda d: d.update(version=7), r"scene\.json: version 7; this program reads version 1"),
         (
             lambda d: d["objects"][0]["material"].update(ior=0),
-            r"scene\.json: object pane: ior: is 0\.0; expected .* at least 1",
+            r"scene\.json: object pane.material: ior: is 0\.0; expected .* at least 1",
         ),
         (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
         (
@@ -106,7 +106,7 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
         ),
         (
             lambda d: d["objects"][0].update(material={"type": "Dielectric", "priority": 10}),
-            r"scene\.json: object pane: priority: is 10; expected -9 to 9",
+            r"scene\.json: object pane.material: priority: is 10; expected -9 to 9",
         ),
         (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
         (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the file is missing"),
@@ -138,8 +138,8 @@ def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, ch
     ("right", "wrong", "message"),
     [
         ('"Diffuse"', '"Difuse"', "object floor.material.type: is 'Difuse'"),
-        ('"ior": 1.5', '"ior": "1.5"', "object pane: ior: is '1.5'; expected a number"),
-        ('"ior": 1.5', '"ior": 0', "object pane: ior: is 0.0; expected"),
+        ('"ior": 1.5', '"ior": "1.5"', "object pane.material: ior: is '1.5'; expected a number"),
+        ('"ior": 1.5', '"ior": 0', "object pane.material: ior: is 0.0; expected"),
         ('"ior": 1.5', '"iro": 1.5', "object pane.material: unknown key 'iro'"),
         ('"mesh": "meshes/pane.ply",', "", "object pane: key 'mesh' is missing"),
         ("meshes/pane.ply", "meshes/pain.ply", "typo/meshes/pain.ply: the file is missing"),
