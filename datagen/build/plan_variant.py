@@ -12,7 +12,7 @@ from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import read_meshes
 from datagen.data.metadata import SceneEdit
 from datagen.data.paths import TRUTH
-from datagen.data.variants import ANGLES, evenly, is_larger, scale_name
+from datagen.data.variants import ANGLES, evenly, scale_name
 from datagen.disk.errors import HyalineError
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
 from datagen.scene.folder import load_scene, scene_files
@@ -99,16 +99,6 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
         edit=edit,
         scene=scene_files(edited.scene),
     )
-
-
-def plan_again(base: Dataset, variant: Dataset) -> Plan:
-    """The plan by which a variant was made."""
-    if variant.edit is not None:
-        return plan_edit(base, tuple(map(parse_edit, variant.edit.edits)))
-    if is_larger(variant):
-        scale = variant.config.resolution.width // base.config.resolution.width
-        return plan_larger(base, scale, views=variant.config.interpolating.views)
-    return plan_angles(base)
 
 
 def _check_base(base: Dataset) -> None:
