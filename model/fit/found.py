@@ -147,7 +147,9 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
     objects: list[Json] = []
     for object_id, item in found.items():
         glass = item.glass
-        of_drink = {key: key.removeprefix("drink_") for key in item.numbers if key.startswith(DRINK_NUMBERS)}
+        # A round may have left a number that a later one gave up, such as the roughness of smooth glass.
+        numbers = {key: each for key, each in item.numbers.items() if getattr(glass, key, 0) is not None}
+        of_drink = {key: key.removeprefix("drink_") for key in numbers if key.startswith(DRINK_NUMBERS)}
         objects.append(
             {
                 "name": dataset.objects[object_id - 1].name,
@@ -156,7 +158,7 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
                 "outline": glass.outline().tolist() if isinstance(glass, Revolution) else None,
                 "hull_outline": item.hull.outline().tolist() if isinstance(item.hull, Revolution) else None,
                 "unexplained": item.unexplained,
-                "numbers": _intervals({key: each for key, each in item.numbers.items() if key not in of_drink}),
+                "numbers": _intervals({key: each for key, each in numbers.items() if key not in of_drink}),
                 "history": list(item.history),
                 "grid": [dict(zip(("wall", "floor", "corner", "loss"), cell, strict=True)) for cell in item.cells],
             }

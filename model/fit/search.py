@@ -23,6 +23,9 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.3, 0.6)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
+USUAL = (0.05, 0.15, 0.3)
+"""A usual vessel: wall, floor and corner in the same units."""
+
 ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """1/m."""
 
@@ -120,6 +123,12 @@ def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[
         yield Cell(glass=shaded, loss=float(misses(shaded).mean()))
 
 
+def guesses(outside: Glass) -> tuple[Glass, ...]:
+    """Solid, and a vessel where it may be one: two cells of the grid that are unlike."""
+    cells = _cells(outside)
+    return (cells[0], outside.hollowed(*USUAL)) if isinstance(outside, Revolution) and len(cells) > 1 else (outside,)
+
+
 def _as_dark_as(glass: Glass, other: Glass) -> Glass:
     """With the roughness of another glass, and its tint so that as much light gets through walls of this thickness."""
     absorption = np.array(other.absorption) * (_thickness(other) / _thickness(glass))
@@ -165,8 +174,8 @@ def find_absorption(
         return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
 
     best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
-    if not now.any() and not _explains_more(drawn):
-        best = even = odd = now
+    if not _explains_more(drawn):
+        best = even = odd = np.zeros(3)
     found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
     return dataclasses.replace(glass, **{name: as_vector(best)}), (found[0], found[1], found[2])
 
@@ -214,10 +223,14 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
 
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
     """Frosted, if that explains more than smooth glass does: a little of it hides other errors."""
-    smooth = float(misses(glass).mean())
     tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
-    losses = [float(misses(each).mean()) for each in tried]
-    return tried[int(np.argmin(losses))] if min(losses) < (1 - WORTH_IT) * smooth else glass
+    return _smoothed(min(tried, key=lambda each: float(misses(each).mean())), misses)
+
+
+def _smoothed(frosted: Glass, misses: Misses) -> Glass:
+    """Smooth, unless frost explains enough."""
+    smooth = dataclasses.replace(frosted, roughness=None)
+    return frosted if misses(frosted).mean() < (1 - WORTH_IT) * misses(smooth).mean() else smooth
 
 
 def refine(
@@ -232,6 +245,8 @@ def refine(
     Yields:
         The glass after each search, the name of the number, and what was found.
     """
+    if glass.roughness is not None:
+        glass = _smoothed(glass, misses)
     for name in _absorptions(glass):
         glass, channels = find_absorption(glass, name, misses, is_even)
         for channel, found in zip(CHANNELS, channels, strict=True):
