@@ -34,7 +34,7 @@ class Visits:
     layout: TextureLayout
     texels: Float32[Tensor, " texel"]
     environment: LearnedSky
-    directions: Float32[Tensor, " texel"]
+    directions: Float32[Tensor, " direction"]
     """Of the texels of one of the sky's maps."""
 
     def trust(self, paths: LightPathBatch) -> Float32[Tensor, " pixel"]:

@@ -104,6 +104,22 @@ def test_glass_is_frosted_only_if_that_explains_enough(gain: float, found: float
     assert find_roughness(OUTSIDE_OF, misses).roughness == found
 
 
+@pytest.mark.parametrize(("gain", "is_kept"), [(0.01, False), (0.03, True)])
+def test_tint_and_frost_are_given_up_once_they_explain_too_little(gain: float, is_kept: bool) -> None:
+    shaded = dataclasses.replace(OUTSIDE_OF, absorption=(4.0, 8.0, 2.0), roughness=0.06)
+
+    def of_tint(glass: Revolution) -> np.ndarray:
+        return np.full((PIXELS, 3), 1.0 - gain * any(glass.absorption))
+
+    def of_frost(glass: Revolution) -> np.ndarray:
+        return np.full((PIXELS, 3), 1.0 - gain * (glass.roughness is not None))
+
+    tinted, _ = find_absorption(shaded, "absorption", of_tint, IS_EVEN)
+    assert all(tinted.absorption) == any(tinted.absorption) == is_kept
+    found = list(refine(shaded, of_frost, IS_EVEN, number=0))
+    assert (found[-1][0].roughness is not None) == ("roughness" in [name for _, name, _ in found]) == is_kept
+
+
 def test_an_interval_is_no_narrower_than_the_values_that_were_tried() -> None:
     sure = {"even": 10.0, "odd": 10.0, "before": 10.0}
     assert interval("absorption_red", Found(value=10.0, **sure)) == pytest.approx((8.0, 12.0))
