@@ -97,6 +97,8 @@ class Found:
     odd: float
     before: float | None = None
     """The value that the round before found; in the last stage, with other textures."""
+    curve: tuple[tuple[float, float], ...] = ()
+    """The values that were tried, each with its mean penalty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,7 +126,7 @@ def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[
 
 
 def guesses(outside: Glass) -> tuple[Glass, ...]:
-    """Solid, and a vessel where it may be one: two cells of the grid that are unlike."""
+    """The outside as solid glass, and as a usual vessel where it may be one."""
     cells = _cells(outside)
     return (cells[0], outside.hollowed(*USUAL)) if isinstance(outside, Revolution) and len(cells) > 1 else (outside,)
 
@@ -169,14 +171,20 @@ def find_absorption(
     values = np.broadcast_to(values, (len(tried), 3))
     drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
 
+    def means(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "value 3"]:
+        return np.stack([miss[pixels].mean(axis=0) for miss in drawn])
+
     def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
-        means = np.stack([miss[pixels].mean(axis=0) for miss in drawn])
-        return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
+        return np.array([_lowest_positive(*each) for each in zip(values.T, means(pixels).T, strict=True)])
 
     best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
     if not _explains_more(drawn):
         best = even = odd = np.zeros(3)
-    found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
+    curves = map(_curve, values.T, means(slice(None)).T)
+    found = [
+        Found(value=float(v), even=float(e), odd=float(o), curve=curve)
+        for v, e, o, curve in zip(best, even, odd, curves, strict=True)
+    ]
     return dataclasses.replace(glass, **{name: as_vector(best)}), (found[0], found[1], found[2])
 
 
@@ -292,7 +300,12 @@ def _search(
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
     halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    return dataclasses.replace(glass, **{name: value}), Found(value=value, even=halves[0], odd=halves[1])
+    found = Found(value=value, even=halves[0], odd=halves[1], curve=_curve(values, losses.mean(axis=1)))
+    return dataclasses.replace(glass, **{name: value}), found
+
+
+def _curve(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> tuple[tuple[float, float], ...]:
+    return tuple(zip(values.tolist(), losses.tolist(), strict=True))
 
 
 def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -303,28 +316,6 @@ def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " valu
     if a <= 0:
         return float(places[losses.argmin()])
     return float(np.clip(places.mean() - b / (2 * a), places.min(), places.max()))
-
-
-def interval(name: str, found: Found) -> tuple[float, float]:
-    """Between which values a number is likely to lie: on either side as far as the two halves of the views differ, as
-    the last round moved it, and as the values that were tried last lie apart."""
-    spread = max(abs(found.even - found.odd), _last_step(name, found.value))
-    if found.before is not None:
-        spread = max(spread, abs(found.value - found.before))
-    low = found.value - spread
-    return (max(low, 0.0) if _is_absorption(name) else low), found.value + spread
-
-
-def _last_step(name: str, value: float) -> float:
-    """Distance between the values that were tried last."""
-    if _is_absorption(name):
-        return max(TINT_REACH * 2 / (STEPS - 1) * value, ABSORPTIONS[1])
-    step = 2 * reach_of(name, LAST) / (STEPS - 1)
-    return step * value if NUMBERS[name].is_factor else step
-
-
-def _is_absorption(name: str) -> bool:
-    return "absorption" in name
 
 
 def grid_row(cell: Cell) -> tuple[float, ...]:

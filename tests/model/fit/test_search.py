@@ -6,16 +6,15 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from model.fit.intervals import intervals
 from model.fit.search import (
     INDEX_HELD,
-    Found,
     alternatives,
     count_searches,
     find_absorption,
     find_index,
     find_material,
     find_roughness,
-    interval,
     penalty,
     refine,
     scan,
@@ -120,21 +119,6 @@ def test_tint_and_frost_are_given_up_once_they_explain_too_little(gain: float, i
     assert (found[-1][0].roughness is not None) == ("roughness" in [name for _, name, _ in found]) == is_kept
 
 
-def test_an_interval_is_no_narrower_than_the_values_that_were_tried() -> None:
-    sure = {"even": 10.0, "odd": 10.0, "before": 10.0}
-    assert interval("absorption_red", Found(value=10.0, **sure)) == pytest.approx((8.0, 12.0))
-    assert interval("wall", Found(value=10.0, **sure)) == pytest.approx((9.6, 10.4))
-    # Less than the least tint was not tried, and a negative one means nothing.
-    assert interval("drink_absorption_blue", Found(value=0.0, even=0.0, odd=0.0)) == (0.0, 0.5)
-
-
-def test_what_the_last_round_moved_is_in_doubt() -> None:
-    still = Found(value=1.5, even=1.501, odd=1.499, before=1.5)
-    low, high = interval("ior", still)
-    moved = interval("ior", dataclasses.replace(still, before=1.45))
-    assert high - low < 0.05 < moved[1] - moved[0] == pytest.approx(0.1)
-
-
 def test_rounds_find_every_number_and_its_interval() -> None:
     misses = misses_of(TRUTH)
     current = alternatives(list(scan(OUTSIDE_OF, misses)))[0].glass
@@ -145,7 +129,7 @@ def test_rounds_find_every_number_and_its_interval() -> None:
     assert current.ior == pytest.approx(TRUTH.ior, abs=0.01)
     for name, most in (("wall", 0.08), ("floor", 0.05), ("taper", 0.15)):
         assert getattr(current, name) == pytest.approx(getattr(TRUTH, name), rel=most), name
-        low, high = interval(name, found[name])
+        low, high = intervals(found, 0.0)[name]
         assert low < getattr(TRUTH, name) < high, name
     assert current.absorption == pytest.approx(TRUTH.absorption, rel=0.2, abs=0.3)
 
