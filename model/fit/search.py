@@ -117,6 +117,8 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
 def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
     """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
 
+    Solids have several indices: beside vessels, one of 1.8 with an index of 1.5 was found hollow.
+
     Args:
         like: a glass whose tint and roughness they share; None: they keep those of the outside.
     """
@@ -127,8 +129,9 @@ def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[
 
 def guesses(outside: Glass) -> tuple[Glass, ...]:
     """The outside as solid glass, and as a usual vessel where it may be one."""
-    cells = _cells(outside)
-    return (cells[0], outside.hollowed(*USUAL)) if isinstance(outside, Revolution) and len(cells) > 1 else (outside,)
+    if not isinstance(outside, Revolution) or outside.is_closed:
+        return (outside,)
+    return outside if outside.wall is None else _cells(outside)[0], outside.hollowed(*USUAL)
 
 
 def _as_dark_as(glass: Glass, other: Glass) -> Glass:
@@ -153,8 +156,8 @@ def _cells(outside: Glass) -> list[Glass]:
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
     # A vessel with handles has other faces than a solid.
-    solid = [outside] if outside.wall is None else []
-    return [*solid, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
+    solids = [dataclasses.replace(outside, ior=ior) for ior in INDICES] if outside.wall is None else []
+    return [*solids, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
 
 
 def find_absorption(

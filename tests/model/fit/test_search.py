@@ -71,6 +71,17 @@ def test_a_solid_is_found_solid() -> None:
     assert best.glass.wall is None
 
 
+def test_a_solid_of_high_index_is_not_taken_for_a_vessel() -> None:
+    sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
+
+    def misses(glass: Revolution) -> np.ndarray:
+        # A hollow makes up for two thirds of a wrong index.
+        return np.full((PIXELS, 3), abs(glass.ior - sapphire.ior) * (1 if glass.wall is None else 1 / 3) + 0.01)
+
+    best, _ = alternatives(list(scan(OUTSIDE_OF, misses)))
+    assert best.glass.wall is None and best.glass.ior in (1.75, 1.8)
+
+
 def test_the_first_guess_of_an_index_may_be_far_away() -> None:
     sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
     assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
