@@ -38,6 +38,10 @@ BRANCHES, RAYS = 24, 9
 pixel's error is larger than that of a wall which is a tenth off."""
 
 
+LEAST_TRUST = 1e-6
+"""Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
+
+
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
     """Lets torch use one thread: on so few pixels a second one costs more than it saves."""
@@ -159,7 +163,8 @@ class Room:
         Pixels count less, the less is known of where their light comes from through some guesses of the glass.
         """
         truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
-        weights = np.prod([self._trust(object_ids, rows, glass) for glass in guesses], axis=0) ** (1 / len(guesses))
+        trust = np.prod([self._trust(object_ids, rows, glass) for glass in guesses], axis=0) ** (1 / len(guesses))
+        weights = trust + LEAST_TRUST
         weights /= weights.mean()
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
