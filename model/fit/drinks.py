@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from datagen.data.meshes import Mesh, is_there
 from model.fit.outside import crossings, find_center
-from model.fit.search import WALLS
+from model.fit.search import USUAL, WALLS
 from model.fit.shapes import Glass, Revolution
 from model.fit.views import NearRays, Sightings, rays_near
 
@@ -37,9 +37,6 @@ WRONG = 0.1
 
 WATER = 1.33
 """First guess of the index."""
-
-START = (0.05, 0.15, 0.3)
-"""First guess of wall, floor and corner, in the units of the grid."""
 
 
 def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
@@ -107,7 +104,7 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
     wrong = ((1 - seen + false) / 2).min(axis=0)
     if wrong.min() > WRONG:
         return None
-    hollow = glass if glass.wall is not None else glass.hollowed(*START)
+    hollow = glass if glass.wall is not None else glass.hollowed(*USUAL)
     return dataclasses.replace(hollow, level=float(heights[wrong.argmin()] - lowest), drink_ior=WATER)
 
 

@@ -44,6 +44,7 @@ from model.fit.search import (
     find_absorption,
     find_material,
     grid_row,
+    guesses,
     is_shaded,
     refine,
     scan,
@@ -201,9 +202,9 @@ class _Work:
         return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
 
     def _learn_room(self) -> dict[str, State]:
-        pixels = self._pixels({})
-        state = self._learn(pixels, np.flatnonzero(self._beside_glass()))
-        self._show_room(room.load_room(state, pixels))
+        pixels, beside = self._pixels({}), np.flatnonzero(self._beside_glass())
+        state = self._learn(pixels, beside)
+        self._show_room(room.load_room(state, pixels, beside))
         return state
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
@@ -264,8 +265,8 @@ class _Work:
         for object_id, item in found.items():
             ids = item.ids(object_id)
             rows = self._rows(ids, GRID_PIXELS)
-            misses = drawn.misses(ids, rows)
             start = item.glass
+            misses = drawn.misses(ids, rows, guesses(start))
             if item.drink_id is not None:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
             cells, glass = self._guess(start, misses, rows, self._name(object_id))
@@ -314,7 +315,7 @@ class _Work:
             for object_id in found:
                 item = found[object_id]
                 rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
-                misses = drawn.misses(item.ids(object_id), rows)
+                misses = drawn.misses(item.ids(object_id), rows, (item.glass,))
                 for glass, name, value in refine(item.glass, misses, self._is_even(rows), number=number):
                     if (earlier := item.numbers.get(name)) is not None:
                         value = dataclasses.replace(value, before=earlier.value)
@@ -346,7 +347,7 @@ class _Work:
         return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials))
 
     def _room(self, textures: dict[str, State], found: Objects) -> room.Room:
-        return room.load_room(textures, self._pixels(found))
+        return room.load_room(textures, self._pixels(found), np.flatnonzero(self._beside_glass()))
 
     # Pictures
 

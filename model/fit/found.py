@@ -9,14 +9,15 @@ import torch
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import write_proxies
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import MIN_AREA, Mesh, face_areas
 from datagen.data.paths import FITTED, TRUTH
 from datagen.disk.records import Json
 from datagen.scene.folder import material_json
 from model.fit.boxes import Box
 from model.fit.handles import Attached, Handled
 from model.fit.hull import HullShape
-from model.fit.search import NUMBERS, Found, interval
+from model.fit.intervals import intervals
+from model.fit.search import NUMBERS, Found
 from model.fit.shapes import Axis, Glass, Revolution
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -137,7 +138,10 @@ def write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], fo
     materials: dict[str, Json] = {}
     for object_id, item in found.items():
         for each, (mesh, material) in zip(item.ids(object_id), item.glass.bodies(), strict=True):
-            meshes[each - 1], assignment[each - 1] = mesh, FITTED
+            # Where a handle meets its vessel, a search can flatten faces.
+            has_area = face_areas(mesh) >= MIN_AREA
+            meshes[each - 1] = dataclasses.replace(mesh, faces=mesh.faces[has_area])
+            assignment[each - 1] = FITTED
             materials[dataset.objects[each - 1].name] = material_json(material)
     write_proxies(dataset, geometry, tuple(meshes), (None,) * len(meshes), tuple(assignment), materials)
 
@@ -146,8 +150,10 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
     """The objects in fit.json."""
     objects: list[Json] = []
     for object_id, item in found.items():
-        glass = item.glass
-        of_drink = {key: key.removeprefix("drink_") for key in item.numbers if key.startswith(DRINK_NUMBERS)}
+        glass, pixel = item.glass, _pixel(dataset, item.glass)
+        # A round may have left a number that a later one gave up, such as the roughness of smooth glass.
+        numbers = {key: each for key, each in item.numbers.items() if getattr(glass, key, 0) is not None}
+        of_drink = {key: key.removeprefix("drink_") for key in numbers if key.startswith(DRINK_NUMBERS)}
         objects.append(
             {
                 "name": dataset.objects[object_id - 1].name,
@@ -156,7 +162,7 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
                 "outline": glass.outline().tolist() if isinstance(glass, Revolution) else None,
                 "hull_outline": item.hull.outline().tolist() if isinstance(item.hull, Revolution) else None,
                 "unexplained": item.unexplained,
-                "numbers": _intervals({key: each for key, each in item.numbers.items() if key not in of_drink}),
+                "numbers": _intervals({key: each for key, each in numbers.items() if key not in of_drink}, pixel),
                 "history": list(item.history),
                 "grid": [dict(zip(("wall", "floor", "corner", "loss"), cell, strict=True)) for cell in item.cells],
             }
@@ -167,7 +173,7 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
                     "name": dataset.objects[item.drink_id - 1].name,
                     "kind": "drink",
                     "axis": _axis_json(glass),
-                    "numbers": _intervals({short: item.numbers[key] for key, short in of_drink.items()}),
+                    "numbers": _intervals({short: item.numbers[key] for key, short in of_drink.items()}, pixel),
                 }
             )
     return {"objects": objects}
@@ -179,9 +185,14 @@ def _axis_json(glass: Glass) -> Json:
     return {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
 
 
-def _intervals(numbers: dict[str, Found]) -> dict[str, Json]:
-    found: dict[str, Json] = {}
-    for name, number in numbers.items():
-        low, high = interval(name, number)
-        found[name] = {"value": number.value, "low": low, "high": high}
-    return found
+def _intervals(numbers: dict[str, Found], pixel: float) -> dict[str, Json]:
+    ends = intervals(numbers, pixel)
+    return {name: {"value": numbers[name].value, "low": low, "high": high} for name, (low, high) in ends.items()}
+
+
+def _pixel(dataset: Dataset, glass: Glass) -> float:
+    """Width in metres of a pixel at an object's distance."""
+    cameras = dataset.cameras("train")
+    middle = glass.mesh().vertices.mean(axis=0)
+    far = np.median(np.linalg.norm(cameras.world_from_camera[:, :3, 3] - middle, axis=1))
+    return float(far / cameras.focal)

@@ -80,7 +80,7 @@ class Handled(Revolution):
             vertices=positions[attached.faces].reshape(-1, 3),
             faces=np.arange(3 * len(attached.faces), dtype=np.int32).reshape(-1, 3),
             normals=np.where(is_vessel, normals, attached.normals).astype(np.float32).reshape(-1, 3),
-            uv=np.where(is_vessel, uv, attached.uv).astype(np.float32).reshape(-1, 2),
+            uv=np.where(is_vessel, uv, attached.uv).clip(0, 1).astype(np.float32).reshape(-1, 2),
         )
 
 

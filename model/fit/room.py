@@ -21,6 +21,7 @@ from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.batches.traced_layers import SubpixelRays
 from model.fit.search import Misses, penalty
 from model.fit.shapes import Glass
+from model.fit.visits import Visits, count_visits
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.method import sky_height
 from model.methods.light_path.net import LightPathRenderer
@@ -35,6 +36,10 @@ BATCH = 1024
 BRANCHES, RAYS = 24, 9
 """While glass is drawn. With 8 branches a vessel is a tenth too dark, and a wrong wall makes up for it; with 4 rays a
 pixel's error is larger than that of a wall which is a tenth off."""
+
+
+LEAST_TRUST = 1e-6
+"""Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
 
 
 @contextlib.contextmanager
@@ -127,6 +132,8 @@ class Room:
 
     renderer: LightPathRenderer
     pixels: LightPathPixels
+    visits: Visits
+    """By pixels beside unknown glass."""
 
     def put(self, object_ids: Sequence[int], glass: Glass) -> None:
         """Replaces objects by a glass and its drink; vertex counts must match."""
@@ -150,15 +157,28 @@ class Room:
             radiance = self.renderer.environment(directions.reshape(-1, 3))
         return srgb_curve(radiance).clamp(0, 1).reshape(height, 2 * height, 3).numpy()
 
-    def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"]) -> Misses:
-        """The loss of some pixels as a function of the glass that replaces these objects."""
+    def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"], guesses: Sequence[Glass]) -> Misses:
+        """The loss of some pixels as a function of the glass that replaces these objects.
+
+        Pixels count less, the less is known of where their light comes from through some guesses of the glass.
+        """
         truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
+        trust = np.prod([self._trust(object_ids, rows, glass) for glass in guesses], axis=0) ** (1 / len(guesses))
+        weights = trust + LEAST_TRUST
+        weights /= weights.mean()
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
             self.put(object_ids, glass)
-            return penalty(self.draw(rows) - truth)
+            return weights[:, None] * penalty(self.draw(rows) - truth)
 
         return miss
+
+    def _trust(
+        self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"], glass: Glass
+    ) -> Float32[np.ndarray, " pixel"]:
+        self.put(object_ids, glass)
+        parts = torch.from_numpy(rows).split(self.pixels.chunk)
+        return torch.cat([self.visits.trust(self.pixels.take(part, None)) for part in parts]).numpy()
 
 
 def room_state(renderer: LightPathRenderer) -> dict[str, State]:
@@ -169,10 +189,15 @@ def room_state(renderer: LightPathRenderer) -> dict[str, State]:
     }
 
 
-def load_room(state: dict[str, State], pixels: LightPathPixels) -> Room:
-    """Learned textures with pixels to draw, traced with `BRANCHES` and `RAYS`."""
+def load_room(state: dict[str, State], pixels: LightPathPixels, beside: Int[np.ndarray, " pixel"]) -> Room:
+    """Learned textures with pixels to draw, traced with `BRANCHES` and `RAYS`.
+
+    Args:
+        beside: the pixels beside unknown glass.
+    """
     config = dataclasses.replace(pixels.config, texture_sizes=tuple(cast(list[int], state["texture_sizes"])))
     renderer = LightPathRenderer(config)
     renderer.load_state_dict(cast(dict, state["weights"]))
     drawn = dataclasses.replace(config, branches=BRANCHES, render_samples=RAYS)
-    return Room(renderer=renderer.eval(), pixels=dataclasses.replace(pixels, config=drawn))
+    visits = count_visits(renderer, pixels, beside)
+    return Room(renderer=renderer.eval(), pixels=dataclasses.replace(pixels, config=drawn), visits=visits)

@@ -23,6 +23,9 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.3, 0.6)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
+USUAL = (0.05, 0.15, 0.3)
+"""A usual vessel: wall, floor and corner in the same units."""
+
 ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 """1/m."""
 
@@ -94,6 +97,8 @@ class Found:
     odd: float
     before: float | None = None
     """The value that the round before found; in the last stage, with other textures."""
+    curve: tuple[tuple[float, float], ...] = ()
+    """The values that were tried, each with its mean penalty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,12 +117,21 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
 def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
     """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
 
+    Solids have several indices: beside vessels, one of 1.8 with an index of 1.5 was found hollow.
+
     Args:
         like: a glass whose tint and roughness they share; None: they keep those of the outside.
     """
     for glass in _cells(outside):
         shaded = glass if like is None else _as_dark_as(glass, like)
         yield Cell(glass=shaded, loss=float(misses(shaded).mean()))
+
+
+def guesses(outside: Glass) -> tuple[Glass, ...]:
+    """The outside as solid glass, and as a usual vessel where it may be one."""
+    if not isinstance(outside, Revolution) or outside.is_closed:
+        return (outside,)
+    return outside if outside.wall is None else _cells(outside)[0], outside.hollowed(*USUAL)
 
 
 def _as_dark_as(glass: Glass, other: Glass) -> Glass:
@@ -142,8 +156,8 @@ def _cells(outside: Glass) -> list[Glass]:
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
     # A vessel with handles has other faces than a solid.
-    solid = [outside] if outside.wall is None else []
-    return [*solid, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
+    solids = [dataclasses.replace(outside, ior=ior) for ior in INDICES] if outside.wall is None else []
+    return [*solids, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
 
 
 def find_absorption(
@@ -160,14 +174,20 @@ def find_absorption(
     values = np.broadcast_to(values, (len(tried), 3))
     drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
 
+    def means(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "value 3"]:
+        return np.stack([miss[pixels].mean(axis=0) for miss in drawn])
+
     def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
-        means = np.stack([miss[pixels].mean(axis=0) for miss in drawn])
-        return np.array([_lowest_positive(values[:, channel], means[:, channel]) for channel in range(3)])
+        return np.array([_lowest_positive(*each) for each in zip(values.T, means(pixels).T, strict=True)])
 
     best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
-    if not now.any() and not _explains_more(drawn):
-        best = even = odd = now
-    found = [Found(value=float(v), even=float(e), odd=float(o)) for v, e, o in zip(best, even, odd, strict=True)]
+    if not _explains_more(drawn):
+        best = even = odd = np.zeros(3)
+    curves = map(_curve, values.T, means(slice(None)).T)
+    found = [
+        Found(value=float(v), even=float(e), odd=float(o), curve=curve)
+        for v, e, o, curve in zip(best, even, odd, curves, strict=True)
+    ]
     return dataclasses.replace(glass, **{name: as_vector(best)}), (found[0], found[1], found[2])
 
 
@@ -214,10 +234,14 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
 
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
     """Frosted, if that explains more than smooth glass does: a little of it hides other errors."""
-    smooth = float(misses(glass).mean())
     tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
-    losses = [float(misses(each).mean()) for each in tried]
-    return tried[int(np.argmin(losses))] if min(losses) < (1 - WORTH_IT) * smooth else glass
+    return _smoothed(min(tried, key=lambda each: float(misses(each).mean())), misses)
+
+
+def _smoothed(frosted: Glass, misses: Misses) -> Glass:
+    """Smooth, unless frost explains enough."""
+    smooth = dataclasses.replace(frosted, roughness=None)
+    return frosted if misses(frosted).mean() < (1 - WORTH_IT) * misses(smooth).mean() else smooth
 
 
 def refine(
@@ -232,6 +256,8 @@ def refine(
     Yields:
         The glass after each search, the name of the number, and what was found.
     """
+    if glass.roughness is not None:
+        glass = _smoothed(glass, misses)
     for name in _absorptions(glass):
         glass, channels = find_absorption(glass, name, misses, is_even)
         for channel, found in zip(CHANNELS, channels, strict=True):
@@ -277,7 +303,12 @@ def _search(
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
     halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    return dataclasses.replace(glass, **{name: value}), Found(value=value, even=halves[0], odd=halves[1])
+    found = Found(value=value, even=halves[0], odd=halves[1], curve=_curve(values, losses.mean(axis=1)))
+    return dataclasses.replace(glass, **{name: value}), found
+
+
+def _curve(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> tuple[tuple[float, float], ...]:
+    return tuple(zip(values.tolist(), losses.tolist(), strict=True))
 
 
 def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
@@ -288,28 +319,6 @@ def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " valu
     if a <= 0:
         return float(places[losses.argmin()])
     return float(np.clip(places.mean() - b / (2 * a), places.min(), places.max()))
-
-
-def interval(name: str, found: Found) -> tuple[float, float]:
-    """Between which values a number is likely to lie: on either side as far as the two halves of the views differ, as
-    the last round moved it, and as the values that were tried last lie apart."""
-    spread = max(abs(found.even - found.odd), _last_step(name, found.value))
-    if found.before is not None:
-        spread = max(spread, abs(found.value - found.before))
-    low = found.value - spread
-    return (max(low, 0.0) if _is_absorption(name) else low), found.value + spread
-
-
-def _last_step(name: str, value: float) -> float:
-    """Distance between the values that were tried last."""
-    if _is_absorption(name):
-        return max(TINT_REACH * 2 / (STEPS - 1) * value, ABSORPTIONS[1])
-    step = 2 * reach_of(name, LAST) / (STEPS - 1)
-    return step * value if NUMBERS[name].is_factor else step
-
-
-def _is_absorption(name: str) -> bool:
-    return "absorption" in name
 
 
 def grid_row(cell: Cell) -> tuple[float, ...]:

@@ -3,7 +3,7 @@
 import math
 
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -54,13 +54,11 @@ class LearnedSky(nn.Module):
         few rays meet each of the finest.
         """
         rest = radiance if self.lobes is None else radiance - self.lobes(direction)
-        azimuth, polar = _angles(direction)
         scales = level_scales(self.num_maps, FINER_COUNTS)
         for level in reversed(range(self.num_maps)):
             texels = self.maps[level]
             _, height, width = texels.shape
-            row, column = (((polar + 1) / 2 * height).long(), ((azimuth + 1) / 2 * width).long())
-            place = row.clamp(max=height - 1) * width + column.clamp(max=width - 1)
+            place = self.texels_at(level, direction)
             count = torch.bincount(place, minlength=height * width).clamp(min=1e-9)
             mean = torch.zeros(height * width, 3).index_add(0, place, rest) / count[:, None]
             mean = mean.clamp(min=DARKEST)
@@ -69,6 +67,13 @@ class LearnedSky(nn.Module):
             middle = (2 * (at % width) + 1) / width - 1, (2 * (at // width) + 1) / height - 1
             lack = (wanted - self._before_softplus(*middle, first=level + 1)) / scales[level]
             texels.copy_(torch.where((count >= 1)[:, None], lack, 0).T.reshape(3, height, width))
+
+    def texels_at(self, level: int, direction: Float32[Tensor, "ray 3"]) -> Int[Tensor, " ray"]:
+        """Which texels of a map unit directions fall in, counted row by row."""
+        _, height, width = self.maps[level].shape
+        azimuth, polar = _angles(direction)
+        row, column = ((polar + 1) / 2 * height).long(), ((azimuth + 1) / 2 * width).long()
+        return row.clamp(max=height - 1) * width + column.clamp(max=width - 1)
 
     def _before_softplus(
         self, azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"], *, first: int

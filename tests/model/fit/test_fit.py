@@ -1,5 +1,6 @@
 """Tests `model fit` as a command, and what others make of the geometry that it writes."""
 
+import dataclasses
 import json
 import shutil
 from pathlib import Path
@@ -15,6 +16,8 @@ from datagen.data.geometries import geometry_key, list_geometries, read_assignme
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Dielectric
+from model.fit.found import FoundGlass, write_geometry
+from model.fit.hull import HullShape
 from model.fit.pictures import SKY_HEIGHT
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
@@ -156,3 +159,11 @@ def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitt
     assert answer.status == 0, answer.err
     first, second = (json.loads((place / "fit.json").read_text())["objects"][0] for place in (fitted, tmp_path / "fit"))
     assert first["hull_outline"] == second["hull_outline"]
+
+
+def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:
+    truth = read_meshes(dataset, "truth")
+    flat = dataclasses.replace(truth[1], faces=np.concatenate([truth[1].faces, truth[1].faces[:1, [0, 0, 1]]]))
+    glass = HullShape(surface=flat)
+    write_geometry(dataset, "fitted-flat", truth, {2: FoundGlass(glass=glass, hull=glass, unexplained=0.0)})
+    assert len(read_meshes(dataset, "fitted-flat")[1].faces) == len(truth[1].faces)
