@@ -161,8 +161,6 @@ def at_angles(run: str) -> str:
 def readme_claims() -> tuple[str, ...]:
     """Sentences of README with numbers of stored results."""
     means = {run: f"{standard_mean(run, NEAR):.1f} / {standard_mean(run, FAR):.1f}" for run in HEADLINE}
-    known = Results(name="known")
-    today = " / ".join(f"{known.mean('glass_table', 'light-path', split):.2f}" for split in (NEAR, FAR))
     shelf = lead_over("paper-best", results="standard", scene="plant_shelf")
     return (
         f"`light-path` leads it by {lead_over('paper-best')} dB, and `paper` as published by {lead_over('paper')}",
@@ -170,7 +168,6 @@ def readme_claims() -> tuple[str, ...]:
         f"{at_angles('paper-best')}",
         f"`light-path` averages {means['light-path']} dB over four scenes, and `paper-best` {means['paper-best']}",
         f"`plant_shelf`, which shows the least glass ({shelf} dB)",
-        f"With today's code, `light-path` scores {today} dB over three seeds",
     )
 
 
