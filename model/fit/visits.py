@@ -33,9 +33,10 @@ class Visits:
 
     layout: TextureLayout
     texels: Float32[Tensor, " texel"]
+    """Visits of the room's texels."""
     environment: LearnedSky
     directions: Float32[Tensor, " direction"]
-    """Of the texels of one of the sky's maps."""
+    """Visits of the texels of the sky's map `SKY_LEVEL`."""
 
     def trust(self, paths: LightPathBatch) -> Float32[Tensor, " pixel"]:
         """Weights of pixels: 1 where all light comes from well-known places, 0 where none does."""

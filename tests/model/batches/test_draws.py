@@ -35,7 +35,7 @@ from model.methods.paper.config import PaperConfig
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 ODD = Blocks(num_views=3, resolution=Resolution(width=21, height=13))
-"""Views of 2 x 3 blocks, of which those at the far edges are smaller."""
+"""Views of 2 x 3 blocks; those at the far edges are smaller."""
 
 
 def errors_of(

@@ -12,7 +12,7 @@ INDEX = Found(value=1.5, even=1.501, odd=1.499, before=1.5)
 
 
 def curve(*losses: float) -> tuple[tuple[float, float], ...]:
-    """Of an index that was tried in steps of 0.02 around 1.5."""
+    """The search of an index that was tried in steps of 0.02 around 1.5."""
     return tuple((1.5 + 0.02 * (place - len(losses) // 2), loss) for place, loss in enumerate(losses))
 
 
