@@ -92,12 +92,12 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
     rays = _rays_to(sightings, drink, vessel)
     radii, lowest = glass.outside[:, 0], float(glass.outside[:, 1].min())
     heights = np.linspace(lowest, glass.outside[-1, 1], LEVELS + 2)[1:-1]
-    at_rim = crossings(rays, glass.axis, glass.outside[-1:, 1])[:, 0]
+    at_rim = crossings(rays, glass.axis, glass.outside[-1:, 1], glass.section)[:, 0]
     enters = at_rim < radii[-1] - OPENING * radii.max()
     sees_drink = rays.hits[enters]
     if not sees_drink.any() or sees_drink.all():
         return None
-    rho = crossings(rays, glass.axis, heights)[enters]
+    rho = crossings(rays, glass.axis, heights, glass.section)[enters]
     outside = np.interp(heights, glass.outside[:, 1], radii)
     within = [rho < outside - wall * radii.max() for wall in WALLS]
     seen, false = (np.array([part[rows].mean(axis=0) for part in within]) for rows in (sees_drink, ~sees_drink))

@@ -34,7 +34,7 @@ from datagen.terminal.command import choose, say, track
 from model.fit import drinks, pictures, room
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
-from model.fit.kinds import choose_outside
+from model.fit.kinds import LEAST_VIEWS, choose_outside, is_shown
 from model.fit.search import (
     Cell,
     Misses,
@@ -61,9 +61,6 @@ GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Pixels of each object, drawn from all training views."""
 
 ROUNDS, LAST_ROUNDS = 4, 1
-
-LEAST_VIEWS = 3
-"""Training pictures that must show an object first; fewer never give its shape."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -100,7 +97,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
         sightings = read_sightings(dataset, meshes, unknown, choices.masks)
-        shown = _shown(dataset, sightings, must_be_all=bool(choices.unknown))
+        shown = _shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
         if shown != unknown:
             sightings = read_sightings(dataset, meshes, shown, choices.masks)
         known = known_meshes(meshes, sightings.unknown)
@@ -137,22 +134,22 @@ def _find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tup
     return tuple(found)
 
 
-def _shown(dataset: Dataset, sightings: Sightings, *, must_be_all: bool) -> tuple[int, ...]:
-    """Ids of the unknown objects that enough pictures show first; the others cannot be fitted.
+def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
+    """Ids of the unknown objects whose shape pictures show; the others cannot be fitted.
 
     Args:
-        must_be_all: refuse objects that too few pictures show, instead of taking them as known.
+        must_be_all: refuse objects that pictures do not show well enough, instead of taking them as known.
     """
-    views = {each: int(sightings.sees(each).any(axis=(1, 2)).sum()) for each in sightings.unknown}
-    hidden = [dataset.objects[each - 1].name for each, count in views.items() if count < LEAST_VIEWS]
-    if len(hidden) == len(views) or (hidden and must_be_all):
+    shown = tuple(each for each in sightings.unknown if is_shown(sightings, each, mask_errors))
+    hidden = [dataset.objects[each - 1].name for each in sightings.unknown if each not in shown]
+    if not shown or (hidden and must_be_all):
         raise HyalineError(
-            f"{dataset.root}: fewer than {LEAST_VIEWS} training pictures show {hidden[0]} first, so it cannot be "
-            f"fitted; name the others with --unknown, and {hidden[0]} is taken as known"
+            f"{dataset.root}: fewer than {LEAST_VIEWS} training pictures show {hidden[0]} first, or none shows its "
+            f"edge, so it cannot be fitted; name the others with --unknown, and {hidden[0]} is taken as known"
         )
     if hidden:
-        say(f"taken as known, because too few pictures show them first: {', '.join(hidden)}")
-    return tuple(each for each, count in views.items() if count >= LEAST_VIEWS)
+        say(f"taken as known, because pictures do not show their outside: {', '.join(hidden)}")
+    return shown
 
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:

@@ -18,6 +18,7 @@ from model.fit.handles import Attached, Handled
 from model.fit.hull import HullShape
 from model.fit.intervals import intervals
 from model.fit.search import NUMBERS, Found
+from model.fit.section import Section
 from model.fit.shapes import Axis, Glass, Revolution
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -69,7 +70,7 @@ class FoundGlass:
         )
 
 
-KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Revolution)
+KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Revolution, Section)
 """The records that a state may hold."""
 
 

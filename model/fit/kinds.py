@@ -6,12 +6,16 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Float64
 
+from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from model.fit.boxes import fit_box
+from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
 from model.fit.hull import HullShape, carve
-from model.fit.outside import Hull, find_ball, find_hull, find_outside, hull_about
-from model.fit.shapes import Glass, Revolution
+from model.fit.outlines import NOISES, find_ball, find_outside, find_solid
+from model.fit.outside import Hull, find_hull, find_section, hull_about
+from model.fit.section import guess_section
+from model.fit.shapes import Axis, Glass, Revolution, perpendicular
 from model.fit.silhouettes import unexplained
 from model.fit.views import NearRays, Sightings, rays_near
 
@@ -22,14 +26,35 @@ GAP = 0.01
 """Gap between an object and its support, relative to its radius. Without a gap, rays hit either of the coinciding
 surfaces at random."""
 
+UPRIGHT = 0.97
+"""Cosine between an axis and up from which it has been searched before."""
+
+SIDE = 0.5
+"""Largest cosine between the axis and the normals of a side."""
+
+LEVELS, ANGLES = 20, 72
+"""At which a side's distances from the axis are compared."""
+
+MIDDLE = (0.2, 0.8)
+"""Quantiles of the heights between which a side is looked at."""
+
 StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
 
-GOOD = 0.03
-"""Share of edge pixels that a shape may get wrong before other kinds are tried."""
+LEAST_VIEWS = 3
+"""Training pictures that must show an object first; fewer never give its shape."""
+
+GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
+"""Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
+
+BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
+"""Complexity of a ball, of a box or an outline about an axis, and of a hull."""
+
+CLOSER = 0.5
+"""By how much more complex an outline is that follows masks more closely."""
 
 SIMPLER = 0.006
-"""Bias towards simpler kinds, as a share of edge pixels: balls over revolutions and boxes, and these over hulls."""
+"""Share of edge pixels that a unit of complexity has to explain."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,12 +64,21 @@ class Outside:
     glass: Glass
     unexplained: float
     """Share of the rays at the mask's edge that meet the shape and should miss it, or the other way round."""
-    complexity: int
-    """0: ball, 1: revolution or box, 2: hull."""
+    complexity: float
 
     @property
     def cost(self) -> float:
         return self.unexplained + self.complexity * SIMPLER
+
+
+def is_shown(sightings: Sightings, object_id: int, mask_errors: int) -> bool:
+    """Whether pictures show an object's outside: enough views see it first, and rays pass beside it."""
+    if sightings.sees(object_id).any(axis=(1, 2)).sum() < LEAST_VIEWS:
+        return False
+    if any(object_id in pair for pair in find_holders(sightings).items()):
+        return True  # The rays beside a drink meet its vessel.
+    edge = rays_near(sightings, object_id).at_edges()
+    return bool(edge.hits.any() and (~edge.hits).sum() > mask_errors)
 
 
 def choose_outside(
@@ -57,60 +91,128 @@ def choose_outside(
     """
     rays = rays_near(sightings, object_id)
     hull = find_hull(rays, up, order=mask_errors)
-    support = _support(hull, stands_on)
-    found = [_judged(rays, *each) for each in _round(hull, up, support)]
-    if min((each.unexplained for each in found), default=1.0) > GOOD:
-        for each in _others(sightings, object_id, rays, hull, up, support):
-            found.append(_judged(rays, *each))
-            if found[-1].complexity < 2 and found[-1].unexplained < GOOD:
+    evidence = _Evidence(rays=rays, up=up, support=_support(hull, stands_on), mask_errors=mask_errors)
+    found = [_judged(rays, *each) for each in _round(evidence, hull)]
+    good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
+    if min((each.unexplained for each in found), default=1.0) > good:
+        for kind in _others(evidence, hull, lambda: carve(sightings, object_id, up, evidence.support)):
+            judged = [_judged(rays, *each) for each in kind]
+            found += judged
+            if any(each.complexity < HULL and each.unexplained < good for each in judged):
                 break
     if not found:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     return min(found, key=lambda each: each.cost)
 
 
-def _judged(rays: NearRays, complexity: int, glass: Glass) -> Outside:
+def _judged(rays: NearRays, complexity: float, glass: Glass) -> Outside:
     return Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays), complexity=complexity)
 
 
-def _round(hull: Hull, up: np.ndarray, support: float | None) -> Iterator[tuple[int, Glass]]:
-    """Ball and revolution, with their complexity."""
-    ball = find_ball(hull)
-    if ball is not None:
-        yield 0, ball
-    outside = find_outside(hull, _along_axis(hull, up, support))
-    if outside is not None:
-        yield 1, outside
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class _Evidence:
+    """What is known of an object's shape."""
+
+    rays: NearRays
+    up: Float64[np.ndarray, "3"]
+    support: float | None
+    """Height along `up` of the known surface below it; None: there is none."""
+    mask_errors: int
+
+    def along(self, axis: Axis) -> float | None:
+        """The support's height along an axis; None about one that lies."""
+        upright = float(axis.direction @ self.up)
+        if self.support is None or upright < UPRIGHT:
+            return None
+        return float((self.support - axis.point @ self.up) / upright)
 
 
-def _others(
-    sightings: Sightings, object_id: int, rays: NearRays, hull: Hull, up: np.ndarray, support: float | None
-) -> Iterator[tuple[int, Glass]]:
-    """Box, hull of any shape, and vessel with handles, the quickest first."""
-    box = fit_box(rays, up, support)
+def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
+    """Ball and outlines about one axis, with their complexity."""
+    ball = find_ball(hull) if hull.section is None else None
+    found: list[tuple[float, Glass]] = [] if ball is None else [(BALL, ball)]
+    outside, solid = _smoothest(evidence, hull, find_outside), _smoothest(evidence, hull, find_solid)
+    if solid is not None and (outside is None or not solid[1].has_flat_top):
+        return [*found, solid]
+    if outside is not None and solid is not None:
+        return [*found, (solid[0], dataclasses.replace(outside[1], solid=solid[1].solid))]
+    return [*found, outside] if outside is not None else found
+
+
+def _smoothest(
+    evidence: _Evidence, hull: Hull, find: Callable[[Hull, float | None, float], Revolution | None]
+) -> tuple[float, Revolution] | None:
+    """The outline that explains masks best among those that follow the hull more or less closely."""
+    support = evidence.along(hull.axis)
+    tried = [(OUTLINE + place * CLOSER, find(hull, support, noise)) for place, noise in enumerate(NOISES)]
+    found = [(complexity, glass) for complexity, glass in tried if glass is not None]
+    return min(found, key=lambda each: _judged(evidence.rays, *each).cost, default=None)
+
+
+def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], HullShape]) -> Iterator[list[tuple[float, Glass]]]:
+    """Box, hull of any shape, outlines about other sections and axes, and vessel with handles."""
+    box = fit_box(evidence.rays, evidence.up, evidence.support)
     if box is not None:
-        yield 1, box
+        yield [(OUTLINE, box)]
     try:
-        shape = carve(sightings, object_id, up, support)
+        shape = carved()
     except HyalineError:
         return  # Nothing is inside all masks.
-    yield 2, shape
-    vessel = _vessel_with_handles(rays, hull, shape, up, support)
+    yield [(HULL, shape)]
+    center, axes = _inertia_of(shape)
+    for direction in (evidence.up, *axes[np.abs(axes @ evidence.up) < UPRIGHT]):
+        if direction is not evidence.up:
+            yield _round(evidence, find_hull(evidence.rays, direction, order=evidence.mask_errors))
+        yield _with_corners(evidence, Axis(point=center, direction=direction), shape)
+    vessel = _vessel_with_handles(evidence, hull, shape)
     if vessel is not None:
-        yield 1, vessel
+        yield [(OUTLINE, vessel)]
 
 
-def _vessel_with_handles(
-    rays: NearRays, hull: Hull, shape: HullShape, up: np.ndarray, support: float | None
-) -> Revolution | None:
-    outside = find_outside(hull, _along_axis(hull, up, support))
-    if outside is None:
+def _with_corners(evidence: _Evidence, axis: Axis, shape: HullShape) -> list[tuple[float, Glass]]:
+    """Outlines about a polygon, if the hull of any shape looks like one about this axis."""
+    section = guess_section(*_radii_around(shape.surface, axis))
+    if section is None:
+        return []
+    return _round(evidence, find_section(evidence.rays, axis, section, order=evidence.mask_errors))
+
+
+def _radii_around(mesh: Mesh, axis: Axis) -> tuple[Float64[np.ndarray, " angle"], Float64[np.ndarray, " angle"]]:
+    """How far a mesh's side is from an axis in each direction, relative to the median at that height."""
+    u, v = perpendicular(axis.direction)
+    relative = (mesh.vertices - axis.point) @ np.stack([u, v, axis.direction], axis=1)
+    height, low, high = relative[:, 2], *np.quantile(relative[:, 2], MIDDLE)
+    is_side = (height > low) & (height < high) & (np.abs(mesh.normals @ axis.direction) < SIDE)
+    radius, angle = np.hypot(*relative[is_side, :2].T), np.arctan2(relative[is_side, 1], relative[is_side, 0])
+    level = ((height[is_side] - low) / (high - low) * LEVELS).astype(int)
+    for each in np.unique(level):
+        radius[level == each] /= np.median(radius[level == each])
+    angles = (np.arange(ANGLES) + 0.5) * (2 * np.pi / ANGLES) - np.pi
+    place = np.minimum(((angle + np.pi) / (2 * np.pi) * ANGLES).astype(int), ANGLES - 1)
+    seen = np.unique(place)
+    if len(seen) < ANGLES / 2:
+        return angles, np.ones(ANGLES)
+    medians = [np.median(radius[place == each]) for each in seen]
+    return angles, np.interp(angles, angles[seen], medians, period=2 * np.pi)
+
+
+def _inertia_of(shape: HullShape) -> tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3 3"]]:
+    """Centre of mass, and the principal axes, one a row."""
+    import trimesh
+
+    solid = trimesh.Trimesh(shape.surface.vertices, shape.surface.faces, process=False)
+    return np.asarray(solid.center_mass, np.float64), np.asarray(solid.principal_inertia_vectors, np.float64)
+
+
+def _vessel_with_handles(evidence: _Evidence, hull: Hull, shape: HullShape) -> Revolution | None:
+    outside = find_outside(hull, evidence.along(hull.axis))
+    if outside is None or outside.is_closed:
         return None
-    beside = without_handles(rays, outside.hollowed(0.08, 0.1, 0.3), shape)
+    beside = without_handles(evidence.rays, outside.hollowed(0.08, 0.1, 0.3), shape)
     if not (~beside.hits).any() or not beside.hits.any():
         return None
-    bare = find_outside(hull_about(beside, hull.axis, hull.heights, order=0), _along_axis(hull, up, support))
-    return None if bare is None else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
+    bare = find_outside(hull_about(beside, hull.axis, hull.heights, order=0), evidence.along(hull.axis))
+    return None if bare is None or bare.is_closed else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
 
 
 def _support(hull: Hull, stands_on: StandsOn) -> float | None:
@@ -120,8 +222,3 @@ def _support(hull: Hull, stands_on: StandsOn) -> float | None:
     lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
     height = stands_on(hull.axis.point + lowest * hull.axis.direction, STANDS * radius)
     return None if height is None else height + GAP * radius
-
-
-def _along_axis(hull: Hull, up: np.ndarray, support: float | None) -> float | None:
-    """A height along `up` as one along the axis."""
-    return None if support is None else float((support - hull.axis.point @ up) / (hull.axis.direction @ up))

@@ -1,17 +1,19 @@
-"""The outside of a surface of revolution from masks, in closed form.
+"""The visual hull of revolution from masks, in closed form.
 
 A ray that misses an object bounds it: where the ray passes height z of the axis, the object's radius there is at most
 the ray's distance from the axis. The least bound of all rays is the visual hull of revolution, without voxels.
 """
 
+import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
-from scipy import interpolate, optimize
+from scipy import optimize
 
 from datagen.disk.errors import HyalineError
-from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, Section
+from model.fit.shapes import Axis, perpendicular
 from model.fit.views import NearRays
 
 FINE = 501
@@ -22,6 +24,12 @@ WORTH_A_TILT = 0.003
 
 COARSE, COARSE_RAYS = 129, 20_000
 """Heights, and most rays, while the axis is searched."""
+
+SECTION_RAYS = 6000
+"""The same while a section is searched, at as many heights: with 65, a lying prism's axis was found 1 degree off."""
+
+REACH = 1.1
+"""Half the length of axis on which an object is looked for, in parts of its radius."""
 
 INSIDE_RAYS = 20_000
 """Most rays through a mask's inside."""
@@ -53,6 +61,8 @@ class Hull:
     """The same without ends: infinite where no ray bounds it."""
     unexplained: float
     """Share of the mask's rays that miss the hull."""
+    section: Section | None = None
+    """None: a circle."""
 
 
 def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hull:
@@ -88,38 +98,80 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
 
     upright = search(np.zeros(4), np.array([0.1, 0.1]), 60)
     tilted = search(upright, np.array([0.02, 0.02, 0.05, 0.05]), 150)
-    heights = np.linspace(-1.1 * radius, 1.1 * radius, FINE)
+    heights = np.linspace(-REACH * radius, REACH * radius, FINE)
     hulls = [hull_about(rays, at(x), heights, order=order) for x in (upright, tilted)]
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
 
-def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int) -> Hull:
+def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) -> Hull:
+    """The hull about a polygon, which and whose axis are searched from a first guess as in `find_hull`."""
+    _, radius = find_center(rays)
+    edge = rays.at_edges().thinned(SECTION_RAYS)
+    coarse = np.linspace(-REACH * radius, REACH * radius, COARSE)
+
+    def at(x: np.ndarray) -> tuple[Axis, Section]:
+        sharpness = float(np.clip(section.sharpness * np.exp(x[3]), LEAST_SHARPNESS, MOST_SHARPNESS))
+        changed = dataclasses.replace(section, turn=section.turn + float(x[2]), sharpness=sharpness)
+        return axis.moved(x[4:], x[:2] * radius), changed
+
+    def search(start: np.ndarray, steps: np.ndarray, most: int) -> np.ndarray:
+        def lack(x: np.ndarray) -> float:
+            moved, changed = at(np.concatenate([x, start[len(x) :]]))
+            return _lack(edge, moved, coarse, changed, order=order) / radius
+
+        simplex = start[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
+        options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
+        found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
+        return np.concatenate([found, start[len(found) :]])
+
+    # The sharpest polygon cannot become sharper.
+    upright = search(np.zeros(6), np.array([0.03, 0.03, 0.05, -0.25]), 80)
+    tilted = search(upright, np.array([0.01, 0.01, 0.02, -0.1, 0.03, 0.03]), 160)
+    heights = np.linspace(-REACH * radius, REACH * radius, FINE)
+    hulls = []
+    for x in (upright, tilted):
+        moved, changed = at(x)
+        hulls.append(hull_about(rays, moved, heights, order=order, section=changed))
+    return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
+
+
+def hull_about(
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, section: Section | None = None
+) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
     num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
     # What explains the edge of a mask mostly explains its inside: of many rays there, some stand for all.
     each = max(1, -(-int(is_inside.sum()) // INSIDE_RAYS))
     rays = rays.only(~is_inside | (np.cumsum(is_inside) % each == 0))
     weight = np.where(rays.is_edge, 1, each)[rays.hits]
-    rho = crossings(rays, axis, heights)
+    rho = crossings(rays, axis, heights, section)
     radii = _hull_radii(rho, rays.hits, order=order)
-    inside = rho[rays.hits] <= radii
-    place, least = _closest(rays, axis, heights)
+    # Below what it stands on, no ray bounds it, and none reaches it.
+    inside = np.isfinite(rho[rays.hits]) & (rho[rays.hits] <= radii)
+    place, least = _closest(rays, axis, heights, section)
     inside[np.arange(len(inside)), place] |= least <= radii[place]
     explained = inside.any(axis=1)
     if not explained.any():
-        return Hull(axis=axis, heights=heights, radii=np.zeros_like(radii), bounds=radii, unexplained=1.0)
+        none = np.zeros_like(radii)
+        return Hull(axis=axis, heights=heights, radii=none, bounds=radii, unexplained=1.0, section=section)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
     # Some rays miss: where masks may be wrong, and where a rim is rounder than the spacing of heights.
     spare = min(round((WRONG_RAYS if order else STRAY_RAYS) * num_hits), len(lowest) - 1)
     top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare if order else 0]
     place = np.arange(len(heights))
-    kept = np.where((place >= bottom) & (place <= top), radii, 0)
+    kept = np.where((place >= bottom) & (place <= top) & np.isfinite(radii), radii, 0)
     unexplained = float(weight[~explained].sum() / num_hits)
-    return Hull(axis=axis, heights=heights, radii=kept, bounds=radii, unexplained=unexplained)
+    return Hull(axis=axis, heights=heights, radii=kept, bounds=radii, unexplained=unexplained, section=section)
 
 
-def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
-    """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera."""
+def crossings(
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], section: Section | None = None
+) -> Float[np.ndarray, "ray height"]:
+    """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera.
+
+    Args:
+        section: by whose factors the distances are divided, so that an outline's radii bound them as about a circle.
+    """
     along_o, across_o = _along_and_across(rays.origins - axis.point, axis)
     along_d, across_d = _along_and_across(rays.directions, axis)
     t = (heights - along_o[:, None]) / np.where(np.abs(along_d) < SLOW, SLOW, along_d)[:, None]
@@ -128,6 +180,8 @@ def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"
         np.einsum("rc,rc->r", x, y) for x, y in ((across_o, across_o), (across_o, across_d), (across_d, across_d))
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
+    if section is not None:
+        rho /= section.looked_up(_angles(across_o[:, None], across_d[:, None], t, axis))
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
@@ -139,6 +193,12 @@ def _along_and_across(
     return along, vectors - along[:, None] * axis.direction
 
 
+def _angles(origins: np.ndarray, directions: np.ndarray, t: np.ndarray, axis: Axis) -> Float64[np.ndarray, "*place"]:
+    """Direction from the axis of places along rays, in radians."""
+    first, second = ((origins @ way) + t * (directions @ way) for way in perpendicular(axis.direction))
+    return np.arctan2(second, first)
+
+
 def _hull_radii(
     rho: Float[np.ndarray, "ray height"], hits: Bool[np.ndarray, " ray"], *, order: int
 ) -> Float[np.ndarray, " height"]:
@@ -147,7 +207,7 @@ def _hull_radii(
 
 
 def _closest(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], section: Section | None = None
 ) -> tuple[Int[np.ndarray, " hit"], Float64[np.ndarray, " hit"]]:
     """Where rays that meet the object come closest to the axis: the place of the nearest height, and the distance.
 
@@ -159,16 +219,18 @@ def _closest(
     height = along_o + t * along_d
     place = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
     is_on = (place >= 0) & (place < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
-    least = np.where(is_on, np.linalg.norm(across_o + t[:, None] * across_d, axis=1), np.inf)
-    return np.clip(place, 0, len(heights) - 1), least
+    rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
+    if section is not None:
+        rho /= section.looked_up(_angles(across_o, across_d, t, axis))
+    return np.clip(place, 0, len(heights) - 1), np.where(is_on, rho, np.inf)
 
 
-def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
+def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, section: Section | None = None, *, order: int) -> float:
     """Mean distance in metres by which rays that meet the object miss its hull."""
-    rho = crossings(rays, axis, heights)
+    rho = crossings(rays, axis, heights, section)
     radii = _hull_radii(rho, rays.hits, order=order)
     radii = np.where(np.isfinite(radii), radii, 0)
-    place, least = _closest(rays, axis, heights)
+    place, least = _closest(rays, axis, heights, section)
     gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)
     return float(np.minimum(gaps, FAR * heights[-1]).mean())
 
@@ -188,75 +250,3 @@ def _mean_ray(rays: NearRays, view: int) -> tuple[np.ndarray, np.ndarray]:
     these = rays.hits & (rays.view == view)
     direction = rays.directions[these].mean(axis=0)
     return rays.origins[these][0], direction / np.linalg.norm(direction)
-
-
-ROUND = 0.015
-"""By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
-largest radius."""
-
-RIM_LEFT_OUT = 0.08
-"""Below the top, where a hull follows the rim's rounding instead of the side."""
-
-FOOT_LEFT_OUT = 0.02
-"""Above the bottom."""
-
-BELT = 0.7
-"""Half the height of the belt of a ball to which its circle is fitted."""
-
-ROUNDS = 5
-"""Iterations that centre the belt on the ball."""
-
-LEAST_HEIGHTS = 8
-"""Fewer do not show an outline."""
-
-NOISE = 0.003
-"""Standard deviation of a hull's radii."""
-
-
-def find_outside(hull: Hull, support: float | None) -> Revolution | None:
-    """Extracts the outside of a vessel or solid from its hull; None if the hull is too short.
-
-    Args:
-        support: height along the axis of the known surface below it; None: there is none.
-    """
-    inside = hull.radii > 0
-    heights, radii = hull.heights[inside], hull.radii[inside]
-    if len(heights) < LEAST_HEIGHTS:
-        return None
-    bottom = heights[0] if support is None else support
-    size = radii.max()
-    rim = RIM_LEFT_OUT * size
-    kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
-    if kept.sum() < LEAST_HEIGHTS:
-        return None
-    spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * (NOISE * size) ** 2)
-    low, high = heights[kept][[0, -1]]
-    below, above = np.asarray(spline([high - 1.5 * rim, high]))
-    slope = (above - below) / (1.5 * rim)
-    along = np.linspace(bottom, heights[-1], 400)
-    side = np.asarray(spline(np.clip(along, low, high))) + slope * np.maximum(along - high, 0)
-    line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
-    return Revolution(axis=hull.axis, outside=evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE))
-
-
-def find_ball(hull: Hull) -> Revolution | None:
-    """The ball that a hull may be; None if it is not round. Its ends, which masks show badly, don't count."""
-    inside = hull.radii > 0
-    if not inside.any():
-        return None
-    middle, radius = float(hull.heights[inside].mean()), float(hull.radii.max())
-    heights, radii = hull.heights[inside], hull.radii[inside]
-    for _ in range(ROUNDS):
-        near = (np.abs(hull.heights - middle) < BELT * radius) & np.isfinite(hull.bounds)
-        if near.sum() < LEAST_HEIGHTS:
-            return None
-        heights, radii = hull.heights[near], hull.bounds[near]
-        columns = np.stack([2 * heights, np.ones(len(heights))], axis=1)
-        (middle, rest), *_ = np.linalg.lstsq(columns, radii**2 + heights**2)
-        radius = float(np.sqrt(max(rest + middle**2, 0)))
-    circle = np.sqrt(np.maximum(radius**2 - (heights - middle) ** 2, 0))
-    if np.sqrt(np.mean((circle - radii) ** 2)) > ROUND * radius or np.ptp(heights) < BELT * radius:
-        return None
-    angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
-    line = np.stack([radius * np.cos(angles).round(9), middle + radius * np.sin(angles)], axis=1)
-    return Revolution(axis=hull.axis, outside=line)

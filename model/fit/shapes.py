@@ -9,6 +9,7 @@ from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
+from model.fit.section import Section
 
 SEGMENTS = 96
 """Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
@@ -94,6 +95,10 @@ class Revolution(Glass):
     axis: Axis
     outside: Outline
     """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
+    solid: Outline | None = None
+    """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
+    section: Section | None = None
+    """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
     wall: float | None = None
     """Thickness of a vessel's wall above the floor, in metres; None: solid."""
     taper: float | None = None
@@ -112,7 +117,9 @@ class Revolution(Glass):
 
     @property
     def kind(self) -> str:
-        return "ball" if self.is_closed else "revolution"
+        if self.section is not None:
+            return f"{self.section.sides}-sided"
+        return "ball" if self.is_closed and self._is_spherical() else "revolution"
 
     @property
     def height(self) -> float:
@@ -122,6 +129,15 @@ class Revolution(Glass):
     def is_closed(self) -> bool:
         """The outside ends on the axis: it has no rim, and so no hollow."""
         return bool(self.outside[-1, 0] < 1e-6)
+
+    @property
+    def has_flat_top(self) -> bool:
+        """Its solid has one, which may be an opening."""
+        return self.solid is not None and bool(self.solid[-2, 1] > self.solid[-1, 1] - 1e-9)
+
+    def _is_spherical(self) -> bool:
+        from_middle = self.outside - [0, self.outside[[0, -1], 1].mean()]
+        return bool(np.ptp(np.linalg.norm(from_middle, axis=1)) < 1e-6)
 
     def hollowed(self, wall: float, floor: float, corner: float) -> "Revolution":
         """A vessel with this outside.
@@ -137,6 +153,8 @@ class Revolution(Glass):
 
     def outline(self) -> Outline:
         """The whole section."""
+        if self.wall is None and self.solid is not None:
+            return self.solid
         if self.wall is None:
             top = np.array([[0.0, self.outside[-1, 1]]])
             return evenly(self.outside if self.is_closed else np.concatenate([self.outside, top]), POINTS)
@@ -150,14 +168,14 @@ class Revolution(Glass):
         return np.concatenate([side, _hollow(side, self.wall, at_rim, self.floor, self.corner)])
 
     def mesh(self) -> Mesh:
-        return revolved(self.axis, self.outline())
+        return revolved(self.axis, self.outline(), self.section)
 
     def bodies(self) -> tuple[Body, ...]:
         if self.drink_ior is None:
             return super().bodies()
         # Where the drink reaches into the wall, its lower priority lets the glass win.
         drink = Dielectric(ior=self.drink_ior, absorption=self.drink_absorption, priority=-1)
-        return (*super().bodies(), (revolved(self.axis, self.drink_outline()), drink))
+        return (*super().bodies(), (revolved(self.axis, self.drink_outline(), self.section), drink))
 
     def drink_outline(self) -> Outline:
         """The section of the drink; it extends slightly into floor and wall."""
@@ -263,8 +281,12 @@ def _lengths(line: Outline) -> Float64[np.ndarray, " point"]:
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
 
 
-def revolved(axis: Axis, outline: Outline) -> Mesh:
-    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge."""
+def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Mesh:
+    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge.
+
+    Args:
+        section: by whose factors the outline's radii change around the axis; None: a circle.
+    """
     edges = np.diff(outline, axis=0)
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -276,13 +298,10 @@ def revolved(axis: Axis, outline: Outline) -> Mesh:
     ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
     rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
     ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    # The last column repeats the first, at u = 1.
-    angles = (np.arange(SEGMENTS + 1) % SEGMENTS) * (2 * np.pi / SEGMENTS)
-    u, v = perpendicular(axis.direction)
-    around = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
+    around, across, squares = _around(axis, section)
 
-    def swept(points: np.ndarray) -> np.ndarray:
-        return (points[:, None, :1] * around + points[:, None, 1:] * axis.direction).reshape(-1, 3)
+    def swept(points: np.ndarray, ways: np.ndarray, up: np.ndarray) -> np.ndarray:
+        return (points[:, None, :1] * ways + points[:, None, 1:] * up).reshape(-1, 3)
 
     index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
     low, high = index[0::2], index[1::2]
@@ -290,12 +309,35 @@ def revolved(axis: Axis, outline: Outline) -> Mesh:
     upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
     # At the axis a quadrangle is one triangle.
     faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
-    vertices = axis.point + swept(rings)
+    vertices = axis.point + swept(rings, around, axis.direction)
+    turned = swept(ring_normals, across, squares[:, None] * axis.direction)
+    if section is not None:
+        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
     along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
     uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
     return Mesh(
         vertices=vertices.astype(np.float32),
         faces=faces.astype(np.int32),
-        normals=swept(ring_normals).astype(np.float32),
+        normals=turned.astype(np.float32),
         uv=uv.reshape(-1, 2).astype(np.float32),
     )
+
+
+def _around(
+    axis: Axis, section: Section | None
+) -> tuple[Float64[np.ndarray, "angle 3"], Float64[np.ndarray, "angle 3"], Float64[np.ndarray, " angle"]]:
+    """In each direction around the axis: the point of the section, and what an outline's normal is multiplied by.
+
+    Where r(s) f(a) sweeps around the axis, with f the section's factors and (n_r, n_z) the outline's normal, the
+    surface's normal is n_r (f, -f') across and n_z f^2 along the axis.
+    """
+    # The last column repeats the first, at u = 1.
+    place = np.arange(SEGMENTS + 1) % SEGMENTS
+    u, v = perpendicular(axis.direction)
+    angles = (place * (2 * np.pi / SEGMENTS)) if section is None else section.spread(SEGMENTS)[place]
+    outward = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
+    if section is None:
+        return outward, outward, np.ones(len(angles))
+    sideways = np.cos(angles)[:, None] * v - np.sin(angles)[:, None] * u
+    factors, slopes = section.factors(angles)[:, None], section.slopes(angles)[:, None]
+    return factors * outward, factors * outward - slopes * sideways, factors[:, 0] ** 2

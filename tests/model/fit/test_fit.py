@@ -93,7 +93,7 @@ def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset
     skipped = "--steps 2 --skip grid --skip search --skip again --name fitted-all"
     answer = call(f"model fit {dataset.root} {skipped} --masks {masks} --out {tmp_path / 'fit'}")
     assert answer.status == 0, answer.err
-    assert "taken as known, because too few pictures show them first: slab" in answer.err + answer.out
+    assert "taken as known, because pictures do not show their outside: slab" in answer.err + answer.out
     assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
 
 

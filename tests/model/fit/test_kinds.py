@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from support.silhouettes import Meets, ball, block, sightings_of
 
+from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.modelling import rotation
+from datagen.scene.modelling import cylinder, lathe, moved, rotation, turned
+from datagen.scene.procedural.solids import soft_square
 from model.fit.found import from_state, to_state
 from model.fit.kinds import choose_outside
 
@@ -19,13 +21,27 @@ def on_the_table(point: np.ndarray, reach: float) -> float | None:
     return 0.0 if abs(point[2]) < reach else None
 
 
+def traced(mesh: Mesh) -> Meets:
+    """A solid by its mesh."""
+    from datagen.trace.peel import Peeler
+
+    peeler = Peeler((mesh,))
+    return lambda o, d: peeler.trace(o.astype(np.float32), d.astype(np.float32), 1).shape[0] >= 0
+
+
+SQUARE = lathe([(0, 0.001), (0.03, 0.001), (0.034, 0.09), (0, 0.09)], around=soft_square(5.0))
+LYING = moved(turned(turned(cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35), (0.02, 0, 0.031))
+
+
 @pytest.mark.parametrize(
     ("meets", "kind"),
     [
         (ball((0.0, 0.01, 0.05), 0.04), "ball"),
         (block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "box"),
+        (traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided"),
+        (traced(LYING), "revolution"),
     ],
-    ids=["ball", "box"],
+    ids=["ball", "box", "square", "lying cylinder"],
 )
 def test_the_kind_is_the_one_whose_silhouettes_fit(meets: Meets, kind: str) -> None:
     sightings = sightings_of(meets, views=20, size=48)

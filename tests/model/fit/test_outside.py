@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from datagen.data.cameras import Cameras, look_at
-from model.fit.outside import find_ball, find_hull, find_outside, hull_about
+from model.fit.outlines import find_ball, find_outside, find_solid
+from model.fit.outside import find_hull, hull_about
 from model.fit.shapes import Axis
 from model.fit.views import Sightings, rays_near
 
@@ -44,6 +45,14 @@ def all_rays(taken: Cameras) -> tuple[np.ndarray, np.ndarray]:
 def ball_mask(taken: Cameras, radius: float) -> np.ndarray:
     o, d = all_rays(taken)
     return np.linalg.norm(np.cross(CENTER - o, d), axis=-1) < radius
+
+
+def ellipsoid_mask(taken: Cameras, radius: float, half_height: float) -> np.ndarray:
+    """Rays that meet an upright ellipsoid: a ball, once heights are scaled."""
+    o, d = all_rays(taken)
+    scale = np.array([1, 1, radius / half_height])
+    o, d = (CENTER - o) * scale, d * scale
+    return np.linalg.norm(np.cross(o, d), axis=-1) < radius * np.linalg.norm(d, axis=-1)
 
 
 def cone_mask(taken: Cameras, low: float, high: float, height: float) -> np.ndarray:
@@ -107,6 +116,35 @@ def test_a_cut_cone_is_found_even_if_some_mask_pixels_are_wrong() -> None:
     side = (z > 0.01) & (z < height - 0.01)
     assert np.abs(found.outside[side, 0] - (low + (high - low) * z[side] / height)).mean() < 0.0012
     assert z.max() == pytest.approx(height, abs=0.003)
+
+
+def test_an_egg_closes_over_its_axis_at_both_ends() -> None:
+    radius, half = 0.035, 0.05
+    taken = cameras()
+    hull = find_hull(rays_near(sightings_of(ellipsoid_mask(taken, radius, half), taken), 1), UP, order=0)
+    found = find_solid(hull, support=None)
+    assert found is not None
+    assert not found.has_flat_top
+    assert (found.is_closed, found.kind) == (True, "revolution")
+    assert found.height == pytest.approx(2 * half, abs=0.001)
+    middle = found.outside[[0, -1], 1].mean()
+    height = (found.outside[:, 1] - middle) / half
+    side = np.abs(height) < 0.9
+    assert np.abs(found.outside[side, 0] - radius * np.sqrt(1 - height[side] ** 2)).mean() < 0.0005
+
+
+def test_a_solid_that_stands_on_a_table_is_flat_at_both_ends_and_as_wide_as_masks_show() -> None:
+    low, high, height = 0.03, 0.045, 0.11
+    taken = cameras()
+    hull = find_hull(rays_near(sightings_of(cone_mask(taken, low, high, height), taken), 1), UP, order=0)
+    found = find_solid(hull, support=-hull.axis.point[2])
+    assert found is not None
+    assert found.has_flat_top
+    assert found.solid is not None
+    z = found.solid[:, 1] + hull.axis.point[2]
+    assert (z.min(), z.max()) == pytest.approx((0, height), abs=0.001)
+    side = (z > 0.002) & (z < height - 0.002)
+    assert np.abs(found.solid[side, 0] - (low + (high - low) * z[side] / height)).mean() < 0.0005
 
 
 def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:

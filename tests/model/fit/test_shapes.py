@@ -1,13 +1,15 @@
 """Tests glass of revolution: that its meshes are closed, of the right size, and always of as many vertices."""
 
 import dataclasses
+from math import gamma
 
 import numpy as np
 import pytest
 
 from datagen.data.meshes import check_mesh, open_edges, signed_volume
 from model.fit.found import from_state, to_state
-from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+from model.fit.section import Section
+from model.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1
@@ -51,8 +53,35 @@ def test_vessels_of_all_numbers_are_closed_and_of_equal_counts(wall: float, floo
     assert np.ptp(mesh.uv, axis=0) == pytest.approx((1, 1))
 
 
+def test_a_prism_encloses_what_a_superellipse_does_and_its_normals_are_those_of_its_faces() -> None:
+    power = 5.0
+    prism = dataclasses.replace(CYLINDER, section=Section(sides=4, sharpness=power, turn=0.4))
+    mesh = prism.mesh()
+    check_mesh(mesh, where="prism")
+    assert open_edges(mesh) == 0
+    area = 4 * RADIUS**2 * gamma(1 + 1 / power) ** 2 / gamma(1 + 2 / power)
+    assert signed_volume(mesh) == pytest.approx(area * HEIGHT, rel=0.01)
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
+    shaded = mesh.normals[mesh.faces].mean(axis=1)
+    shaded /= np.linalg.norm(shaded, axis=1, keepdims=True)
+    assert (flat * shaded).sum(axis=1).min() > np.cos(np.radians(12))
+    assert prism.hollowed(0.1, 0.2, 0.3).mesh().faces.shape == mesh.faces.shape
+
+
+def test_a_solid_keeps_its_own_ends_and_a_vessel_does_not() -> None:
+    cone = np.array([(0, 0), (RADIUS, 0), (0, HEIGHT)], float)
+    both = dataclasses.replace(CYLINDER, solid=evenly(cone, POINTS))
+    assert signed_volume(both.mesh()) == pytest.approx(ROUND * HEIGHT / 3, rel=0.02)
+    hollow, cylinder = both.hollowed(0.1, 0.2, 0.3).mesh(), CYLINDER.hollowed(0.1, 0.2, 0.3).mesh()
+    assert np.array_equal(hollow.vertices, cylinder.vertices)
+    assert both.mesh().faces.shape == hollow.faces.shape
+
+
 def test_a_state_gives_the_same_glass_back() -> None:
-    glass = dataclasses.replace(CYLINDER.hollowed(0.08, 0.2, 0.3), absorption=(1.0, 2.0, 3.0), roughness=0.1)
+    square = dataclasses.replace(CYLINDER, section=Section(sides=4, sharpness=6.0, turn=0.2), solid=CYLINDER.outline())
+    glass = dataclasses.replace(square.hollowed(0.08, 0.2, 0.3), absorption=(1.0, 2.0, 3.0), roughness=0.1)
     again = from_state(to_state(glass))
     assert np.array_equal(again.mesh().vertices, glass.mesh().vertices)
     assert again.material() == glass.material()
