@@ -1,6 +1,7 @@
 """What a run needs before its first step: renderer, record, training views, optimiser, a warning about textures."""
 
 import contextlib
+import dataclasses
 import inspect
 import math
 from collections.abc import Sequence
@@ -24,7 +25,7 @@ from datagen.terminal.parsing import flag_words
 from model.batches.distributed import Processes
 from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
-from model.methods.protocol import Inputs
+from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.lazy_adam import LazyAdam, check_states
 from model.nets.texture import NeuralTextures
@@ -101,17 +102,32 @@ def load_training(
 
 
 def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
-    """The words after `model train METHOD DATASET` that train it again: a flag for each unusual choice."""
+    """The words after `model train METHOD DATASET` that train it again: a flag for each unusual choice.
+
+    What follows from other choices, as a network's width from the number of its inputs, needs none.
+    """
     usual = config.net.usual(config.geometry)
-    optimisation = usual.optimisation()
-    with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
-        usual = usual.complete(inputs)
     return (
         *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
         *([] if config.seed == TrainConfig.seed else ["--seed", str(config.seed)]),
-        *flag_words(config.net, usual),
-        *flag_words(config, optimisation),
+        *flag_words(config.net, _completed_beside(config.net, usual, inputs)),
+        *flag_words(config, usual.optimisation()),
     )
+
+
+def _completed_beside(net: MethodConfig, usual: MethodConfig, inputs: Inputs) -> MethodConfig:
+    """The usual choices, and beside them what follows from a run's unusual ones."""
+    completed = usual
+    with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
+        completed = usual.complete(inputs)
+    names = [field.name for field in dataclasses.fields(net)]
+    unusual = {name: getattr(net, name) for name in names if getattr(net, name) != getattr(completed, name)}
+    for name in tuple(unusual):
+        others = {key: value for key, value in unusual.items() if key != name}
+        with contextlib.suppress(HyalineError):
+            if dataclasses.replace(usual, **others).complete(inputs) == net:
+                unusual = others
+    return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
 
 
 class Adam(torch.optim.Adam):
