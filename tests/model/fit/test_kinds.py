@@ -39,7 +39,7 @@ LYING = moved(turned(turned(cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35)
         (ball((0.0, 0.01, 0.05), 0.04), "ball"),
         (block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "box"),
         (traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided"),
-        (traced(LYING), "revolution"),
+        pytest.param(traced(LYING), "revolution", marks=pytest.mark.full),
     ],
     ids=["ball", "box", "square", "lying cylinder"],
 )
