@@ -34,7 +34,7 @@ from datagen.terminal.command import choose, say, track
 from model.fit import drinks, pictures, room
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
-from model.fit.kinds import LEAST_VIEWS, choose_outside, is_shown
+from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
 from model.fit.search import (
     Cell,
     Misses,
@@ -140,7 +140,7 @@ def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_
     Args:
         must_be_all: refuse objects that pictures do not show well enough, instead of taking them as known.
     """
-    shown = tuple(each for each in sightings.unknown if is_shown(sightings, each, mask_errors))
+    shown = find_shown(sightings, mask_errors)
     hidden = [dataset.objects[each - 1].name for each in sightings.unknown if each not in shown]
     if not shown or (hidden and must_be_all):
         raise HyalineError(

@@ -71,14 +71,19 @@ class Outside:
         return self.unexplained + self.complexity * SIMPLER
 
 
-def is_shown(sightings: Sightings, object_id: int, mask_errors: int) -> bool:
-    """Whether pictures show an object's outside: enough views see it first, and rays pass beside it."""
-    if sightings.sees(object_id).any(axis=(1, 2)).sum() < LEAST_VIEWS:
-        return False
-    if any(object_id in pair for pair in find_holders(sightings).items()):
-        return True  # The rays beside a drink meet its vessel.
-    edge = rays_near(sightings, object_id).at_edges()
-    return bool(edge.hits.any() and (~edge.hits).sum() > mask_errors)
+def find_shown(sightings: Sightings, mask_errors: int) -> tuple[int, ...]:
+    """Ids of the unknown objects whose outside pictures show: enough views see it first, and rays pass beside it."""
+    holders = find_holders(sightings)
+
+    def is_shown(object_id: int) -> bool:
+        if sightings.sees(object_id).any(axis=(1, 2)).sum() < LEAST_VIEWS:
+            return False
+        if object_id in holders or object_id in holders.values():
+            return True  # The rays beside a drink meet its vessel.
+        edge = rays_near(sightings, object_id).at_edges()
+        return bool(edge.hits.any() and (~edge.hits).sum() > mask_errors)
+
+    return tuple(filter(is_shown, sightings.unknown))
 
 
 def choose_outside(
@@ -116,7 +121,7 @@ class _Evidence:
     rays: NearRays
     up: Float64[np.ndarray, "3"]
     support: float | None
-    """Height along `up` of the known surface below it; None: there is none."""
+    """Height along `up` of the known surface below it, if there is one."""
     mask_errors: int
 
     def along(self, axis: Axis) -> float | None:

@@ -45,7 +45,7 @@ def find_outside(hull: Hull, support: float | None, noise: float = NOISES[0]) ->
     """Extracts the outside of a vessel from its hull, or of a solid with a flat top; None if the hull is too short.
 
     Args:
-        support: height along the axis of the known surface below it; None: there is none.
+        support: height along the axis of the known surface below it, if there is one.
         noise: assumed standard deviation of the hull's radii, in parts of the largest one.
     """
     inside = hull.radii > 0

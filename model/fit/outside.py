@@ -5,6 +5,7 @@ the ray's distance from the axis. The least bound of all rays is the visual hull
 """
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,23 +85,11 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     axis = Axis(point=center, direction=up)
     coarse = np.linspace(-radius, radius, COARSE)
 
-    def at(x: np.ndarray) -> Axis:
-        return axis.moved(x[2:], x[:2] * radius)
+    def at(x: np.ndarray) -> tuple[Axis, None]:
+        return axis.moved(x[2:], x[:2] * radius), None
 
-    def search(start: np.ndarray, steps: np.ndarray, most: int) -> np.ndarray:
-        def lack(x: np.ndarray) -> float:
-            return _lack(edge, at(np.concatenate([x, start[len(x) :]])), coarse, order=order) / radius
-
-        simplex = start[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
-        options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
-        found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
-        return np.concatenate([found, start[len(found) :]])
-
-    upright = search(np.zeros(4), np.array([0.1, 0.1]), 60)
-    tilted = search(upright, np.array([0.02, 0.02, 0.05, 0.05]), 150)
-    heights = np.linspace(-REACH * radius, REACH * radius, FINE)
-    hulls = [hull_about(rays, at(x), heights, order=order) for x in (upright, tilted)]
-    return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
+    stages = ((np.array([0.1, 0.1]), 60), (np.array([0.02, 0.02, 0.05, 0.05]), 150))
+    return _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
 
 
 def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) -> Hull:
@@ -114,24 +103,42 @@ def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) ->
         changed = dataclasses.replace(section, turn=section.turn + float(x[2]), sharpness=sharpness)
         return axis.moved(x[4:], x[:2] * radius), changed
 
-    def search(start: np.ndarray, steps: np.ndarray, most: int) -> np.ndarray:
-        def lack(x: np.ndarray) -> float:
-            moved, changed = at(np.concatenate([x, start[len(x) :]]))
-            return _lack(edge, moved, coarse, changed, order=order) / radius
+    # The sharpest polygon cannot become sharper.
+    stages = ((np.array([0.03, 0.03, 0.05, -0.25]), 80), (np.array([0.01, 0.01, 0.02, -0.1, 0.03, 0.03]), 160))
+    return _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
 
-        simplex = start[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
+
+def _searched(
+    rays: NearRays,
+    edge: NearRays,
+    coarse: Float64[np.ndarray, " height"],
+    at: Callable[[np.ndarray], tuple[Axis, Section | None]],
+    stages: Sequence[tuple[np.ndarray, int]],
+    *,
+    radius: float,
+    order: int,
+) -> Hull:
+    """The hull about the upright or the tilted axis that leaves the rays at edges the least lack.
+
+    Args:
+        at: axis and section by some numbers, zeros for the first guess.
+        stages: first steps of the numbers that are searched, and the most evaluations: upright, then all numbers.
+    """
+    x, hulls = np.zeros(len(stages[-1][0])), []
+    heights = np.linspace(-REACH * radius, REACH * radius, FINE)
+    for steps, most in stages:
+        rest = x[len(steps) :]
+
+        def lack(first: np.ndarray, rest: np.ndarray = rest) -> float:
+            axis, section = at(np.concatenate([first, rest]))
+            return _lack(edge, axis, coarse, section, order=order) / radius
+
+        simplex = x[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
         options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
         found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
-        return np.concatenate([found, start[len(found) :]])
-
-    # The sharpest polygon cannot become sharper.
-    upright = search(np.zeros(6), np.array([0.03, 0.03, 0.05, -0.25]), 80)
-    tilted = search(upright, np.array([0.01, 0.01, 0.02, -0.1, 0.03, 0.03]), 160)
-    heights = np.linspace(-REACH * radius, REACH * radius, FINE)
-    hulls = []
-    for x in (upright, tilted):
-        moved, changed = at(x)
-        hulls.append(hull_about(rays, moved, heights, order=order, section=changed))
+        x = np.concatenate([found, rest])
+        axis, section = at(x)
+        hulls.append(hull_about(rays, axis, heights, order=order, section=section))
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
 
