@@ -19,7 +19,6 @@ from datagen.disk.errors import HyalineError
 from model.batches.rays import Pixels, RayBatch
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, count_inputs
-from model.nets.cpu.mlp_kernels import find_kernels
 from model.nets.pixel_mlp import LEAKY_SLOPE, LinearUnit, ResidualBlock, width_for_34k
 from model.nets.texture import NeuralTextures
 
@@ -147,7 +146,6 @@ def describe(choices: BenchChoices, renderer: PaperRenderer) -> dict[str, object
         "texture": f"{choices.texture_size} x {choices.texture_size} x {choices.features}",
         "network": f"{num_parameters:,} parameters",
         "precision": choices.precision,
-        "compiled layers": "no" if find_kernels() is None else "yes",
         "threads": torch.get_num_threads(),
     }
 

@@ -255,7 +255,7 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
     return report
 
 
-GATE = 10.0
+GATE = 3.0
 
 
 @torch.inference_mode()

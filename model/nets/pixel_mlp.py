@@ -6,9 +6,8 @@ from typing import cast
 import torch
 from jaxtyping import Float, Float32
 from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_linear_bn_weights
 
-from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, fold, run_chain
-from model.nets.cpu.mlp_kernels import Network
 from model.settings.network_parts import Norm, Precision, check_width
 
 LEAKY_SLOPE = 0.2
@@ -26,6 +25,17 @@ class LinearUnit(nn.Module):
     def forward(self, x: Float[Tensor, "ray c_in"]) -> Float[Tensor, "ray c_out"]:
         """float32; bfloat16 where the network is asked for that."""
         return self.activation(self.norm(self.linear(x)))
+
+    def folded(self) -> tuple[Tensor, Tensor]:
+        """Weight (c_out, c_in) and bias (c_out) of the linear layer with the batch norm, as it is at evaluation."""
+        norm = self.norm
+        if not isinstance(norm, nn.BatchNorm1d):
+            return self.linear.weight, self.linear.bias
+        assert norm.running_mean is not None
+        assert norm.running_var is not None
+        return fuse_linear_bn_weights(
+            self.linear.weight, self.linear.bias, norm.running_mean, norm.running_var, norm.eps, norm.weight, norm.bias
+        )
 
 
 class ResidualBlock(nn.Module):
@@ -62,41 +72,20 @@ class PixelMlp(nn.Module):
 
     def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
         """sRGB colours, about [0, 1], of the inputs of all layers, nearest first."""
-        # Torch's own layers do what the compiled ones cannot: bf16, and gradients through norms at evaluation.
-        has_fixed_norm = self.has_norm and not self.training and torch.is_grad_enabled()
-        if self.precision == "fp32" and can_fuse(x) and not has_fixed_norm:
-            return run_chain(x, self.layers())
         with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
             hidden = self.blocks(self.first(x))
         return self.last(hidden.float())  # In bf16 a colour would have as few steps as an 8-bit picture.
-
-    @property
-    def has_norm(self) -> bool:
-        """True where linear layers are followed by batch norms."""
-        return isinstance(self.first.norm, nn.BatchNorm1d)
 
     def residual_blocks(self) -> list[ResidualBlock]:
         """The blocks in their order."""
         return cast(list[ResidualBlock], list(self.blocks))
 
-    def layers(self) -> list[ChainLayer]:
-        """All layers in their order."""
-        units = [(self.first, False)]
+    def folded(self) -> list[tuple[Tensor, Tensor]]:
+        """Weights and biases of all layers at evaluation, in their order."""
+        units = [self.first]
         for block in self.residual_blocks():
-            units += [(block.first, False), (block.second, True), (block.halve, False)]
-        return [
-            ChainLayer(
-                linear=unit.linear,
-                norm=unit.norm if isinstance(unit.norm, nn.BatchNorm1d) else None,
-                slope=LEAKY_SLOPE,
-                adds=adds,
-            )
-            for unit, adds in units
-        ] + [ChainLayer(linear=self.last)]
-
-    def folded(self) -> Network:
-        """The network at evaluation, for compiled code."""
-        return Network([fold(layer) for layer in self.layers()])
+            units += [block.first, block.second, block.halve]
+        return [*(unit.folded() for unit in units), (self.last.weight, self.last.bias)]
 
 
 @functools.cache

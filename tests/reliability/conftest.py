@@ -39,7 +39,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(make, "__kwdefaults__", often)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
-    monkeypatch.setenv("HYALINE_KERNELS", "off")
     # It would need a process for each call.
     monkeypatch.setattr("proxies.meshing.meshlab.meshlab_problem", lambda: "left out")
     monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)

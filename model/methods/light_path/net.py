@@ -15,7 +15,6 @@ from model.losses.pixel_losses import PatchTerms, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES, LightPathBatch, LightPathPixels, Stack
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.cpu.fused_mlp import ChainLayer, can_fuse, run_chain
 from model.nets.extrinsics import spherical_harmonics
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
@@ -272,14 +271,6 @@ class _Mlp(nn.Sequential):
             nn.Linear(hidden, hidden),
             nn.LeakyReLU(LEAKY_SLOPE, inplace=True),
             nn.Linear(hidden, num_outputs),
-        )
-
-    def forward(self, input: Float32[Tensor, "row c_in"]) -> Float32[Tensor, "row c_out"]:  # noqa: A002  (torch's name)
-        if not can_fuse(input):
-            return super().forward(input)
-        *others, last = [layer for layer in self if isinstance(layer, nn.Linear)]
-        return run_chain(
-            input, [*(ChainLayer(linear=layer, slope=LEAKY_SLOPE) for layer in others), ChainLayer(linear=last)]
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int
+from jaxtyping import Float32
 from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
@@ -16,18 +16,16 @@ from datagen.data.config import Split
 from datagen.machine.hardware import bf16_instructions
 from datagen.scene.description import Scene
 from datagen.terminal.command import say
-from model.batches.rays import Pixels, PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
+from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
 from model.batches.traced_layers import load_traced_layers, trace_cameras
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.methods.stored_pixels import load_stored, peel_as_stored
-from model.nets.cpu.fused_mlp import fold
-from model.nets.cpu.mlp_kernels import Stacks, find_kernels
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
-from model.nets.texture import NeuralTextures, TexturePyramid, make_layout, places_of
+from model.nets.texture import NeuralTextures, TexturePyramid, make_layout
 from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, Precision, TextureSharing
 
 START_ALONE = 0.5
@@ -101,26 +99,6 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
         if rays.samples == 1:
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
-
-    def render(
-        self, pixels: PixelSource[RayBatch], index: Int[Tensor, " pixel"] | None = None
-    ) -> Float32[Tensor, "pixel 3"]:
-        """sRGB colours of pixels; all pixels are looked up and drawn by one compiled loop where possible."""
-        has_loop = index is None and (self.extrinsics is None or self.extrinsics.kind == "view")
-        kernels = find_kernels() if has_loop and self.net.precision == "fp32" and pixels.device.type == "cpu" else None
-        if kernels is None or not isinstance(pixels, Pixels) or not isinstance(self.textures, NeuralTextures):
-            return super().render(pixels, index)
-        stacks = Stacks(
-            uv=pixels.uv,
-            object_id=pixels.object_id,
-            texels=self.textures.table.detach(),
-            places=places_of(self.textures.layout),
-            positions=None if self.extrinsics is None else self.extrinsics.positions,
-            position_places=None if self.extrinsics is None else places_of(self.extrinsics.layout),
-            p_camera=pixels.p_camera,
-            pixels_per_view=pixels.pixels_per_view,
-        )
-        return kernels.draw_stacks(self.net.folded(), stacks)
 
 
 class _Beside(torch.autograd.Function):
@@ -214,17 +192,17 @@ def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> Pixel
 def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: Scene) -> MethodPage:  # noqa: ARG001
     """The renderer without the layer of zeros after all others, which changes nothing."""
     features, extrinsics = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
-    first, *others = [fold(layer) for layer in renderer.net.layers()]
+    (first_weight, first_bias), *others = renderer.net.folded()
     channels = features + extrinsics
-    num_layers = first.weight.shape[1] // channels - config.zero_layer
+    num_layers = first_weight.shape[1] // channels - config.zero_layer
     columns = [at for layer in range(num_layers) for at in feature_columns(features, extrinsics, layer * channels)]
     return MethodPage(
         shader=package_text("model.methods.paper", "paper.glsl"),
         defines={"LAYERS_SEEN": num_layers, "EXTRINSICS": extrinsics, "WIDTH": config.width, "BLOCKS": config.blocks},
         textures=renderer.textures,
         weights=[
-            *layer_rows(first.weight, first.bias, columns),
-            *(rows for layer in others for rows in layer_rows(layer.weight, layer.bias)),
+            *layer_rows(first_weight, first_bias, columns),
+            *(rows for weight, bias in others for rows in layer_rows(weight, bias)),
         ],
         samples=config.render_samples,
     )

@@ -57,7 +57,6 @@ def test_a_run_is_drawn_from_its_newest_checkpoint_then_from_its_weights_and_not
 
     with pytest.raises(MovedOn):
         answers = iter([True, False])
-        monkeypatch.setattr("model.methods.paper.renderer.find_kernels", lambda: None)
         run.draw(camera, is_quick=False, is_wanted=lambda: next(answers))
     assert np.array_equal(run.draw(camera, is_quick=False), late), "the next picture is whole"
 
