@@ -81,6 +81,21 @@ def test_distinct_values_are_counted(most: int) -> None:
     assert _count_distinct(values) == len(set(values.tolist()))
 
 
+@pytest.mark.parametrize("most", [0, 50, (1 << 37) - 1])
+def test_power_is_summed_by_entry_in_the_order_of_the_photons(most: int) -> None:
+    from datagen.render.caustics import _sum_by_entry
+
+    rng = np.random.default_rng(0)
+    entries = rng.integers(0, most, 1000, endpoint=True).astype(np.uint64)
+    power = rng.random(1000).astype(np.float32)
+    found, powers = _sum_by_entry(entries, power)
+    expected: dict[int, float] = {}
+    for entry, share in zip(entries.tolist(), power.tolist()):
+        expected[entry] = expected.get(entry, 0.0) + share
+    assert dict(zip(found.tolist(), powers.tolist(), strict=True)) == expected
+    assert found.tolist() == sorted(expected)
+
+
 def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_states() -> None:
     import drjit as dr
     import mitsuba as mi
