@@ -1,6 +1,7 @@
 """Tests the shape of the code: who imports whom, where heavy packages live, how fast help answers."""
 
 import ast
+import functools
 import graphlib
 import re
 import subprocess
@@ -98,11 +99,16 @@ TOO_LONG: set[str] = set()
 MOST_FILES_OF_A_BUILD = 90
 """Those that hold code: an empty `__init__.py` does not count."""
 GROUPS = (METHODS, READERS, DATASET_READERS, FORMATS, FAMILIES, TABLES)
-FILES = {
-    path.relative_to(ROOT): ast.parse(path.read_text())
-    for package in (*PACKAGES, LIBRARY)
-    for path in sorted((ROOT / package).rglob("*.py"))
-}
+
+
+@functools.cache
+def parsed_files() -> dict[Path, ast.Module]:
+    """The packages' files by their places; parsing them takes two seconds, which only who runs these tests waits."""
+    return {
+        path.relative_to(ROOT): ast.parse(path.read_text())
+        for package in (*PACKAGES, LIBRARY)
+        for path in sorted((ROOT / package).rglob("*.py"))
+    }
 
 
 def imported_by(tree: ast.Module) -> list[str]:
@@ -118,7 +124,7 @@ def imported_by(tree: ast.Module) -> list[str]:
 
 def test_each_file_imports_only_what_its_place_allows() -> None:
     wrong = []
-    for place, tree in FILES.items():
+    for place, tree in parsed_files().items():
         names = {name.split(".")[0] for name in imported_by(tree)}
         wrong += [f"{place}: {name}" for name in (names & {*PACKAGES, LIBRARY}) - ALLOWED[place.parts[0]]]
         homeless = [name for name in names & HOMES.keys() if not {place.parts[0], place.as_posix()} & HOMES[name]]
@@ -127,12 +133,12 @@ def test_each_file_imports_only_what_its_place_allows() -> None:
 
 
 def test_each_file_says_in_its_first_line_what_it_owns() -> None:
-    assert not [str(place) for place, tree in FILES.items() if tree.body and not ast.get_docstring(tree)]
+    assert not [str(place) for place, tree in parsed_files().items() if tree.body and not ast.get_docstring(tree)]
 
 
 def test_each_file_imports_only_from_its_room_and_those_below() -> None:
     wrong = []
-    for place, tree in FILES.items():
+    for place, tree in parsed_files().items():
         package, room = place.with_suffix("").parts[:2]
         if room in ("__init__", "__main__"):
             continue
@@ -145,7 +151,7 @@ def test_each_file_imports_only_from_its_room_and_those_below() -> None:
 
 def test_the_core_imports_nothing_of_what_plugs_into_it() -> None:
     wrong = []
-    for place, tree in FILES.items():
+    for place, tree in parsed_files().items():
         if place.name == "cli.py" or _is_periphery(".".join(place.with_suffix("").parts)):
             continue
         is_door = place.as_posix().startswith(DOORS)
@@ -173,11 +179,11 @@ def test_a_build_of_a_built_in_scene_imports_few_files(tmp_path: Path) -> None:
 def test_no_function_is_longer_than_80_lines_and_no_file_than_400() -> None:
     lengths = {
         f"{place}::{node.name}": (node.end_lineno or 0) - node.lineno + 1
-        for place, tree in FILES.items()
+        for place, tree in parsed_files().items()
         for node in ast.walk(tree)
         if isinstance(node, FUNCTIONS)
     }
-    lengths |= {str(place): len((ROOT / place).read_text().splitlines()) for place in FILES}
+    lengths |= {str(place): len((ROOT / place).read_text().splitlines()) for place in parsed_files()}
     long = {name for name, lines in lengths.items() if lines > (80 if "::" in name else 400)}
     assert long <= TOO_LONG
 
@@ -190,7 +196,9 @@ def test_the_formatter_is_told_to_look_away_in_few_places() -> None:
 
 
 def test_no_imports_go_in_a_circle_deferred_ones_included() -> None:
-    modules = {".".join(place.with_suffix("").parts).removesuffix(".__init__"): tree for place, tree in FILES.items()}
+    modules = {
+        ".".join(place.with_suffix("").parts).removesuffix(".__init__"): tree for place, tree in parsed_files().items()
+    }
     waits_for = {name: modules_imported_by(tree, modules.keys()) - {name} for name, tree in modules.items()}
     order = graphlib.TopologicalSorter(waits_for)
     order.prepare()  # Raises a CycleError that names the modules of a circle.

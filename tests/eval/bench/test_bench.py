@@ -281,7 +281,7 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     ),
     "no picture": (with_file(PICTURE, b"GIF89a"), "not a PNG"),
     "another size": (with_file(PICTURE, png_bytes(np.zeros((32, 31, 3), np.uint8))), "is 31 x 32 pixels; expected 32"),
-    "a huge picture": (with_file(PICTURE, huge_png(9000)), "is 9000 x 9000 pixels; expected 32 x 32"),
+    "a huge picture": (lambda: with_file(PICTURE, huge_png(9000))(), "is 9000 x 9000 pixels; expected 32 x 32"),
 }
 
 

@@ -45,13 +45,11 @@ def test_each_mesh_of_a_serialized_file_is_read(tmp_path: Path, version: int) ->
     assert (first.faces == [[0, 1, 2]]).all()
 
 
-BOMB = struct.pack("<HH", 0x041C, 4) + zlib.compress(
-    struct.pack("<I", 0x1000) + b"b\0" + struct.pack("<QQ", 3, 1) + TRIANGLE.tobytes() + FACE + bytes(1 << 27)
-)
-
-
 def test_what_is_packed_behind_a_mesh_is_never_unpacked(tmp_path: Path) -> None:
-    (tmp_path / "a.serialized").write_bytes(serialized(BOMB))
+    bomb = struct.pack("<HH", 0x041C, 4) + zlib.compress(
+        struct.pack("<I", 0x1000) + b"b\0" + struct.pack("<QQ", 3, 1) + TRIANGLE.tobytes() + FACE + bytes(1 << 27)
+    )
+    (tmp_path / "a.serialized").write_bytes(serialized(bomb))
     assert len(read_serialized(tmp_path / "a.serialized", 0).faces) == 1
 
 
