@@ -107,7 +107,7 @@ def test_proxies_are_closed_outward_and_enclose_every_vertex_as_stored(kind: Pro
         assert measure.enclosure(proxy, truth).problem is None
 
 
-@settings(max_examples=15, deadline=None, derandomize=True)
+@settings(max_examples=10, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(3, 30), flatness=st.floats(-8, 0), distance=st.floats(-30, 30))
 def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, distance: float) -> None:
     rng = np.random.default_rng(seed)
@@ -248,11 +248,7 @@ def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, s
     a, b, c = np.moveaxis(corners, 1, 0)
     # Random points and, for the gutter, how many faces each lies in, by barycentric signs.
     points = np.random.default_rng(0).uniform(size=(2000, 2))
-    inside = np.ones((len(points), len(corners)), bool)
-    for start, end in ((a, b), (b, c), (c, a)):
-        (ex, ey), (px, py) = (end - start).T, np.moveaxis(points[:, None] - start, -1, 0)
-        inside &= ex * py - ey * px > 0  # Left of each edge: a mirrored face would hold no point at all.
-    counts = inside.sum(axis=1)
+    counts = np.concatenate([faces_around(part, a, b, c) for part in np.split(points, 50)])
     assert counts.max() == 1
     areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
     assert areas.min() > measure.ATLAS_ROOM
@@ -261,6 +257,15 @@ def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, s
     if kind in CELLS_OF_A_CHART:
         # No face spans the atlas.
         assert np.ptp(corners, axis=1).max() <= 0.51 / (CELLS_OF_A_CHART[kind] / 2)
+
+
+def faces_around(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+    """How many triangles with these corners each point lies in; few points at once, whose arrays fit into a cache."""
+    inside = np.ones((len(points), len(a)), bool)
+    for start, end in ((a, b), (b, c), (c, a)):
+        (ex, ey), (px, py) = (end - start).T, np.moveaxis(points[:, None] - start, -1, 0)
+        inside &= ex * py - ey * px > 0  # Left of each edge: a mirrored face would hold no point at all.
+    return inside.sum(axis=1)
 
 
 CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
@@ -283,8 +288,11 @@ def test_charts_of_a_box_keep_two_texels_apart_at_256() -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_ray_that_hits_the_object_hits_its_proxy_first(kind: ProxyKind) -> None:
     rng = np.random.default_rng(3)
-    truth = shapes(3)[0]
-    proxy = fit(kind, scipy_solid(truth), padding=1e-5)
+    if kind in SURFACE_KINDS:
+        truth, proxy = (meshes[2] for meshes in followed(kind))
+    else:
+        truth = shapes(3)[0]
+        proxy = fit(kind, scipy_solid(truth), padding=1e-5)
     origins = rng.normal(size=(200, 3))
     origins *= 20 / np.linalg.norm(origins, axis=-1, keepdims=True)
     targets = measure.surface_points(truth, 200)
@@ -581,7 +589,7 @@ def test_an_open_pane_gets_noise_and_stays_open() -> None:
 
 @needs_pymeshlab
 def test_pymeshlab_and_its_fallback_give_the_same_proxies_and_distances(monkeypatch: pytest.MonkeyPatch) -> None:
-    shaped = [fit(kind, scipy_solid(truth), padding=1e-5) for kind in CONVEX_KINDS for truth in shapes(0)[:2]]
+    shaped = [fit(kind, scipy_solid(truth), padding=1e-5) for kind in CONVEX_KINDS for truth in shapes(0)[:1]]
     truths = (*shaped, *shapes(0)[3:])
     solids = make_solids(truths)
     meshes = fit_proxies(solids, "ellipsoid")
