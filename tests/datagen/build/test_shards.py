@@ -108,12 +108,10 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
 
 
 @pytest.mark.slow
-def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
-    built: Path, scene_folder: Path, tmp_path: Path
-) -> None:
+@pytest.mark.full  # The quick run has the same by way of Slurm below.
+def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "jobs"
-    words = ("--launcher", "local", "--shards=2")
-    answer = build(scene_folder, out, *words)
+    answer = build(scene_folder, out, "--launcher", "local", "--shards=2")
     assert answer.status == 0, answer.err
     assert answer.out.strip() == str(out)
     assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err
@@ -121,7 +119,12 @@ def test_the_launcher_makes_all_parts_as_jobs_and_tells_of_those_that_fail(
     logs = list((tmp_path / "jobs-jobs").glob("*.err"))
     assert len(logs) == 2 and all("views with" in log.read_text() for log in logs)
 
-    answer = build(scene_folder, out, *words, "--seed", "3")
+
+@pytest.mark.slow
+def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "jobs"
+    shutil.copytree(built, out)
+    answer = build(scene_folder, out, "--launcher", "local", "--shards=2", "--seed", "3")
     assert answer.status == 1
     assert answer.err.count("(seed: 0 -> 3)") == 2 and "2 of 2 jobs failed" in answer.err.splitlines()[-1]
     failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
@@ -177,6 +180,7 @@ def test_the_launcher_sends_parts_to_slurm(
     answer = build(scene_folder, out, *asked, "--slurm-partition", "many", "--slurm-gpus", "1")
     assert answer.status == 0, answer.err
     assert "(slurm, jobs 2; each: CPUs 2, minutes 30)" in answer.err and "slurm: 2 running" in answer.err
+    assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err
     assert tree(out) == tree(built)
     submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
     options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue")
