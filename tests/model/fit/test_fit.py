@@ -112,21 +112,23 @@ def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(datase
     assert "holds a fit with another unknown" in other.error
 
 
-def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(dataset: Dataset, tmp_path: Path) -> None:
-    copy = Path(shutil.copytree(dataset.root, tmp_path / "copy"))
-    fit = f"model fit {copy} {FIT} --name fitted-b --out {tmp_path / 'fit'}"
+def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(
+    dataset: Dataset, fitted: Path, tmp_path: Path
+) -> None:
+    copy, out = Path(shutil.copytree(dataset.root, tmp_path / "copy")), shutil.copytree(fitted, tmp_path / "fit")
+    fit = f"model fit {copy} {FIT} --out {out}"
     train = (
-        f"model train light-path {copy} --geometry fitted-b --steps 2 --batch 64 --device cpu --out {tmp_path / 'run'}"
+        f"model train light-path {copy} --geometry fitted --steps 2 --batch 64 --device cpu --out {tmp_path / 'run'}"
     )
-    for words in (f"{fit} --skip search", train):
-        assert call(words).status == 0
-    hull = geometry_key(open_dataset(copy), "fitted-b")
-    assert call(fit).status == 0
-    assert geometry_key(open_dataset(copy), "fitted-b") != hull
+    assert call(train).status == 0
+    searched = geometry_key(open_dataset(copy), "fitted")
+    assert call(f"{fit} --skip search").status == 0
+    assert geometry_key(open_dataset(copy), "fitted") != searched
     assert call(f"datagen verify {copy}").status == 0
     answer = call(train)
     assert answer.status == 1
     assert "holds a run with another layers" in answer.error
+    assert (tmp_path / "fit" / "search.pt").exists()
     assert call(f"{fit} --skip search --seed 1 --overwrite").status == 0
     assert not (tmp_path / "fit" / "search.pt").exists()
 

@@ -31,7 +31,9 @@ def found(meets: Meets, wrong: float = 0.0) -> HullShape:
     return carve(sightings_of(meets, wrong=wrong), 1, UP, 0.0)
 
 
-@pytest.mark.parametrize(("wrong", "mean", "most"), [(0.0, 0.0005, 0.002), (0.02, 0.0008, 0.003)])
+@pytest.mark.parametrize(
+    ("wrong", "mean", "most"), [pytest.param(0.0, 0.0005, 0.002, marks=pytest.mark.full), (0.02, 0.0008, 0.003)]
+)
 def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_places(
     wrong: float, mean: float, most: float
 ) -> None:

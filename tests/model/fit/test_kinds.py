@@ -37,7 +37,10 @@ LYING = moved(turned(turned(cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35)
     ("meets", "kind"),
     [
         (ball((0.0, 0.01, 0.05), 0.04), "ball"),
-        (block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "box"),
+        # The quick run finds the same box below, though a part of it is hidden.
+        pytest.param(
+            block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "box", marks=pytest.mark.full
+        ),
         (traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided"),
         pytest.param(traced(LYING), "revolution", marks=pytest.mark.full),
     ],
