@@ -22,7 +22,7 @@ FLAGS = (
     *("--preset", "tiny", "--resolution", "24", "--num-layers", "4", "--views", str(VIEWS), "--test-views", "3"),
     *("--spp", "64", "--test-spp", "64"),
 )
-KILLS, SIGNALS = (3, 200), (4, 10)
+KILLS, SIGNALS = (3, 200), (2, 10)
 """So many in a quick run, and in a full one."""
 
 Build = Callable[[Path], list[str]]
