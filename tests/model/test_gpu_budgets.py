@@ -69,7 +69,8 @@ def assert_within(before: tuple[int, int, int], counts: Counts, budget: Budget) 
 
 
 @pytest.mark.parametrize(
-    "method", [pytest.param(name, marks=pytest.mark.full if name == "deepvoxels" else ()) for name in STEPS]
+    "method",
+    [pytest.param(name, marks=pytest.mark.full if name in ("deepvoxels", "dnr-authors") else ()) for name in STEPS],
 )
 def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, tmp_path: Path) -> None:
     config = dataclasses.replace(configured(glasses, method), batch=256, held_out_views=0)

@@ -102,7 +102,12 @@ PANEL = RectangleLight(corner=(-0.5, -1.5, 2), edge_u=(0, 1, 0), edge_v=(1, 0, 0
 
 @pytest.mark.parametrize(
     ("environment", "lights"),
-    [(DUSK, ()), (SPARK, ()), pytest.param(DUSK, (PANEL,), marks=pytest.mark.full), (SPARK, (PANEL,))],
+    [
+        pytest.param(DUSK, (), marks=pytest.mark.full),
+        (SPARK, ()),
+        pytest.param(DUSK, (PANEL,), marks=pytest.mark.full),
+        (SPARK, (PANEL,)),
+    ],
     ids=["soft sky", "small light in it", "lamp", "both"],
 )
 def test_the_path_tracer_is_unbiased_against_mitsubas_own(
@@ -273,7 +278,7 @@ def test_nested_media_vanish_in_a_white_furnace_however_they_overlap() -> None:
     assert np.abs(image.radiance - 1).max() < 0.1
 
 
-@pytest.mark.parametrize("modelled", ["inside", "overlapping"])
+@pytest.mark.parametrize("modelled", [pytest.param("inside", marks=pytest.mark.full), "overlapping"])
 def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
     modelled: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

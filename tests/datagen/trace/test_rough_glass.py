@@ -106,7 +106,10 @@ def test_the_lobe_of_facets_is_mitsubas(direction: tuple[float, float, float]) -
     assert np.array(found_pdf) == pytest.approx(np.array(pdf), rel=2e-3, abs=1e-5)
 
 
-@pytest.mark.parametrize("environment", [DUSK, SPARK], ids=["soft sky", "small light that is aimed at"])
+@pytest.mark.parametrize(
+    "environment",
+    [pytest.param(DUSK, id="soft sky", marks=pytest.mark.full), pytest.param(SPARK, id="small light that is aimed at")],
+)
 def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: SoftEnvironment) -> None:
     import mitsuba as mi
 

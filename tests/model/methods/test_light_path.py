@@ -377,7 +377,8 @@ def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
     assert (above.grad > 0).all()
 
 
-@pytest.mark.parametrize("texture_size", [24, 80])  # The larger ones are moved lazily.
+# The larger ones are moved lazily.
+@pytest.mark.parametrize("texture_size", [pytest.param(24, marks=pytest.mark.full), 80])
 def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, texture_size: int
 ) -> None:

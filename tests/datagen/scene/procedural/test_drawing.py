@@ -25,7 +25,7 @@ from datagen.scene.random_names import FAMILIES, RandomName, parse_random
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 
-SEEDS = (0, 1, 2, *(pytest.param(seed, marks=pytest.mark.full) for seed in (3, 4, 5)))
+SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (2, 3, 4, 5)))
 """One of each family, and once more."""
 
 
