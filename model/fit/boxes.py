@@ -15,7 +15,7 @@ from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
 from model.fit.outside import WORTH_A_TILT, find_center
 from model.fit.shapes import Glass, perpendicular
-from model.fit.silhouettes import errors, misfit, pixel_angle, pull
+from model.fit.silhouettes import errors, misfit, pull
 from model.fit.views import NearRays
 
 SEGMENTS = 4
@@ -192,7 +192,7 @@ def _fitted(
         turn: axes in the world about which the box may turn.
         softness: in pixels.
     """
-    width = softness * pixel_angle(rays) * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
+    width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
     damping, (loss, passes) = 1e-3, _misfit(box, rays, width)
     for _ in range(STEPS):
         gradient, curvature = _slopes(box, rays, passes, turn, width)

@@ -119,4 +119,5 @@ def _rays_to(sightings: Sightings, drink: int, vessel: int) -> NearRays:
         reach=np.full(len(view), np.inf),
         view=view,
         is_edge=np.zeros(len(view), bool),
+        pixel_angle=1 / sightings.cameras.focal,
     )

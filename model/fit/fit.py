@@ -96,10 +96,11 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     root = geometry_root(dataset.root, geometry)
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
         meshes = read_meshes(dataset, TRUTH)
-        sightings = read_sightings(dataset, meshes, unknown, choices.masks)
+        is_exact = choices.mask_errors == 0
+        sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
         shown = _shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
         if shown != unknown:
-            sightings = read_sightings(dataset, meshes, shown, choices.masks)
+            sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
         known = known_meshes(meshes, sightings.unknown)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)

@@ -140,7 +140,7 @@ def without_handles(rays: NearRays, vessel: Revolution, hull: HullShape) -> Near
         return rays
     meshes = tuple(_mesh(part) for part in parts)
     hits = Peeler(meshes).trace(rays.origins.astype(np.float32), rays.directions.astype(np.float32), 1)
-    return NearRays(**{field.name: getattr(rays, field.name)[hits.shape[0] < 0] for field in dataclasses.fields(rays)})
+    return rays.only(hits.shape[0] < 0)
 
 
 def _beside(vessel: Revolution, hull: HullShape) -> "list[manifold3d.Manifold]":

@@ -14,7 +14,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from model.fit.outside import find_center
 from model.fit.shapes import Glass
-from model.fit.silhouettes import pixel_angle, pull, unexplained
+from model.fit.silhouettes import pull, unexplained
 from model.fit.views import NearRays, Sightings, rays_near
 
 COARSE, FINEST = 40, 200
@@ -297,7 +297,7 @@ def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, ray
     return _Contacts(
         distance=distance,
         weights=sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(kept), len(positions))),
-        pixel=pixel_angle(rays) * nearest,
+        pixel=rays.pixel_angle * nearest,
         hits=rays.hits[kept],
     )
 

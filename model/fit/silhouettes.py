@@ -56,12 +56,6 @@ def pull(
     return Pull(slope=np.where(hits, 1, -1) * trust * wrong / width, curvature=trust * bound / width**2)
 
 
-def pixel_angle(rays: NearRays) -> float:
-    """Between the rays of neighbouring pixels, in radians."""
-    # Rays come row by row, so that most are beside the next one.
-    return float(np.median(np.linalg.norm(np.diff(rays.directions, axis=0), axis=1)))
-
-
 def unexplained(mesh: Mesh, rays: NearRays) -> float:
     """Share of the rays at a mask's edge that meet a mesh and should miss it, or the other way round.
 

@@ -17,6 +17,9 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 
+DOUBT = 3
+"""Pixels by which the outline of known things may be wrong where masks may be."""
+
 MARGIN = 4
 """Pixels around a mask whose rays bound the object; those farther out bound it less."""
 
@@ -55,12 +58,13 @@ class Sightings:
 
 
 def read_sightings(
-    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], masks: Path | None
+    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], masks: Path | None, *, is_exact: bool
 ) -> Sightings:
     """Reads the masks of the training views, and traces the known surfaces.
 
     Args:
         meshes: of all objects; those of unknown ones are not looked at.
+        is_exact: masks and known surfaces are; otherwise depths are `doubted`.
         masks: a folder with NAME/0000.png for each unknown object and training view, white where the object is seen.
             None: masks are those that the dataset has.
     """
@@ -87,14 +91,27 @@ def read_sightings(
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
         met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
+    depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
     return Sightings(
         cameras=cameras,
-        first=np.stack(first),
+        first=seen,
         touched=np.stack(touched),
-        depth=np.stack(depth).astype(np.float32),
+        depth=depths if is_exact else doubted(depths, seen),
         met=np.stack(met),
         unknown=unknown,
     )
+
+
+def doubted(
+    depth: Float32[np.ndarray, "view h w"], first: UInt8[np.ndarray, "view h w"]
+) -> Float32[np.ndarray, "view h w"]:
+    """Depths of known surfaces of which the outlines may be wrong.
+
+    A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels, which may hide
+    one of them.
+    """
+    nearest = ndimage.minimum_filter(depth, size=(1, 2 * DOUBT + 1, 2 * DOUBT + 1))
+    return np.where(first > 0, depth, nearest)
 
 
 def known_meshes(meshes: tuple[Mesh, ...], unknown: Sequence[int]) -> tuple[Mesh, ...]:
@@ -146,10 +163,13 @@ class NearRays:
     view: np.ndarray
     is_edge: Bool[np.ndarray, " ray"]
     """Within 2 pixels of where the mask begins."""
+    pixel_angle: float
+    """Radians between the rays of neighbouring pixels."""
 
     def only(self, kept: slice | Bool[np.ndarray, " ray"] | Int[np.ndarray, " kept"]) -> "NearRays":
         """Some of the rays."""
-        return NearRays(**{field.name: getattr(self, field.name)[kept] for field in dataclasses.fields(self)})
+        rays = {name: value[kept] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        return dataclasses.replace(self, **rays)
 
     def thinned(self, most: int) -> "NearRays":
         """At most about this many rays, evenly spread."""
@@ -177,4 +197,5 @@ def rays_near(sightings: Sightings, object_id: int) -> NearRays:
         reach=sightings.depth[view, row, column].astype(np.float64),
         view=view,
         is_edge=(wide & ~narrow)[view, row, column],
+        pixel_angle=1 / sightings.cameras.focal,
     )

@@ -52,7 +52,11 @@ def test_a_pane_thinner_than_a_pixel_that_leans_is_found_with_its_thickness() ->
     assert worst_corner(box, (0, 0, 0.055), sizes, turn) < 0.001
 
 
-def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face() -> None:
+@pytest.mark.parametrize("most_rays", [20_000, pytest.param(2000, id="of which only some are used")])
+def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face(
+    most_rays: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("model.fit.boxes.RAYS", most_rays)
     center, sizes = (0, 0, 0.09), (0.17, 0.12, 0.003)
     box = found(block(center, sizes, np.eye(3)), support=None)
     assert 2 * box.half_sizes.min() == pytest.approx(0.006, abs=0.0006)

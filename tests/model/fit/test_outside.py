@@ -1,5 +1,7 @@
 """Tests outsides from masks on silhouettes that are known in closed form, some pixels of which are wrong."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ from datagen.data.cameras import Cameras, look_at
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import find_hull, hull_about
 from model.fit.shapes import Axis
-from model.fit.views import Sightings, rays_near
+from model.fit.views import Sightings, doubted, rays_near
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([0.02, -0.01, 0.05])
@@ -156,3 +158,23 @@ def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:
     axis = Axis(point=CENTER, direction=UP)
     cut, whole = (hull_about(rays, axis, np.arange(-0.06, 0.07, 0.001), order=order) for order in (0, 1))
     assert cut.unexplained > whole.unexplained + 0.005
+
+
+def test_a_thing_in_front_whose_known_outline_is_too_narrow_cuts_nothing_away() -> None:
+    radius, taken = 0.045, cameras()
+    _, d = all_rays(taken)
+    mask = ball_mask(taken, radius)
+    column = np.broadcast_to(np.arange(SIZE), mask.shape)
+    hides = (column > SIZE // 2 + 2) & (np.arange(VIEWS) % 2 == 0)[:, None, None]
+    narrow = (column > SIZE // 2 + 4) & hides
+    depth = np.where(narrow, 0.1, np.inf).astype(np.float32) * np.ones_like(d[..., 0])
+    seen = dataclasses.replace(sightings_of(mask & ~hides, taken), depth=depth)
+
+    def radius_of(sightings: Sightings) -> float:
+        hull = hull_about(
+            rays_near(sightings, 1), Axis(point=CENTER, direction=UP), np.linspace(-0.06, 0.06, 241), order=0
+        )
+        return float(hull.radii.max())
+
+    assert radius_of(seen) < 0.7 * radius
+    assert radius_of(dataclasses.replace(seen, depth=doubted(depth, seen.first))) == pytest.approx(radius, abs=0.002)
