@@ -36,7 +36,7 @@ HOMES = {
     "drjit": {"datagen"},
     "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/importers/surfaces.py"},
     "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
-    "skimage": {"eval", "model/fit/hull.py"},
+    "skimage": {"eval", "model/fit/hull.py", "datagen/capture/fusing.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {

@@ -11,7 +11,8 @@ from datagen.capture.choices import CaptureChoices
 from datagen.capture.folder import Folder, Shot, read_capture
 from datagen.capture.lenses import redrawn, redrawn_mask, shared_lens
 from datagen.capture.outlines import Outline, find_outlines
-from datagen.capture.room import Part, find_up, fit_room
+from datagen.capture.room import LEAST_POINTS, Part, find_up, fit_room
+from datagen.capture.stereo import DepthMaps, find_depths
 from datagen.capture.structure import find_cameras, find_points
 from datagen.data.cameras import Cameras, Lens
 from datagen.data.config import SPLITS, Resolution, Split
@@ -41,6 +42,7 @@ from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.mending import mend_scene
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.scene.soundness import check_scene
+from datagen.terminal.command import say
 
 DISTANCE = 1.0
 """Metres from the cameras to the glass where nothing tells the scale."""
@@ -87,8 +89,9 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     }
     parts: tuple[Part, ...] = ()
     if not choices.room:
-        every = world.cameras(shots, lens).world_from_camera
-        room = fit_room(world.points(folder.points), outlines, every[:, :3, 3])
+        every, points = world.cameras(shots, lens), world.points(folder.points)
+        maps = _find_depths(shots, lens, every, points, ids) if len(points) >= LEAST_POINTS else None
+        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps)
         parts, about_world = room.parts, [*about_world, room.remark]
         if room.support is not None:
             outlines = tuple(outline.standing_on(room.support) for outline in outlines)
@@ -115,7 +118,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         shot = cast(Shot, views[split][index])
         found = object_id[ids[shot.picture]]
         return {
-            ".png": png_bytes(redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)),
+            ".png": png_bytes(_picture(shot, lens)),
             ".mask.png": png_bytes(np.where(found > 0, 255, 0).astype(np.uint8)),
             ".objects.png": png_bytes(found),
         }
@@ -146,6 +149,24 @@ def _files(folder: Folder, choices: CaptureChoices) -> list[Path]:
     """Every file whose content becomes a part of the dataset."""
     parts = [path for shot in folder.shots for path in (shot.picture, *shot.masks)]
     return [*parts, *([folder.points_file] if folder.points_file else []), *choices.room]
+
+
+def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
+    return redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)
+
+
+def _find_depths(
+    shots: list[Shot],
+    lens: Lens,
+    cameras: Cameras,
+    points: Float[np.ndarray, "point 3"],
+    ids: dict[Path, UInt8[np.ndarray, "h w"]],
+) -> DepthMaps:
+    """Depth maps of everything that is not glass."""
+    say(f"compares {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
+    return find_depths(
+        [_picture(shot, lens) for shot in shots], [ids[shot.picture] > 0 for shot in shots], cameras, points
+    )
 
 
 # Masks

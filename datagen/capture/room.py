@@ -1,7 +1,8 @@
-"""Fits an opaque room to points: a floor, the support of the glass, walls, and boxes for everything else.
+"""Fits an opaque room to points and depth maps: a floor, the support of the glass, walls, and things.
 
-Points are in metres with z up. Of every surface only its front counts, which a texture is learned for; what no points
-show (plain walls) is left to the sky.
+Things are the surfaces that depth maps show, and boxes around points where they show none. Points are in metres with z
+up. Of every surface only its front counts, which a texture is learned for; what no points show (plain walls) is left
+to the sky.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,7 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from datagen.capture.fusing import fuse
 from datagen.capture.outlines import Outline
+from datagen.capture.stereo import DepthMaps
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import moved, rotation, rounded_box, sheet, transformed
 
@@ -33,7 +36,9 @@ MAX_BEHIND = 0.05
 """Share of the points that may lie behind a wall: they were seen in a mirror, or matched wrongly."""
 BINS = 10
 """Parts of a wall; points lie on most of them, as they do not on a line through two things."""
-MAX_WALLS, MAX_BOXES = 4, 24
+MAX_WALLS, MAX_THINGS = 4, 24
+FOUND = 0.5
+"""Share of a thing's points near surfaces from depth maps, above which it needs no box."""
 MARGIN = 0.15
 """Margin added around the points of a floor or wall, relative to their extent."""
 SLAB = 0.04
@@ -92,11 +97,14 @@ def _plane_through(points: Points, place: np.ndarray, normal: np.ndarray, near: 
     return normal
 
 
-def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray, "view 3"]) -> Room:
-    """The room that points show.
+def fit_room(
+    points: Points, glass: Sequence[Outline], places: Float[np.ndarray, "view 3"], maps: DepthMaps | None = None
+) -> Room:
+    """The room that points and depth maps show.
 
     Args:
         places: of the cameras.
+        maps: depths of opaque surfaces; without them, things are boxes.
     """
     middle = np.mean([outline.center for outline in glass], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
@@ -116,6 +124,7 @@ def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray,
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
     floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
     parts: list[Part] = []
+    top: Rectangle | None = None
     # Cameras above cannot see where glass ends, so the masks' cones extend into its support.
     reach = max(4 * near, 0.3 * min(outline.radii[2] for outline in glass))
     counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
@@ -129,16 +138,31 @@ def fit_room(points: Points, glass: Sequence[Outline], places: Float[np.ndarray,
     parts += [_wall(f"wall_{place}", wall, walls, floor) for place, wall in enumerate(walls)]
     ground = _floor(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
     parts.insert(0, Part(name="floor", mesh=ground.sheet(floor)))
+
+    def is_thing(place: Points) -> Bool[np.ndarray, "_"]:
+        """True where a surface is neither the floor, the table nor a wall."""
+        kept = place[:, 2] > floor + 2 * near
+        if top is not None:
+            kept &= ~(top.holds(place[:, :2], margin=near) & (np.abs(place[:, 2] - support) < 2 * near))
+        for wall in walls:
+            kept &= wall.ahead(place[:, :2]) > FARTHER * near
+        return kept
+
+    things: list[Mesh] = []
+    if maps is not None and len(rest) >= LEAST_POINTS:
+        low, high = np.percentile(rest, (1, 99), axis=0) + 4 * near * np.array([[-1], [1]])
+        things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
+    parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things)]
     boxes = []
-    for thing in _things(rest, CELL * radius):
+    for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
         box = _rectangle(thing[:, :2])
-        foot, high = np.percentile(thing[:, 2], (2, 98)).tolist()
+        foot, head = np.percentile(thing[:, 2], (2, 98)).tolist()
         base = support if foot > support - 2 * near else floor
         # Points at its foot may be missing; something on a glass table has no surface below it.
-        low = base if foot - base < 0.5 * (high - foot) else foot
-        if high - low > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, high, places):
-            boxes.append(Part(name=f"box_{len(boxes)}", mesh=_standing(box, low, high)))
-    parts += boxes[:MAX_BOXES]
+        bottom = base if foot - base < 0.5 * (head - foot) else foot
+        if head - bottom > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, head, places):
+            boxes.append(Part(name=f"box_{len(boxes)}", mesh=_standing(box, bottom, head)))
+    parts += boxes[: MAX_THINGS - len(things)]
     kinds = f"a floor, {'a table, ' * (support > floor + 4 * near)}{len(walls)} walls and {len(parts[1:])} parts in all"
     remark = f"room: {kinds} were fitted to {len(points):,} points; --room takes meshes instead"
     return Room(parts=tuple(parts), support=support, remark=remark)
@@ -161,6 +185,17 @@ def _levels(points: Points, near: float, few: float, *, below: float) -> list[fl
         found.append(level)
         heights = heights[np.abs(heights - level) > 4 * near]
     return sorted(found)
+
+
+def _far_from(meshes: Sequence[Mesh], points: Points, cell: float, near: float) -> Points:
+    """The points of things that meshes do not show."""
+    from scipy.spatial import KDTree
+
+    if not meshes:
+        return points
+    surface = KDTree(np.concatenate([mesh.vertices for mesh in meshes]))
+    others = [thing for thing in _things(points, cell) if (surface.query(thing)[0] < near).mean() < FOUND]
+    return np.concatenate([points[:0], *others])
 
 
 def _largest_thing(points: Points, cell: float) -> Points:

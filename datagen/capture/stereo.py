@@ -1,0 +1,241 @@
+"""Depth maps of opaque surfaces, from pictures whose cameras are known.
+
+Source: plane sweeping (Collins 1996): each view's surroundings are compared with other views as if they lay on planes
+at many depths, by normalised cross-correlation, which a change of brightness leaves as it is. Glass is left out, and
+so are depths that other views deny.
+"""
+
+# Numba's decorators are untyped.
+# pyright: reportMissingTypeStubs=false
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int, UInt8
+
+from datagen.data.cameras import Cameras
+from datagen.machine.mitsuba_variant import num_cores
+from datagen.terminal.command import track
+
+PLANES = 192
+"""Depths that are tried, evenly spaced in 1 / depth."""
+SOURCES = 6
+"""Other views that a view is compared with; the best half of them counts, since some see it hidden."""
+ANGLE_DEG, ANGLES_DEG = 15.0, (4.0, 35.0)
+"""Best angle between a view and those it is compared with, and its limits."""
+HALF_WINDOW = 3
+"""Pixels on either side of the one that is compared."""
+LEAST_SCORE = 0.6
+"""Mean cross-correlation of a depth that is kept."""
+LEAST_CONTRAST = 0.006
+"""Standard deviation of brightness (of 1) in a window, below which noise decides."""
+AGREE, LEAST_AGREEING = 0.02, 2
+"""Other views have to find the same depth up to this share of it, and so many of them."""
+BORDERS = (0.8, 1.25)
+"""Depths begin and end at these multiples of the nearest and the farthest points."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DepthMaps:
+    """Depths along the cameras' axes in metres; 0 where none was found."""
+
+    cameras: Cameras
+    depth: Float32[np.ndarray, "view h w"]
+
+
+def find_depths(
+    pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
+    is_glass: Sequence[Bool[np.ndarray, "h w"]],
+    cameras: Cameras,
+    points: Float[np.ndarray, "point 3"],
+) -> DepthMaps:
+    """The depth map of each view.
+
+    Args:
+        points: some points of the scene, which tell the range of depths.
+    """
+    grey = np.stack([picture.astype(np.float32).mean(axis=-1) / 255 for picture in pictures])
+    opaque = ~np.stack(is_glass)
+    projections = projections_of(cameras)
+    near, far = _range(cameras, points)
+    planes = (1 / np.linspace(1 / far, 1 / near, PLANES)).astype(np.float32)
+    sources = [_sources(cameras, view, points) for view in range(len(cameras))]
+
+    def sweep(view: int) -> Float32[np.ndarray, "h w"]:
+        others = sources[view]
+        turn, shift = _between(projections, view, others)
+        return _sweep(grey[view], opaque[view], grey[others], opaque[others], turn, shift, planes)
+
+    def agreed(view: int) -> Float32[np.ndarray, "h w"]:
+        others = sources[view]
+        return _agreed(depth[view], depth[others], *_between(projections, view, others))
+
+    with ThreadPoolExecutor(num_cores()) as pool:  # Compiled code lets go of Python's lock.
+        views = range(len(cameras))
+        depth = np.stack(list(track(pool.map(sweep, views), label="depth maps", total=len(views))))
+        return DepthMaps(cameras=cameras, depth=np.stack(list(pool.map(agreed, views))))
+
+
+def _range(cameras: Cameras, points: Float[np.ndarray, "point 3"]) -> tuple[float, float]:
+    depths = np.concatenate([cameras[view].project(points)[1] for view in range(len(cameras))])
+    near, far = np.percentile(depths[depths > 0], (1, 99))
+    return BORDERS[0] * float(near), BORDERS[1] * float(far)
+
+
+def _sources(cameras: Cameras, view: int, points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " source"]:
+    """The views that see the scene's middle from about `ANGLE_DEG` beside a view."""
+    away = cameras.world_from_camera[:, :3, 3] - np.median(points, axis=0)
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip(away @ away[view], -1, 1)))
+    order = np.argsort(np.abs(angle - ANGLE_DEG), kind="stable")
+    return order[(angle[order] > ANGLES_DEG[0]) & (angle[order] < ANGLES_DEG[1])][:SOURCES]
+
+
+def projections_of(cameras: Cameras) -> Float[np.ndarray, "view 3 4"]:
+    """From the world to pixels times depth, rows downwards."""
+    world = cameras.world_from_camera
+    turn = np.diag([1.0, -1.0, -1.0]) @ world[:, :3, :3].transpose(0, 2, 1)
+    linear = cameras.intrinsics @ turn
+    return np.concatenate([linear, -linear @ world[:, :3, 3:]], axis=2)
+
+
+def _between(
+    projections: Float[np.ndarray, "view 3 4"], view: int, others: Int[np.ndarray, " source"]
+) -> tuple[Float32[np.ndarray, "source 3 3"], Float32[np.ndarray, "source 3"]]:
+    """A pixel (x, y, 1) of a view at a depth is seen by another at `depth * turn @ pixel + shift`, times its depth."""
+    back = np.linalg.inv(projections[view, :, :3])
+    turn = projections[others, :, :3] @ back
+    shift = projections[others, :, 3] - turn @ projections[view, :, 3]
+    return turn.astype(np.float32), shift.astype(np.float32)
+
+
+@numba.njit(nogil=True, cache=True)
+def _sweep(grey, opaque, others, others_opaque, turn, shift, planes):
+    """Depth with the best score at each pixel; 0 where no score is good."""
+    height, width = grey.shape
+    scores = np.empty((len(planes), height, width), np.float32)
+    for plane in range(len(planes)):
+        best = np.full((3, height, width), np.float32(-1))
+        for source in range(len(others)):
+            seen, weight = _warp(
+                others[source], others_opaque[source], opaque, turn[source], shift[source], planes[plane]
+            )
+            _keep_best(best, _correlation(grey, seen, weight))
+        scores[plane] = (best[0] + best[1] + best[2]) / 3
+    depth = np.zeros((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            at = scores[:, row, column].argmax()
+            if not opaque[row, column] or scores[at, row, column] < LEAST_SCORE or at == 0 or at == len(planes) - 1:
+                continue
+            low, mid, high = scores[at - 1, row, column], scores[at, row, column], scores[at + 1, row, column]
+            bend = low - 2 * mid + high
+            off = np.float32(0) if bend > -1e-6 else np.float32(0.5) * (low - high) / bend
+            step = 1 / planes[at + 1] - 1 / planes[at]
+            depth[row, column] = 1 / (1 / planes[at] + off * step)
+    return depth
+
+
+@numba.njit
+def _warp(other, other_opaque, opaque, turn, shift, depth):
+    """Another view as seen from a plane in front of this one, and 1 where it shows something opaque."""
+    height, width = opaque.shape
+    seen, weight = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
+    for row in range(height):
+        for column in range(width):
+            x, y = np.float32(column + 0.5), np.float32(row + 0.5)
+            ahead = depth * (turn[2, 0] * x + turn[2, 1] * y + turn[2, 2]) + shift[2]
+            if not opaque[row, column] or ahead <= 0:
+                continue
+            u = (depth * (turn[0, 0] * x + turn[0, 1] * y + turn[0, 2]) + shift[0]) / ahead - np.float32(0.5)
+            v = (depth * (turn[1, 0] * x + turn[1, 1] * y + turn[1, 2]) + shift[1]) / ahead - np.float32(0.5)
+            if not (0 <= u < width - 1 and 0 <= v < height - 1):
+                continue
+            left, top = int(u), int(v)
+            if not other_opaque[int(v + np.float32(0.5)), int(u + np.float32(0.5))]:
+                continue
+            a, b = u - left, v - top
+            upper = (1 - a) * other[top, left] + a * other[top, left + 1]
+            lower = (1 - a) * other[top + 1, left] + a * other[top + 1, left + 1]
+            seen[row, column], weight[row, column] = (1 - b) * upper + b * lower, 1
+    return seen, weight
+
+
+@numba.njit
+def _correlation(grey, seen, weight):
+    """Normalised cross-correlation of each pixel's window; -1 where less than half of it is seen, or it is plain."""
+    least = np.float32((2 * HALF_WINDOW + 1) ** 2 / 2)
+    flat = np.float32(LEAST_CONTRAST**2)
+    count = _sums(weight)
+    a, b = _sums(weight * grey), _sums(weight * seen)
+    aa, bb, ab = _sums(weight * grey * grey), _sums(weight * seen * seen), _sums(weight * grey * seen)
+    found = np.full(grey.shape, np.float32(-1))
+    for row in range(grey.shape[0]):
+        for column in range(grey.shape[1]):
+            n = count[row, column]
+            if n < least:
+                continue
+            mean_a, mean_b = a[row, column] / n, b[row, column] / n
+            var_a, var_b = aa[row, column] / n - mean_a**2, bb[row, column] / n - mean_b**2
+            if var_a > flat and var_b > flat:
+                found[row, column] = (ab[row, column] / n - mean_a * mean_b) / np.sqrt(var_a * var_b)
+    return found
+
+
+@numba.njit
+def _sums(values):
+    """The sum over each pixel's window; beyond the border are zeros."""
+    height, width = values.shape
+    rows, sums = np.zeros_like(values), np.zeros_like(values)
+    for row in range(height):
+        total = np.float32(0)
+        for column in range(-HALF_WINDOW, width):
+            if column + HALF_WINDOW < width:
+                total += values[row, column + HALF_WINDOW]
+            if column - HALF_WINDOW - 1 >= 0:
+                total -= values[row, column - HALF_WINDOW - 1]
+            if column >= 0:
+                rows[row, column] = total
+    for row in range(height):
+        for near in range(max(row - HALF_WINDOW, 0), min(row + HALF_WINDOW + 1, height)):
+            sums[row] += rows[near]
+    return sums
+
+
+@numba.njit
+def _keep_best(best, scores):
+    """Keeps the three best scores of each pixel, in falling order."""
+    for row in range(scores.shape[0]):
+        for column in range(scores.shape[1]):
+            score = scores[row, column]
+            for place in range(3):
+                if score > best[place, row, column]:
+                    best[place, row, column], score = score, best[place, row, column]
+
+
+@numba.njit(nogil=True, cache=True)
+def _agreed(depth, others, turn, shift):
+    """The depths that enough other views find, too; 0 for the rest."""
+    height, width = depth.shape
+    kept = np.zeros_like(depth)
+    for row in range(height):
+        for column in range(width):
+            here = depth[row, column]
+            if here <= 0:
+                continue
+            x, y, agree = np.float32(column + 0.5), np.float32(row + 0.5), 0
+            for source in range(len(others)):
+                t, s = turn[source], shift[source]
+                ahead = here * (t[2, 0] * x + t[2, 1] * y + t[2, 2]) + s[2]
+                if ahead <= 0:
+                    continue
+                u = int(np.floor((here * (t[0, 0] * x + t[0, 1] * y + t[0, 2]) + s[0]) / ahead))
+                v = int(np.floor((here * (t[1, 0] * x + t[1, 1] * y + t[1, 2]) + s[1]) / ahead))
+                if 0 <= u < width and 0 <= v < height and abs(others[source, v, u] - ahead) < AGREE * ahead:
+                    agree += 1
+            if agree >= LEAST_AGREEING:
+                kept[row, column] = here
+    return kept
