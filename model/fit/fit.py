@@ -10,19 +10,20 @@ again     the textures once more, from all pixels with the glass that was found,
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float64, Int
+from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from datagen.build.build import peel_dataset
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
 from datagen.data.images import to_8bit
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import PROXIES, holding
@@ -32,6 +33,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric
 from datagen.terminal.command import choose, say, track
 from model.fit import drinks, pictures, room
+from model.fit.boxes import Box
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
@@ -50,7 +52,7 @@ from model.fit.search import (
     scan,
 )
 from model.fit.shapes import Glass
-from model.fit.views import Sightings, known_meshes, read_sightings
+from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -221,42 +223,42 @@ class _Work:
 
     def _find_outsides(self) -> Objects:
         found: Objects = {}
-        holders = drinks.find_holders(self.sightings)
+        sightings, holders = self.sightings, drinks.find_holders(self.sightings)
+        apart = [each for each in sightings.unknown if each not in {*holders, *holders.values()}]
+        # What others may stand on, such as a table top, comes first.
+        for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
+            found[object_id] = self._find_outside(object_id, sightings)
+            if isinstance(found[object_id].glass, Box):
+                sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
         for inside, vessel in holders.items():
             if vessel in found:
                 continue
-            outside = self._find_outside(vessel, drinks.merged(self.sightings, {inside: vessel}))
-            if (glass := drinks.with_drink(outside.glass, self.sightings, inside, vessel)) is not None:
+            outside = self._find_outside(vessel, drinks.merged(sightings, {inside: vessel}))
+            if (glass := drinks.with_drink(outside.glass, sightings, inside, vessel)) is not None:
                 found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
                 say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
         held = {item.drink_id for item in found.values()}
-        for object_id in self.sightings.unknown:
+        for object_id in sightings.unknown:
             if object_id not in found and object_id not in held:
-                found[object_id] = self._find_outside(object_id, self.sightings)
+                found[object_id] = self._find_outside(object_id, sightings)
         self._show_outsides(found)
         return dict(sorted(found.items()))
 
     def _find_outside(self, object_id: int, sightings: Sightings) -> FoundGlass:
+        below = (*known_meshes(self.known, self.sightings.filling), *sightings.found)
         try:
             outside = choose_outside(
-                sightings, object_id, UP, mask_errors=self.choices.mask_errors, stands_on=self._stands_on
+                sightings,
+                object_id,
+                UP,
+                mask_errors=self.choices.mask_errors,
+                stands_on=partial(height_below, below, UP),
             )
         except HyalineError as error:
             raise HyalineError(f"{self._name(object_id)}: {error}") from None
         wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
         return FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
-
-    def _stands_on(self, point: Float64[np.ndarray, "3"], reach: float) -> float | None:
-        from datagen.trace.peel import Peeler
-
-        below = known_meshes(self.known, self.sightings.filling)
-        if not any(map(is_there, below)):
-            return None
-        start = point + reach * UP
-        hits = Peeler(below).trace(start.astype(np.float32)[None], -UP.astype(np.float32)[None], 1)
-        is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
-        return float(start @ UP - hits.t[0, 0]) if is_near else None
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)

@@ -41,6 +41,8 @@ class Sightings:
     """Ids of the objects of unknown shape."""
     filling: tuple[int, ...] = ()
     """Ids of known objects inside unknown ones, such as a straw in a glass."""
+    found: tuple[Mesh, ...] = ()
+    """Objects whose shapes were unknown and are found (`with_known`)."""
 
     def rays(self) -> tuple[Float32[np.ndarray, "view 3"], Float32[np.ndarray, "view h w 3"]]:
         """Origins and unit directions."""
@@ -102,6 +104,27 @@ def read_sightings(
     )
 
 
+def with_known(sightings: Sightings, object_id: int, mesh: Mesh) -> Sightings:
+    """The same with an object whose shape is known now: the others that its pixels do not show end before it."""
+    from datagen.trace.peel import Peeler
+
+    peeler, depth = Peeler((mesh,)), sightings.depth.copy()
+    for view, shows in enumerate(sightings.sees(object_id)):
+        origin, directions = sightings.cameras[view].rays()
+        hits = peeler.trace(origin, directions[shows], 1)
+        # Beside the mesh, nothing is known of what the pixel's ray meets.
+        depth[view, shows] = np.where(hits.shape[0] >= 0, np.minimum(hits.t[0], depth[view, shows]), 0)
+    seen = sightings.sees(object_id)
+    return dataclasses.replace(
+        sightings,
+        first=np.where(seen, 0, sightings.first).astype(np.uint8),
+        depth=depth,
+        met=np.where(seen, object_id, sightings.met).astype(np.uint8),
+        unknown=tuple(each for each in sightings.unknown if each != object_id),
+        found=(*sightings.found, mesh),
+    )
+
+
 def doubted(
     depth: Float32[np.ndarray, "view h w"], first: UInt8[np.ndarray, "view h w"]
 ) -> Float32[np.ndarray, "view h w"]:
@@ -112,6 +135,21 @@ def doubted(
     """
     nearest = ndimage.minimum_filter(depth, size=(1, 2 * DOUBT + 1, 2 * DOUBT + 1))
     return np.where(first > 0, depth, nearest)
+
+
+def height_below(
+    surfaces: tuple[Mesh, ...], up: Float64[np.ndarray, "3"], point: Float64[np.ndarray, "3"], reach: float
+) -> float | None:
+    """Height along `up` of the first surface straight below a point, or up to `reach` above it; None where the first
+    one is farther than that below it."""
+    from datagen.trace.peel import Peeler
+
+    if not any(map(is_there, surfaces)):
+        return None
+    start = point + reach * up
+    hits = Peeler(surfaces).trace(start.astype(np.float32)[None], -up.astype(np.float32)[None], 1)
+    is_near = hits.shape[0, 0] >= 0 and hits.t[0, 0] < 2 * reach
+    return float(start @ up - hits.t[0, 0]) if is_near else None
 
 
 def known_meshes(meshes: tuple[Mesh, ...], unknown: Sequence[int]) -> tuple[Mesh, ...]:

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from datagen.data.cameras import Cameras, look_at
+from datagen.machine.mitsuba_variant import use_mitsuba
+from model.fit.boxes import Box
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import find_hull, hull_about
 from model.fit.shapes import Axis
-from model.fit.views import Sightings, doubted, rays_near
+from model.fit.views import Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([0.02, -0.01, 0.05])
@@ -178,3 +180,27 @@ def test_a_thing_in_front_whose_known_outline_is_too_narrow_cuts_nothing_away() 
 
     assert radius_of(seen) < 0.7 * radius
     assert radius_of(dataclasses.replace(seen, depth=doubted(depth, seen.first))) == pytest.approx(radius, abs=0.002)
+
+
+def test_a_pane_of_glass_that_is_found_is_a_surface_that_others_stand_on() -> None:
+    use_mitsuba()
+    radius, top, taken = 0.045, 0.005, cameras()
+    o, d = all_rays(taken)
+    ball = ball_mask(taken, radius)
+    pane = d[..., 2] < 0  # As large as the pictures; cameras are above it.
+    first = np.where(ball, 1, np.where(pane, 2, 0)).astype(np.uint8)
+    seen = dataclasses.replace(sightings_of(ball | pane, taken), first=first, unknown=(1, 2))
+    box = Box(
+        center=np.array([0.0, 0.0, top - 0.004]),
+        axes=np.eye(3),
+        half_sizes=np.array([3.0, 3.0, 0.004]),
+        rounding=0.001,
+    )
+    known = with_known(seen, 2, box.mesh())
+    assert known.unknown == (1,) and not (known.first == 2).any() and (known.met[pane & ~ball] == 2).all()
+    down = ((top - o[..., 2]) / d[..., 2])[pane & ~ball]
+    depth = known.depth[pane & ~ball]
+    assert np.allclose(depth[down < 2], down[down < 2], rtol=1e-4)
+    assert not depth[down > 6].any(), "beside the box, rays say nothing"
+    assert height_below(known.found, UP, np.array([0.0, 0.0, 0.02]), 0.03) == pytest.approx(top, abs=1e-5)
+    assert height_below(known.found, UP, np.array([0.0, 0.0, 0.2]), 0.03) is None
