@@ -196,8 +196,8 @@ def capture(
     """Make a dataset from a folder of pictures and masks of glass.
 
     Takes cameras from a transforms file or COLMAP's sparse/0, and otherwise finds them (`pip install
-    'hyaline-glass[capture]'`). The opaque room is made of planes and boxes, or of --room. An ellipsoid holds the place
-    of each object of glass until `model fit` finds its shape. If interrupted, the same command resumes.
+    'hyaline-glass[capture]'`). The opaque room is made of planes, surfaces and boxes, or of --room. An ellipsoid holds
+    the place of each object of glass until `model fit` finds its shape. If interrupted, the same command resumes.
 
     Args:
         folder: A folder with images/ and masks/OBJECT/, one mask for each picture, white where the object is seen.

@@ -27,9 +27,9 @@ TRUNCATION = 3.0
 LEAST_VIEWS = 3.0
 """Views that must have seen a voxel."""
 SMOOTHING = 1.0
-"""Standard deviation in voxels of the filter that takes noise from distances."""
+"""Standard deviation in voxels of the Gaussian filter that smooths distances."""
 LEAST_AREA = 60.0
-"""Of a piece, in squares of a voxel's side; smaller ones are errors of depth maps."""
+"""Area of the smallest piece that is kept, in squares of a voxel's side; smaller ones are errors of depth maps."""
 
 
 def fuse(

@@ -33,7 +33,7 @@ LEAST_SCORE = 0.6
 LEAST_CONTRAST = 0.006
 """Standard deviation of brightness (of 1) in a window, below which noise decides."""
 AGREE, LEAST_AGREEING = 0.02, 2
-"""Other views have to find the same depth up to this share of it, and so many of them."""
+"""Relative tolerance within which other views must find the same depth, and how many must."""
 BORDERS = (0.8, 1.25)
 """Depths begin and end at these multiples of the nearest and the farthest points."""
 

@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 DOUBT = 3
-"""Pixels by which the outline of known things may be wrong where masks may be."""
+"""Largest error in pixels of the outlines of known surfaces, where masks are not exact."""
 
 MARGIN = 4
 """Pixels around a mask whose rays bound the object; those farther out bound it less."""
@@ -128,7 +128,7 @@ def with_known(sightings: Sightings, object_id: int, mesh: Mesh) -> Sightings:
 def doubted(
     depth: Float32[np.ndarray, "view h w"], first: UInt8[np.ndarray, "view h w"]
 ) -> Float32[np.ndarray, "view h w"]:
-    """Depths of known surfaces of which the outlines may be wrong.
+    """Depths of known surfaces whose outlines may be wrong.
 
     A ray that misses all unknown objects says nothing behind the nearest surface within `DOUBT` pixels, which may hide
     one of them.
