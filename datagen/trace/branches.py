@@ -23,8 +23,8 @@ SPARE_STEPS = 16
 """Trace steps beyond the vertices of all branches, for hits that do not count: faces met again, surfaces of solids
 inside others."""
 
-MIN_THROUGHPUT = 1 / 512
-"""Branches that start with a smaller throughput are not followed; it is below one step of an 8-bit picture."""
+MOST_GAIN = 1.25
+"""Largest factor by which the light of the branches that are followed makes up for that of the others."""
 
 FIRST_MIRROR = 16.0
 """Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
@@ -60,6 +60,10 @@ class _State(NamedTuple):
     step: "mi.UInt32"
     queue: "tuple[_Start, ...]"
     """Sorted by weight."""
+    ended: "mi.Color3f"
+    """Share of the camera's light that comes along the branches that have ended."""
+    waiting: "mi.Color3f"
+    """The same of branches that are not followed, or not yet."""
     active: "mi.Bool"
 
 
@@ -76,9 +80,7 @@ EXIT = 256
 """Marks the end of a branch that leaves the scene; at other ends is one more than the shape's index."""
 
 
-def follow_branches(
-    scene, tables, media, o, d, rows, shift, count, max_branches, max_vertices, max_depth, kept: Kept | None
-):
+def follow_branches(scene, tables, media, o, d, rows, shift, count, limits: Limits, kept: Kept | None):
     """One kernel for all branches of `count` rays from `o` along `d`.
 
     Args:
@@ -92,7 +94,7 @@ def follow_branches(
     """
     import drjit as dr
 
-    limits = Limits(max_branches, max_vertices, max_depth)
+    limits = Limits(*limits)
     kernel = Kernel(scene, SurfaceTables(*tables), media, limits, rows, shift)
     disperses = kernel.tables.disperses
     if kept is None:
@@ -107,7 +109,9 @@ def follow_branches(
     def advance(*state):
         return tuple(_advance(kernel, outputs, _State(*state)))
 
-    dr.while_loop(tuple(_first_state(kernel, o, d, count)), is_tracing, advance, label="light_path")
+    last = dr.while_loop(tuple(_first_state(kernel, o, d, count)), is_tracing, advance, label="light_path")
+    if limits.makes_up:
+        outputs.arrays["gain"] = _gain(_State(*last))
     return outputs.arrays
 
 
@@ -126,6 +130,8 @@ def _first_state(kernel: Kernel, o, d, count: int) -> _State:
         vertex=dr.zeros(mi.UInt32, count),
         step=dr.zeros(mi.UInt32, count),
         queue=tuple(tuple(_no_start(kernel, count)) for _ in range(kernel.limits.max_branches - 1)),
+        ended=dr.zeros(mi.Color3f, count),
+        waiting=dr.zeros(mi.Color3f, count),
         active=dr.full(mi.Bool, True, count),
     )
 
@@ -153,7 +159,7 @@ def _advance(kernel: Kernel, outputs: "_Outputs | _EndOutputs", state: _State) -
     if kernel.tables.disperses:
         outputs.record_dispersion(kernel, sides)
     bounce = bounce_of(kernel, hit, sides, state.d, state.step)
-    state = state._replace(queue=_with_mirror(hit, sides, bounce, state))
+    state = _with_mirror(kernel, hit, sides, bounce, state)
     return _turn(kernel, *_go_on(kernel, hit, sides, bounce, state))
 
 
@@ -171,13 +177,14 @@ def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
     return state._replace(beta=beta, way=state.way + length)
 
 
-def _with_mirror(hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> tuple:
-    """The queue with a further branch, where light also comes by reflection. It is sorted; its last one falls out."""
+def _with_mirror(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> _State:
+    """Queues a further branch, where light also comes by reflection. The queue is sorted; its last one falls out."""
     import drjit as dr
 
     beta = state.beta * bounce.mirror_share
     weight = dr.max(beta)
-    starts = hit.counts & ~sides.is_void & (sides.kind != OPAQUE) & ~bounce.total & (weight > MIN_THROUGHPUT)
+    mirrors = hit.counts & ~sides.is_void & (sides.kind != OPAQUE) & ~bounce.total
+    starts = mirrors & (weight > kernel.limits.min_throughput)
     weight = dr.select((state.branch == 0) & (state.vertex == 0), FIRST_MIRROR, weight)
     p = hit.p + hit.outward * hit.offset
     start = (dr.select(starts, weight, 0), p, bounce.mirrored, beta, hit.face, state.solids)
@@ -186,7 +193,18 @@ def _with_mirror(hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> tuple
         is_better = start[0] > other[0]
         sorted_queue.append(_choose(is_better, start, other))
         start = _choose(is_better, other, start)
-    return tuple(sorted_queue)
+    state = state._replace(queue=tuple(sorted_queue))
+    if not kernel.limits.makes_up:
+        return state
+    return state._replace(waiting=state.waiting + dr.select(mirrors, _in_air(kernel, beta, state.solids), 0))
+
+
+def _in_air(kernel: Kernel, beta, solids):
+    """The throughput of a branch that is in these solids, as if it were in air: radiance grows with n squared."""
+    import drjit as dr
+    import mitsuba as mi
+
+    return beta * dr.square(dr.gather(mi.Float, kernel.tables.medium_ior, medium_of(kernel.media, solids)))
 
 
 def _choose(condition, these, others) -> tuple:
@@ -206,6 +224,7 @@ def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State
     goes_through = passes & ~bounce.total
     o = dr.select(passes, hit.p + dr.select(goes_through, -hit.outward, hit.outward) * hit.offset, state.o)
     vertex = dr.select(real, state.vertex + 1, state.vertex)
+    has_ended = missed | (hit.counts & ~passes)
     on = state._replace(
         o=dr.select(again, o + state.d * (hit.t * (1 + 2.4e-7) + 1e-7), o),
         d=dr.select(passes, bounce.next_d, state.d),
@@ -216,7 +235,9 @@ def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State
         vertex=vertex,
         step=state.step + 1,
     )
-    is_over = missed | (hit.counts & ~passes) | (real & (vertex == kernel.limits.max_depth))
+    if kernel.limits.makes_up:
+        on = on._replace(ended=state.ended + dr.select(has_ended, _in_air(kernel, state.beta, state.solids), 0))
+    is_over = has_ended | (real & (vertex == kernel.limits.max_depth))
     if kernel.tables.has_rough_glass:
         # A refracted ray that does not leave its facet on the other side is lost.
         is_over |= real & (dr.max(on.beta) == 0)
@@ -240,6 +261,9 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
             solids=dr.select(turns, first.solids, state.solids),
             queue=tuple(_choose(turns, after, this) for this, after in zip(queue, behind, strict=True)),
         )
+        if limits.makes_up:
+            followed = dr.select(turns, _in_air(kernel, first.beta, first.solids), 0)
+            state = state._replace(waiting=state.waiting - followed)
     max_steps = limits.max_branches * limits.max_depth + SPARE_STEPS
     return state._replace(
         way=dr.select(turns, 0, state.way),
@@ -247,6 +271,14 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
         branch=dr.select(turns, state.branch + 1, state.branch),
         active=state.active & (~is_over | turns) & (state.step < max_steps),
     )
+
+
+def _gain(last: _State):
+    """By what the light of each ray's ends has to be multiplied to make up for branches that were not followed."""
+    import drjit as dr
+
+    gain = dr.select(last.ended > 0, 1 + last.waiting / last.ended, 1)
+    return dr.ravel(dr.clip(gain, 1, MOST_GAIN))
 
 
 class _Arrays:

@@ -5,8 +5,8 @@ Branch 0 is refracted: through every dielectric interface by Snell's law (total 
 straight through thin panes, until it hits something opaque or leaves the scene. Branch 1 is reflected at the first
 surface, if that is glass or glossy, and then followed in the same way; rough surfaces reflect it by one facet, so that
 several rays together show a blurred reflection. Further branches are reflected at later surfaces of any branch, those
-of the largest throughput first. Light of branches beyond `max_branches` is not traced; the renderer has to make up for
-it.
+of the largest throughput first. Faint branches and those beyond `max_branches` are not followed: either the renderer
+makes up for their light, or, where `Limits.makes_up`, they count as if they showed what the ray's other branches show.
 
 Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
 way; `trace_ends` also follows red and blue, only for rays that hit such glass.
@@ -104,6 +104,7 @@ class PathEnds:
     cosine: Float32[np.ndarray, " end"]
     """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
     throughput: Float32[np.ndarray, "end 3"]
+    """As in `TracedPaths`; where `Limits.makes_up`, with a share of the branches that were not followed."""
     position: Float32[np.ndarray, "end 3"] | None = None
     reflected: Float32[np.ndarray, "end 3"] | None = None
     """The arriving direction, mirrored at the surface."""
@@ -260,7 +261,7 @@ class LightPathTracer:
         arrays = run(slice(None), stacked, facets, GREEN)
         parted = np.flatnonzero(arrays["disperses"]) if self._tables.disperses else np.zeros(0, np.int64)
         if not len(parted):
-            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, None)]
+            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, _gain(arrays))]
         else:
             # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
             piece = max(1, count // PIECES)
@@ -271,7 +272,8 @@ class LightPathTracer:
                 weight = np.tile(ONLY[channel], (len(filled), 1))
                 bundles.append((run(filled, (), spread, channel), parted, weight))
             parts = [
-                _pack(values, limits.max_branches, rays, self._object_id, weight) for values, rays, weight in bundles
+                _pack(values, limits.max_branches, rays, self._object_id, weight * _gain(values))
+                for values, rays, weight in bundles
             ]
         slots = count, sum(stacked)
         stack = None
@@ -318,7 +320,7 @@ class LightPathTracer:
                 tuple(rows),
                 dr.opaque(mi.UInt32, seed),
                 count,
-                *limits,
+                tuple(limits),
                 None if kept is None else tuple(kept),
             )
         dr.eval(outputs)
@@ -330,12 +332,17 @@ def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
     return (r2_steps(count) % 1).astype(np.float32)
 
 
+def _gain(arrays: Arrays) -> Float32[np.ndarray, "#traced 3"]:
+    """By what each ray's ends make up for the branches that were not followed."""
+    return arrays["gain"].reshape(-1, 3) if "gain" in arrays else np.ones((1, 3), np.float32)
+
+
 def _pack(
     arrays: Arrays,
     branches: int,
     rays: Int64[np.ndarray, " ray"],
     object_id: UInt8[np.ndarray, " shape"],
-    weight: Float32[np.ndarray, "traced 3"] | None,
+    weight: Float32[np.ndarray, "#traced 3"],
 ) -> Arrays:
     """The ends as fields of `PathEnds`, ray by ray.
 
@@ -351,7 +358,7 @@ def _pack(
 
     def rows(name: str, index: np.ndarray) -> np.ndarray:
         values = arrays[name].reshape(end.size, -1)[index]
-        return values if weight is None or name != "throughput" else values * weight[index % end.shape[1]]
+        return values * weight[index % len(weight)] if name == "throughput" and len(weight) > 1 else values
 
     place = rows("place", surfaces)
     names = [name for name in ("position", "reflected", "uv_slope") if name in arrays]

@@ -33,6 +33,11 @@ class Limits(NamedTuple):
     """Vertices kept of each branch. The last place always contains the branch's last vertex."""
     max_depth: int = 24
     """Number of surfaces after which a branch is abandoned."""
+    min_throughput: float = 1 / 512
+    """Branches that start with a smaller throughput are not followed; less is below one step of an 8-bit picture."""
+    makes_up: bool = False
+    """Whether the light of a ray's ends is raised by the share of its branches that were not followed, which are taken
+    to show the same. Light after `max_depth` surfaces is lost, as in truth."""
 
 
 LIMITS = Limits()

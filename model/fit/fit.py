@@ -51,7 +51,7 @@ from model.fit.search import (
     refine,
     scan,
 )
-from model.fit.shapes import Glass
+from model.fit.shapes import Glass, Revolution
 from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -258,7 +258,10 @@ class _Work:
             raise HyalineError(f"{self._name(object_id)}: {error}") from None
         wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
-        return FoundGlass(glass=outside.glass, hull=outside.glass, unexplained=outside.unexplained)
+        glass = outside.glass
+        if isinstance(glass, Revolution):
+            glass = glass.around([self.known[place - 1] for place in self.sightings.filling])
+        return FoundGlass(glass=glass, hull=outside.glass, unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)

@@ -33,10 +33,13 @@ from model.settings.state import State
 BATCH = 1024
 """Training pixels per step; rays and branches are those of `light-path`."""
 
-BRANCHES, RAYS = 24, 9
-"""While glass is drawn. With 8 branches a vessel is a tenth too dark, and a wrong wall makes up for it; with 4 rays a
-pixel's error is larger than that of a wall which is a tenth off."""
+BRANCHES, RAYS = 8, 9
+"""While glass is drawn; with 4 rays a pixel's error is larger than that of a wall which is a tenth off."""
 
+MIN_THROUGHPUT = 1 / 64
+"""Branches that start with a smaller throughput are not followed, and made up for. With 8 branches the example's glass
+is then 0.005 off in linear radiance (root mean square); 24 branches down to 1/512 without that were 0.007 off, on
+average 0.003 too dark, and took half as long again."""
 
 LEAST_TRUST = 1e-6
 """Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
@@ -88,6 +91,8 @@ def load_pixels(
         rays=SubpixelRays(cameras=dataset.cameras("train")),
         num_objects=len(meshes),
         rgb=read_colors(dataset, "train", views, with_images=True),
+        min_throughput=MIN_THROUGHPUT,
+        makes_up=True,
         config=LightPathConfig(stack_hidden=0, environment_size=sky_height(scene)).sized((2,) * len(meshes)),
         device=torch.device("cpu"),
     )

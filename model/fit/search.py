@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.scene.values import as_vector
-from model.fit.shapes import Glass, Revolution
+from model.fit.shapes import USUAL_WALL, Glass, Revolution
 
 SOFTNESS = 0.05
 """sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
@@ -23,7 +23,7 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.3, 0.6)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
-USUAL = (0.05, 0.15, 0.3)
+USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
 
 ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
@@ -292,7 +292,8 @@ def _search(
     how = NUMBERS[name]
     steps = reach * np.linspace(-1, 1, STEPS)
     now = getattr(glass, name)
-    values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, how.high)
+    high = getattr(glass, f"most_{name}", None) or how.high
+    values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, high)
     losses = np.stack([misses(dataclasses.replace(glass, **{name: float(value)})).mean(axis=1) for value in values])
     places = np.log(values) if how.is_factor else values
 

@@ -2,6 +2,7 @@
 be updated in place."""
 
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,12 @@ MOST_FLOOR = 0.95
 
 DRINK_REACH = 0.3
 """How far a drink reaches into its glass, in parts of the thinnest wall."""
+
+USUAL_WALL = 0.05
+"""Thickness of a usual vessel's wall, in parts of the largest radius."""
+
+MOSTLY_INSIDE = 0.5
+"""Share of the vertices of a thing inside a vessel that lie within its outside; a straw stands out."""
 
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
@@ -105,6 +112,8 @@ class Revolution(Glass):
     """Thickness at the rim over that above the floor."""
     floor: float | None = None
     """Height of the hollow's lowest point above the outside's lowest, in metres."""
+    most_floor: float | None = None
+    """Its limit, which things that are known to be in the hollow set; None: there are none."""
     corner: float | None = None
     """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
     foot: float | None = None
@@ -147,9 +156,20 @@ class Revolution(Glass):
             floor: in parts of the height.
         """
         radius = float(self.outside[:, 0].max())
-        return dataclasses.replace(
-            self, wall=wall * radius, taper=1.0, floor=floor * self.height, corner=corner, foot=FOOT * radius
-        )
+        height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
+        return dataclasses.replace(self, wall=wall * radius, taper=1.0, floor=height, corner=corner, foot=FOOT * radius)
+
+    def around(self, things: Sequence[Mesh]) -> "Revolution":
+        """The same outside, where the things that lie inside it leave no room for a higher floor."""
+        lowest, radius = float(self.outside[:, 1].min()), float(self.outside[:, 0].max())
+        floors = []
+        for mesh in things:
+            from_axis = mesh.vertices - self.axis.point
+            height = from_axis @ self.axis.direction
+            distance = np.linalg.norm(from_axis - height[:, None] * self.axis.direction, axis=1)
+            if (distance < np.interp(height, self.outside[:, 1], self.outside[:, 0])).mean() > MOSTLY_INSIDE:
+                floors.append(float(height.min()) - lowest + DRINK_REACH * USUAL_WALL * radius)
+        return dataclasses.replace(self, most_floor=min(floors)) if floors and min(floors) > 0 else self
 
     def outline(self) -> Outline:
         """The whole section."""

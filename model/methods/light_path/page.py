@@ -5,7 +5,7 @@ from torch import nn
 
 from datagen.scene.description import Scene
 from datagen.scene.media import MAX_NESTED, SAME_INDEX
-from datagen.trace.branches import FIRST_MIRROR, MIN_THROUGHPUT, SPARE_STEPS
+from datagen.trace.branches import FIRST_MIRROR, SPARE_STEPS
 from datagen.trace.surface_tables import LIMITS
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
@@ -46,7 +46,7 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         # If only the stack network makes the colour, no other paths matter.
         "BRANCHES": config.branches if config.composite else len(STACKED_VERTICES),
         "MAX_DEPTH": LIMITS.max_depth if config.composite else max(STACKED_VERTICES),
-        "MIN_THROUGHPUT": MIN_THROUGHPUT,
+        "MIN_THROUGHPUT": LIMITS.min_throughput,
         "FIRST_MIRROR": FIRST_MIRROR,
         "SPARE_STEPS": SPARE_STEPS,
         "SAME_INDEX": SAME_INDEX,

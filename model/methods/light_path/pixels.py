@@ -19,7 +19,7 @@ from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from datagen.trace.surface_tables import Limits
+from datagen.trace.surface_tables import LIMITS, Limits
 from model.batches.ahead import Ahead, Draw
 from model.batches.rays import black, read_colors, to_device
 from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_pairs
@@ -113,6 +113,9 @@ class LightPathPixels(RayPixels):
     config: LightPathConfig
     ahead: "Ahead[LightPathBatch] | None" = None
     """Where the next training batch comes from; None if it is traced when it is asked for."""
+    min_throughput: float = LIMITS.min_throughput
+    makes_up: bool = False
+    """As in `Limits`. The stack network makes up for faint branches otherwise, and better: it is told what they see."""
 
     @property
     def chunk(self) -> int:
@@ -181,7 +184,7 @@ class LightPathPixels(RayPixels):
                 origins,
                 directions,
                 # Without physics only the first vertices count.
-                Limits(config.branches)
+                Limits(config.branches, min_throughput=self.min_throughput, makes_up=self.makes_up)
                 if config.composite
                 else Limits(len(STACKED_VERTICES), max_depth=max(STACKED_VERTICES)),
                 stacked=STACKED_VERTICES if config.stack_hidden else (),

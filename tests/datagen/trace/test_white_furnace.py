@@ -59,6 +59,23 @@ def test_white_light_stays_white_in_truth_and_in_light_paths(name: str) -> None:
         assert (least < light).all() and (light < 1.002).all(), light
 
 
+@pytest.mark.parametrize("branches", [2, 12])
+def test_no_light_is_lost_with_few_branches(branches: int) -> None:
+    """In a glass of water around a ball of another glass, most branches are not followed."""
+    if use_mitsuba(quiet=True).startswith("scalar"):
+        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    ball = dataclasses.replace(BALL, vertices=BALL.vertices / 2)
+    tracer = LightPathTracer((BALL, ball), (Dielectric(ior=1.33), Dielectric(ior=1.7, priority=1)))
+    origin, directions = CAMERAS[0].rays()
+    rays = directions.reshape(-1, 3)
+    paths = tracer.trace_ends(np.tile(origin, (len(rays), 1)), rays, Limits(branches, makes_up=True))
+    light = np.zeros((len(rays), 3))
+    np.add.at(light, paths.exit_ray, paths.exit_throughput)
+    ends = np.bincount(paths.exit_ray, minlength=len(rays))
+    assert (ends[ends > 0] <= branches).all() and (ends > 0).mean() > 0.7
+    np.testing.assert_allclose(light[ends > 0], 1, atol=1e-4)
+
+
 CYCLES = {
     0.0: {0.2: 0.063, 0.4: 0.058, 0.5: 0.052, 0.8: 0.031},
     0.2: {0.2: 0.251, 0.4: 0.246, 0.5: 0.241, 0.8: 0.224},

@@ -155,6 +155,16 @@ def test_the_index_of_a_vessel_waits_for_its_wall(glass: Revolution, held: bool)
     assert [count_searches(glass, number) for number in range(INDEX_HELD + 1)] == list(map(len, names))
 
 
+def test_a_floor_stays_below_what_stands_on_it() -> None:
+    most = 0.8 * TRUTH.floor
+    glass = dataclasses.replace(OUTSIDE_OF, most_floor=most).hollowed(0.07, 0.05, 0.45)
+    for number in range(6):
+        for found, _, _ in refine(glass, misses_of(TRUTH), IS_EVEN, number=number):
+            assert found.floor <= most
+            glass = found
+    assert glass.floor > 0.85 * most
+
+
 def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
     clear = dataclasses.replace(TRUTH, absorption=(0.0, 0.0, 0.0))
     glass, _ = find_absorption(clear, "absorption", misses_of(clear), IS_EVEN)

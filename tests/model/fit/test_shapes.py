@@ -9,7 +9,7 @@ import pytest
 from datagen.data.meshes import check_mesh, open_edges, signed_volume
 from model.fit.found import from_state, to_state
 from model.fit.section import Section
-from model.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly
+from model.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly, revolved
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1
@@ -51,6 +51,20 @@ def test_vessels_of_all_numbers_are_closed_and_of_equal_counts(wall: float, floo
     assert mesh.faces.shape == solid.faces.shape
     assert np.isfinite(mesh.normals).all()
     assert np.ptp(mesh.uv, axis=0) == pytest.approx((1, 1))
+
+
+def test_what_stands_in_a_vessel_limits_its_floor() -> None:
+    up = AXIS.direction
+    straw = revolved(
+        Axis(point=AXIS.point + 0.013 * up, direction=up),
+        np.array([(0, 0), (0.002, 0), (0.002, 0.08), (0, 0.08)], float),
+    )
+    book = dataclasses.replace(straw, vertices=straw.vertices + np.float32([1, 0, 0]))
+    assert CYLINDER.around([book]).most_floor is None
+    holding = CYLINDER.around([book, straw])
+    assert holding.most_floor == pytest.approx(0.013, abs=0.001)
+    assert holding.hollowed(0.05, 0.5, 0.3).floor == holding.most_floor
+    assert holding.hollowed(0.05, 0.1, 0.3).floor == pytest.approx(0.1 * HEIGHT)
 
 
 def test_a_prism_encloses_what_a_superellipse_does_and_its_normals_are_those_of_its_faces() -> None:

@@ -259,11 +259,13 @@ def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
     assert {field.name for field in dataclasses.fields(Medium)} == {"iors", "absorption", "priority"}
 
 
+OTHER_LIMITS = surface_tables.Limits(max_depth=5, min_throughput=0.25)
+
 SHARED = {
-    "MIN_THROUGHPUT 0.25": (branches, "MIN_THROUGHPUT", 0.25),
+    "MIN_THROUGHPUT 0.25": (surface_tables, "LIMITS", OTHER_LIMITS),
     "FIRST_MIRROR 99.0": (branches, "FIRST_MIRROR", 99.0),
     "SPARE_STEPS 7": (branches, "SPARE_STEPS", 7),
-    "MAX_DEPTH 5": (surface_tables, "LIMITS", surface_tables.Limits(max_depth=5)),
+    "MAX_DEPTH 5": (surface_tables, "LIMITS", OTHER_LIMITS),
     "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
     "MAX_NESTED 11": (media, "MAX_NESTED", 11),
     "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
