@@ -175,6 +175,20 @@ def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
     assert found[2].value == pytest.approx(20, rel=0.3)
 
 
+def test_glass_that_lets_no_light_through_does_not_darken_from_round_to_round() -> None:
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(PIXELS, 3)) * 0.02
+    lengths = rng.uniform(0.02, 0.2, (PIXELS, 1))
+
+    def miss(glass: Revolution) -> np.ndarray:
+        return penalty(np.exp(-np.array(glass.absorption) * lengths) + noise)
+
+    glass = TRUTH
+    for _ in range(10):
+        glass, _ = find_absorption(glass, "absorption", miss, IS_EVEN)
+    assert max(glass.absorption) * lengths.min() < 10
+
+
 def test_a_parabola_stays_in_its_bracket_and_falls_back_to_the_least() -> None:
     places = np.linspace(1.4, 1.6, 7)
     assert vertex(places, (places - 1.47) ** 2) == pytest.approx(1.47)
