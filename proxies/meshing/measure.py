@@ -65,12 +65,16 @@ class Enclosure:
 
 
 def enclosure(proxy: Mesh, truth: Mesh | None) -> Enclosure:
-    """Checks a proxy as it is stored, in float32, against its object; None: it need not enclose anything."""
+    """Checks a proxy as it is stored, in float32, against its object.
+
+    Args:
+        truth: None for a fitted surface, which need not enclose anything, and whose roundings may be finer than texels.
+    """
     return Enclosure(
         inside_share=1.0 if truth is None else _inside_share(proxy, truth),
         open_edges=open_edges(proxy),
         volume=signed_volume(proxy),
-        smallest_chart=smallest_chart(proxy),
+        smallest_chart=1.0 if truth is None else smallest_chart(proxy),
     )
 
 

@@ -13,6 +13,7 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import rotation
 from model.fit.boxes import Box, fit_box
 from model.fit.views import rays_near
+from proxies.meshing.measure import enclosure
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER, SIZES, TURN = (0.01, -0.02, 0.052), (0.03, 0.02, 0.05), rotation((0, 0, 1), 28)
@@ -88,6 +89,8 @@ def test_the_mesh_is_closed_outward_rounded_and_has_texels_of_its_own_everywhere
     for check in (check_mesh, check_closed, check_solid):
         check(mesh, where="box")
     assert coverage(mesh, 128).max() == 1
+    # `proxies check` has nothing against roundings that are finer than texels.
+    assert enclosure(mesh, None).problem is None
     # The volume of a box grown by a ball (Steiner's formula).
     a, b, c = 2 * (box.half_sizes - rounding)
     edges, r = a + b + c, rounding
