@@ -9,11 +9,12 @@ branch ends, the first start in the queue comes next.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
 # pyright: reportAttributeAccessIssue=false
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from datagen.scene.contact import skipped_length
 from datagen.scene.media import medium_of, no_solids
-from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of, uv_slope
+from datagen.trace.branch_outputs import EndOutputs, Kept, Outputs, Start, State
+from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of
 from datagen.trace.surface_tables import OPAQUE, Limits, SurfaceTables
 
 if TYPE_CHECKING:
@@ -30,56 +31,6 @@ FIRST_MIRROR = 16.0
 """Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
 
 
-class _Start(NamedTuple):
-    """Where a branch starts."""
-
-    weight: "mi.Float"
-    """Weight in the queue; 0 for no start."""
-    o: "mi.Point3f"
-    d: "mi.Vector3f"
-    beta: "mi.Color3f"
-    """Throughput so far."""
-    last_face: "mi.Int32"
-    """The face that it leaves; -1 for none."""
-    solids: "mi.UInt32"
-    """The solids that it starts in (datagen/scene/media.py)."""
-
-
-class _State(NamedTuple):
-    """What the steps of the loop hand on, a branch's segment and its place among the outputs."""
-
-    o: "mi.Point3f"
-    d: "mi.Vector3f"
-    beta: "mi.Color3f"
-    solids: "mi.UInt32"
-    way: "mi.Float"
-    """Metres inside glass or liquid since the last vertex."""
-    last_face: "mi.Int32"
-    branch: "mi.UInt32"
-    vertex: "mi.UInt32"
-    step: "mi.UInt32"
-    queue: "tuple[_Start, ...]"
-    """Sorted by weight."""
-    ended: "mi.Color3f"
-    """Share of the camera's light that comes along the branches that have ended."""
-    waiting: "mi.Color3f"
-    """The same of branches that are not followed, or not yet."""
-    active: "mi.Bool"
-
-
-class Kept(NamedTuple):
-    """What is kept of branches, where only their ends matter."""
-
-    stacked: tuple[int, ...]
-    """Number of first vertices kept of each of the first branches."""
-    has_details: bool
-    """Whether ends have a position, a mirrored direction and a slope of uv."""
-
-
-EXIT = 256
-"""Marks the end of a branch that leaves the scene; at other ends is one more than the shape's index."""
-
-
 def follow_branches(scene, tables, media, o, d, rows, shift, count, limits: Limits, kept: Kept | None):
     """One kernel for all branches of `count` rays from `o` along `d`.
 
@@ -90,7 +41,7 @@ def follow_branches(scene, tables, media, o, d, rows, shift, count, limits: Limi
         kept: what is kept besides the ends of branches; None for all vertices.
 
     Returns:
-        Flat arrays: those of `_Outputs`, by the field names of `TracedPaths`; or those of `_EndOutputs`.
+        Flat arrays: those of `Outputs`, by the field names of `TracedPaths`; or those of `EndOutputs`.
     """
     import drjit as dr
 
@@ -98,28 +49,28 @@ def follow_branches(scene, tables, media, o, d, rows, shift, count, limits: Limi
     kernel = Kernel(scene, SurfaceTables(*tables), media, limits, rows, shift)
     disperses = kernel.tables.disperses
     if kept is None:
-        outputs = _Outputs(count, limits, disperses=disperses)
+        outputs = Outputs(count, limits, disperses=disperses)
     else:
-        outputs = _EndOutputs(count, limits, Kept(*kept), disperses=disperses)
+        outputs = EndOutputs(count, limits, Kept(*kept), disperses=disperses)
 
     # Dr.Jit's loops take plain tuples.
     def is_tracing(*state):
         return state[-1]
 
     def advance(*state):
-        return tuple(_advance(kernel, outputs, _State(*state)))
+        return tuple(_advance(kernel, outputs, State(*state)))
 
     last = dr.while_loop(tuple(_first_state(kernel, o, d, count)), is_tracing, advance, label="light_path")
-    if limits.makes_up:
-        outputs.arrays["gain"] = _gain(_State(*last))
+    if limits.makes_up and kept is not None:
+        outputs.arrays["throughput"] *= dr.tile(_gain(State(*last)), limits.max_branches)
     return outputs.arrays
 
 
-def _first_state(kernel: Kernel, o, d, count: int) -> _State:
+def _first_state(kernel: Kernel, o, d, count: int) -> State:
     import drjit as dr
     import mitsuba as mi
 
-    return _State(
+    return State(
         o=o,
         d=d,
         beta=dr.full(mi.Color3f, 1, count),
@@ -136,11 +87,11 @@ def _first_state(kernel: Kernel, o, d, count: int) -> _State:
     )
 
 
-def _no_start(kernel: Kernel, count: int) -> _Start:
+def _no_start(kernel: Kernel, count: int) -> Start:
     import drjit as dr
     import mitsuba as mi
 
-    return _Start(
+    return Start(
         weight=dr.zeros(mi.Float, count),
         o=dr.zeros(mi.Point3f, count),
         d=dr.zeros(mi.Vector3f, count),
@@ -150,7 +101,7 @@ def _no_start(kernel: Kernel, count: int) -> _Start:
     )
 
 
-def _advance(kernel: Kernel, outputs: "_Outputs | _EndOutputs", state: _State) -> _State:
+def _advance(kernel: Kernel, outputs: "Outputs | EndOutputs", state: State) -> State:
     """One step: the next surface, what it records, and where the ray goes on."""
     hit = meet(kernel, state.o, state.d, state.last_face, state.active)
     sides = sides_of(kernel, hit, state.solids)
@@ -163,7 +114,7 @@ def _advance(kernel: Kernel, outputs: "_Outputs | _EndOutputs", state: _State) -
     return _turn(kernel, *_go_on(kernel, hit, sides, bounce, state))
 
 
-def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
+def _absorb(kernel: Kernel, hit: Hit, state: State) -> State:
     """Absorption by Beer and Lambert along the segment that ends here."""
     import drjit as dr
     import mitsuba as mi
@@ -177,7 +128,7 @@ def _absorb(kernel: Kernel, hit: Hit, state: _State) -> _State:
     return state._replace(beta=beta, way=state.way + length)
 
 
-def _with_mirror(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> _State:
+def _with_mirror(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: State) -> State:
     """Queues a further branch, where light also comes by reflection. The queue is sorted; its last one falls out."""
     import drjit as dr
 
@@ -213,7 +164,7 @@ def _choose(condition, these, others) -> tuple:
     return tuple(dr.select(condition, this, other) for this, other in zip(these, others, strict=True))
 
 
-def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State) -> "tuple[_State, mi.Bool]":
+def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: State) -> "tuple[State, mi.Bool]":
     """The next segment of this branch, and whether the branch is over instead."""
     import drjit as dr
 
@@ -244,7 +195,7 @@ def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: _State
     return on, is_over
 
 
-def _turn(kernel: Kernel, state: _State, is_over) -> _State:
+def _turn(kernel: Kernel, state: State, is_over) -> State:
     """Starts the next branch, if there is one, where a branch is over."""
     import drjit as dr
 
@@ -252,7 +203,7 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
     turns = is_over & (state.branch + 1 < limits.max_branches)
     if queue:
         turns &= queue[0][0] > 0
-        first, behind = _Start(*queue[0]), [*queue[1:], _no_start(kernel, 1)]
+        first, behind = Start(*queue[0]), [*queue[1:], _no_start(kernel, 1)]
         state = state._replace(
             o=dr.select(turns, first.o, state.o),
             d=dr.select(turns, first.d, state.d),
@@ -273,153 +224,10 @@ def _turn(kernel: Kernel, state: _State, is_over) -> _State:
     )
 
 
-def _gain(last: _State):
-    """By what the light of each ray's ends has to be multiplied to make up for branches that were not followed."""
+def _gain(last: State):
+    """By what the light of each ray's ends has to be multiplied to make up for branches that were not followed, ray by
+    ray in all colour channels."""
     import drjit as dr
 
     gain = dr.select(last.ended > 0, 1 + last.waiting / last.ended, 1)
     return dr.ravel(dr.clip(gain, 1, MOST_GAIN))
-
-
-class _Arrays:
-    """Flat arrays that the steps fill."""
-
-    arrays: "dict[str, mi.Float | mi.UInt32]"
-
-    def __init__(self, count: int, limits: Limits, *, disperses: bool) -> None:
-        import drjit as dr
-        import mitsuba as mi
-
-        self._count, self._limits = count, limits
-        self._ray = dr.arange(mi.UInt32, count)
-        self.arrays = {"disperses": dr.zeros(mi.UInt32, count)} if disperses else {}
-
-    def record_dispersion(self, kernel: Kernel, sides: Sides) -> None:
-        """Records that the ray hits glass that disperses."""
-        import drjit as dr
-        import mitsuba as mi
-
-        borders = sides.is_glass & ~sides.is_void
-        media = (medium_of(kernel.media, side) for side in (sides.here, sides.beyond))
-        parts = [dr.gather(mi.Bool, kernel.tables.parts_colors, medium, borders) for medium in media]
-        self._store("disperses", [mi.UInt32(1)], self._ray, borders & (parts[0] | parts[1]))
-
-    def _store(self, name: str, values, index, mask) -> None:
-        import drjit as dr
-
-        components = list(values)  # Interleaved as NumPy needs them, which saves a copy of the whole.
-        for component, value in enumerate(components):
-            dr.scatter(self.arrays[name], value, index * len(components) + component, mask)
-
-
-class _Outputs(_Arrays):
-    """All places of all branches."""
-
-    def __init__(self, count: int, limits: Limits, *, disperses: bool) -> None:
-        import drjit as dr
-        import mitsuba as mi
-
-        super().__init__(count, limits, disperses=disperses)
-        ends = limits.max_branches * count
-        places = ends * limits.max_vertices
-        self.arrays |= {
-            "object_id": dr.zeros(mi.UInt32, places),
-            "uv": dr.zeros(mi.Float, 2 * places),
-            "uv_slope": dr.zeros(mi.Float, 2 * places),
-            "direction": dr.zeros(mi.Float, 3 * places),
-            "position": dr.zeros(mi.Float, 3 * places),
-            "normal": dr.zeros(mi.Float, 3 * places),
-            "throughput": dr.zeros(mi.Float, 3 * places),
-            "medium_length": dr.zeros(mi.Float, places),
-            "has_left": dr.zeros(mi.UInt32, ends),
-            "end_direction": dr.zeros(mi.Float, 3 * ends),
-            "end_throughput": dr.zeros(mi.Float, 3 * ends),
-        }
-
-    def record(self, hit: Hit, sides: Sides, state: _State) -> None:
-        """Records a vertex, or the end outside the scene. Later vertices replace the one in the last place."""
-        import drjit as dr
-        import mitsuba as mi
-
-        real = hit.counts & ~sides.is_void
-        last = self._limits.max_vertices - 1
-        slot = (state.branch * (last + 1) + dr.minimum(state.vertex, last)) * self._count + self._ray
-        vertex = {
-            "object_id": [hit.shape + 1],
-            "medium_length": [state.way],
-            "uv": hit.uv,
-            "uv_slope": uv_slope(hit, state.d),
-            "direction": state.d,
-            "position": hit.p,
-            "normal": hit.facing,
-            "throughput": state.beta,
-        }
-        for name, values in vertex.items():
-            self._store(name, values, slot, real)
-        missed = state.active & ~hit.found
-        end = state.branch * self._count + self._ray
-        for name, values in {
-            "has_left": [mi.UInt32(1)],
-            "end_direction": state.d,
-            "end_throughput": state.beta,
-        }.items():
-            self._store(name, values, end, missed)
-
-
-class _EndOutputs(_Arrays):
-    """The ends of all branches, on a surface that lets no light pass or outside the scene, and a few first vertices."""
-
-    def __init__(self, count: int, limits: Limits, kept: Kept, *, disperses: bool) -> None:
-        import drjit as dr
-        import mitsuba as mi
-
-        super().__init__(count, limits, disperses=disperses)
-        self._kept = kept
-        ends, slots = limits.max_branches * count, sum(kept.stacked) * count
-        self.arrays |= {
-            "end": dr.zeros(mi.UInt32, ends),
-            "place": dr.empty(mi.Float, 3 * ends),
-            "throughput": dr.empty(mi.Float, 3 * ends),
-        }
-        if kept.has_details:
-            self.arrays |= {
-                "position": dr.empty(mi.Float, 3 * ends),
-                "reflected": dr.empty(mi.Float, 3 * ends),
-                "uv_slope": dr.empty(mi.Float, 2 * ends),
-            }
-        if slots:
-            self.arrays |= {
-                "stack_shape": dr.zeros(mi.UInt32, slots),
-                "stack_uv": dr.zeros(mi.Float, 2 * slots),
-                "stack_throughput": dr.zeros(mi.Float, slots),
-                "stack_cosine": dr.zeros(mi.Float, slots),
-            }
-
-    def record(self, hit: Hit, sides: Sides, state: _State) -> None:
-        """Records the end of a branch: on a surface uv and cosine, outside the scene the direction; and a vertex."""
-        import drjit as dr
-        import mitsuba as mi
-
-        real = hit.counts & ~sides.is_void
-        missed = state.active & ~hit.found
-        stops = real & ~sides.is_glass & ~sides.is_thin
-        end = state.branch * self._count + self._ray
-        arriving = -dr.dot(state.d, hit.facing)
-        cosine = dr.clip(arriving, 0, 1)
-        on_surface = mi.Vector3f(hit.uv.x, hit.uv.y, cosine)
-        self._store("end", [dr.select(missed, EXIT, hit.shape + 1)], end, stops | missed)
-        self._store("place", dr.select(missed, state.d, on_surface), end, stops | missed)
-        self._store("throughput", state.beta, end, stops | missed)
-        if self._kept.has_details:
-            self._store("position", hit.p, end, stops)
-            self._store("reflected", state.d + 2 * arriving * hit.facing, end, stops)
-            self._store("uv_slope", uv_slope(hit, state.d), end, stops)
-        first, slots = 0, sum(self._kept.stacked)
-        for branch, number in enumerate(self._kept.stacked):
-            is_kept = real & (state.branch == branch) & (state.vertex < number)
-            slot = self._ray * slots + first + state.vertex
-            self._store("stack_shape", [hit.shape + 1], slot, is_kept)
-            self._store("stack_uv", hit.uv, slot, is_kept)
-            self._store("stack_throughput", [dr.mean(state.beta)], slot, is_kept)
-            self._store("stack_cosine", [cosine], slot, is_kept)
-            first += number

@@ -30,7 +30,8 @@ from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
-from datagen.trace.branches import EXIT, Kept, follow_branches
+from datagen.trace.branch_outputs import EXIT, Kept
+from datagen.trace.branches import follow_branches
 from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
@@ -261,7 +262,7 @@ class LightPathTracer:
         arrays = run(slice(None), stacked, facets, GREEN)
         parted = np.flatnonzero(arrays["disperses"]) if self._tables.disperses else np.zeros(0, np.int64)
         if not len(parted):
-            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, _gain(arrays))]
+            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, None)]
         else:
             # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
             piece = max(1, count // PIECES)
@@ -272,8 +273,7 @@ class LightPathTracer:
                 weight = np.tile(ONLY[channel], (len(filled), 1))
                 bundles.append((run(filled, (), spread, channel), parted, weight))
             parts = [
-                _pack(values, limits.max_branches, rays, self._object_id, weight * _gain(values))
-                for values, rays, weight in bundles
+                _pack(values, limits.max_branches, rays, self._object_id, weight) for values, rays, weight in bundles
             ]
         slots = count, sum(stacked)
         stack = None
@@ -332,17 +332,12 @@ def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
     return (r2_steps(count) % 1).astype(np.float32)
 
 
-def _gain(arrays: Arrays) -> Float32[np.ndarray, "#traced 3"]:
-    """By what each ray's ends make up for the branches that were not followed."""
-    return arrays["gain"].reshape(-1, 3) if "gain" in arrays else np.ones((1, 3), np.float32)
-
-
 def _pack(
     arrays: Arrays,
     branches: int,
     rays: Int64[np.ndarray, " ray"],
     object_id: UInt8[np.ndarray, " shape"],
-    weight: Float32[np.ndarray, "#traced 3"],
+    weight: Float32[np.ndarray, "traced 3"] | None,
 ) -> Arrays:
     """The ends as fields of `PathEnds`, ray by ray.
 
@@ -358,7 +353,7 @@ def _pack(
 
     def rows(name: str, index: np.ndarray) -> np.ndarray:
         values = arrays[name].reshape(end.size, -1)[index]
-        return values * weight[index % len(weight)] if name == "throughput" and len(weight) > 1 else values
+        return values if weight is None or name != "throughput" else values * weight[index % end.shape[1]]
 
     place = rows("place", surfaces)
     names = [name for name in ("position", "reflected", "uv_slope") if name in arrays]

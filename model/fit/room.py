@@ -17,6 +17,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.materials import Material
 from datagen.terminal.command import track
+from datagen.trace.surface_tables import LIMITS
 from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.batches.traced_layers import SubpixelRays
 from model.fit.search import Misses, penalty
@@ -38,8 +39,8 @@ BRANCHES, RAYS = 8, 9
 
 MIN_THROUGHPUT = 1 / 64
 """Branches that start with a smaller throughput are not followed, and made up for. On average the example's glass is
-then 0.0003 too bright in linear radiance; 24 branches down to 1/512 without that were 0.003 too dark, and took 1.8 times
-as long."""
+then 0.0003 too bright in linear radiance; 24 branches down to 1/512 without that were 0.003 too dark, and took 1.8
+times as long."""
 
 LEAST_TRUST = 1e-6
 """Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
@@ -91,8 +92,7 @@ def load_pixels(
         rays=SubpixelRays(cameras=dataset.cameras("train")),
         num_objects=len(meshes),
         rgb=read_colors(dataset, "train", views, with_images=True),
-        min_throughput=MIN_THROUGHPUT,
-        makes_up=True,
+        limits=LIMITS._replace(min_throughput=MIN_THROUGHPUT, makes_up=True),
         config=LightPathConfig(stack_hidden=0, environment_size=sky_height(scene)).sized((2,) * len(meshes)),
         device=torch.device("cpu"),
     )

@@ -113,9 +113,8 @@ class LightPathPixels(RayPixels):
     config: LightPathConfig
     ahead: "Ahead[LightPathBatch] | None" = None
     """Where the next training batch comes from; None if it is traced when it is asked for."""
-    min_throughput: float = LIMITS.min_throughput
-    makes_up: bool = False
-    """As in `Limits`. The stack network makes up for faint branches otherwise, and better: it is told what they see."""
+    limits: Limits = LIMITS
+    """Of light paths; the number of branches is the configuration's."""
 
     @property
     def chunk(self) -> int:
@@ -184,7 +183,7 @@ class LightPathPixels(RayPixels):
                 origins,
                 directions,
                 # Without physics only the first vertices count.
-                Limits(config.branches, min_throughput=self.min_throughput, makes_up=self.makes_up)
+                self.limits._replace(max_branches=config.branches)
                 if config.composite
                 else Limits(len(STACKED_VERTICES), max_depth=max(STACKED_VERTICES)),
                 stacked=STACKED_VERTICES if config.stack_hidden else (),
@@ -266,11 +265,8 @@ class LightPathPixels(RayPixels):
             }
             for name, values in further.items():
                 columns[name] = np.concatenate([columns[name], np.moveaxis(values, 0, 1)], axis=1)
-            for name, values in (
-                ("position", straight.position[0]),
-                ("reflected", reflected),
-                ("uv_slope", straight.uv_slope[0]),
-            ):
+            details = {"position": straight.position[0], "reflected": reflected, "uv_slope": straight.uv_slope[0]}
+            for name, values in details.items():
                 columns[name] = np.moveaxis(values, 0, 1)
         return {**columns, "direction": directions}
 
