@@ -39,7 +39,11 @@ def every_command() -> list[str]:
     return [*found, "report"]
 
 
-@pytest.mark.parametrize("line", every_command())
+COMMANDS = every_command()
+"""Before other tests bring methods into this process."""
+
+
+@pytest.mark.parametrize("line", COMMANDS)
 def test_help_is_narrow_and_plain(line: str) -> None:
     answer = call(f"{line} --help")
     assert (answer.status, answer.err) == (0, "")
@@ -53,7 +57,7 @@ def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
     code = (
         "import contextlib, io, sys\n"
         "from support.commands import call\n"
-        f"for line in {every_command()!r}: assert call(line + ' --help').status == 0, line\n"
+        f"for line in {COMMANDS!r}: assert call(line + ' --help').status == 0, line\n"
         "assert call('datagen scenes').status == 0\n"
         "print({'numpy', 'torch', 'mitsuba', 'trimesh'} & set(sys.modules))\n"
     )
