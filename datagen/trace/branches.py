@@ -25,7 +25,7 @@ SPARE_STEPS = 16
 inside others."""
 
 MOST_GAIN = 1.25
-"""Largest factor by which the light of the branches that are followed makes up for that of the others."""
+"""Upper limit of the factor that makes up for missing branches."""
 
 FIRST_MIRROR = 16.0
 """Weight in the queue of branches beyond any throughput, so that the first surface's mirror comes next."""
@@ -225,8 +225,7 @@ def _turn(kernel: Kernel, state: State, is_over) -> State:
 
 
 def _gain(last: State):
-    """By what the light of each ray's ends has to be multiplied to make up for branches that were not followed, ray by
-    ray in all colour channels."""
+    """Factors that make up for missing branches: flat, the colour channels of each ray together."""
     import drjit as dr
 
     gain = dr.select(last.ended > 0, 1 + last.waiting / last.ended, 1)

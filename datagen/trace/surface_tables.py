@@ -36,8 +36,8 @@ class Limits(NamedTuple):
     min_throughput: float = 1 / 512
     """Branches that start with a smaller throughput are not followed; less is below one step of an 8-bit picture."""
     makes_up: bool = False
-    """Whether the light of a ray's ends is raised by the share of its branches that were not followed, which are taken
-    to show the same. Light after `max_depth` surfaces is lost, as in truth."""
+    """Scale up the light at a ray's ends to make up for branches that were not followed, as if those showed the same.
+    Light after `max_depth` surfaces is lost, as in truth."""
 
 
 LIMITS = Limits()

@@ -36,8 +36,8 @@ WORTH_IT = 0.02
 """Share of the penalty of clear, smooth glass that tint or frost has to take away; a tint, of a channel's."""
 
 AS_BLACK = 0.001
-"""Share of a channel's penalty by which a darker tint has to explain more than the one before: thick enough, all let no
-light through, and noise would darken a drink from round to round."""
+"""Share of a channel's penalty within which tints count as equal. Beyond some tint no light gets through, and noise
+alone would darken a drink from round to round."""
 
 ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
 """GGX alpha."""
@@ -204,11 +204,9 @@ def _explains_more(drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
 def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
     """0 where that is best; else where a parabola through the least of the losses and its neighbours is lowest.
 
-    Of values up to the last that explain as much, it is the first.
+    If the last value is best, the first that is as good replaces it.
     """
     place = int(losses.argmin())
-    if place == 0:
-        return 0.0
     if place == len(losses) - 1:
         place = int(np.argmax(losses <= (1 + AS_BLACK) * losses[place]))
     if place == 0:

@@ -40,7 +40,7 @@ def every_command() -> list[str]:
 
 
 COMMANDS = every_command()
-"""Before other tests bring methods into this process."""
+"""Listed on import, before other tests add methods to this process."""
 
 
 @pytest.mark.parametrize("line", COMMANDS)
