@@ -173,8 +173,8 @@ def _fits_grid(title: str, fits: Stored) -> Grid:
             for name, item in objects.items()
         ),
         notes=(
-            "True values in brackets. Surface: mean distance of the whole surface, insides too, from the true one. "
-            "Normals: median error. Wall: median thickness.",
+            "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
+            "the mean of both directions. Normals: median error. Wall: median thickness.",
         ),
     )
 
@@ -195,7 +195,7 @@ def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
     has_wall = numbers.get("wall") is not None
     tints = [found(f"absorption_{channel}", 1) for channel in ("red", "green", "blue")]
     return (
-        millimetres("mean_distance"),
+        millimetres("chamfer"),
         format_number(_number(errors.get("normal_deg")), 1),
         f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
         found("ior", 3),

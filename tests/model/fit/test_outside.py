@@ -151,6 +151,33 @@ def test_a_solid_that_stands_on_a_table_is_flat_at_both_ends_and_as_wide_as_mask
     assert np.abs(found.solid[side, 0] - (low + (high - low) * z[side] / height)).mean() < 0.0005
 
 
+def test_a_glass_on_a_table_is_no_wider_below_its_foot() -> None:
+    low, high, height, half_table = 0.03, 0.045, 0.11, 0.2
+    taken = cameras()
+    o, d = all_rays(taken)
+    to_table = -o[..., 2] / d[..., 2]
+    is_on = (np.abs((o + to_table[..., None] * d)[..., :2] - CENTER[:2]) < half_table).all(axis=-1) & (to_table > 0)
+    depth = np.where(is_on, to_table, np.inf).astype(np.float32)
+    masked = dataclasses.replace(sightings_of(cone_mask(taken, low, high, height), taken), depth=depth)
+    rays = rays_near(masked, 1)
+    # A flat ray just above the table, nearer to a height just below it.
+    flat = {
+        "origins": CENTER - [0.7, -0.01, CENTER[2] - 0.0001],
+        "directions": [1.0, 0.0, 0.0],
+        "hits": True,
+        "is_edge": True,
+        "view": 0,
+        "reach": np.inf,
+    }
+    rays = dataclasses.replace(
+        rays, **{name: np.append(getattr(rays, name), np.array([value]), axis=0) for name, value in flat.items()}
+    )
+    heights = np.arange(-0.0802, 0.08, 0.001)
+    hull = hull_about(rays, Axis(point=CENTER, direction=UP), heights, order=0)
+    assert hull.radii.max() == pytest.approx(high, abs=0.0015)
+    assert not hull.radii[heights < -CENTER[2]].any()
+
+
 def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:
     taken = cameras()
     mask = cone_mask(taken, 0.03, 0.045, 0.11)
