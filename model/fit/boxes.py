@@ -30,8 +30,12 @@ MOST_ROUNDING = 0.9
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
 
+FINER = (0.03, 0.01, 0.003)
+"""The same for all rays, kept where it explains more of them: with the last of `SOFTNESS`, a pane of 18 mm came out as
+18.6 mm."""
+
 COARSE_RAYS, RAYS = 2500, 20_000
-"""Rays that the first two rounds look at, and the most for the others."""
+"""Rays that the first two rounds look at, and the most for the others, but for `FINER`."""
 
 STEPS = 30
 """Largest number of steps in a round."""
@@ -119,8 +123,16 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
     tilted = search([upright, *others], any_way)
     best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
+    best = _finer(best, rays.at_edges(), about_up if best is upright else any_way, support)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
+
+
+def _finer(box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], support: float | None) -> Box:
+    box = _judged(box, rays)
+    for softness in FINER:
+        box = min(box, _judged(_fitted(box, rays, turn, softness, support), rays), key=_errors_of)
+    return box
 
 
 def _errors_of(box: Box) -> float:
