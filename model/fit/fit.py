@@ -32,6 +32,7 @@ from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric
 from datagen.terminal.command import choose, say, track
+from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
 from model.fit.fit_folder import FIT, FitFolder
@@ -189,12 +190,13 @@ class _Work:
             found = self._stage("grid", what, found, lambda: self._scan(self._room(textures, found), found))
         if "search" not in skip:
             what = "search: one number after the other"
-            found = self._stage("search", what, found, lambda: self._search("search", textures, found, ROUNDS))
+            found = self._stage("search", what, found, lambda: self._search("search", textures, found, range(ROUNDS)))
         if "again" not in skip:
             what = "again: learns textures with the glass that was found"
             textures = self.folder.stage("textures", what, digest(found), lambda: self._learn_again(found))
             what = "again: searches once more"
-            found = self._stage("again", what, found, lambda: self._search("again", textures, found, LAST_ROUNDS))
+            last = range(ROUNDS, ROUNDS + LAST_ROUNDS)
+            found = self._stage("again", what, found, lambda: self._search("again", textures, found, last))
         return found
 
     def _stage(self, name: str, title: str, before: Objects, make: Callable[[], Objects]) -> Objects:
@@ -202,13 +204,13 @@ class _Work:
         return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
 
     def _learn_room(self) -> dict[str, State]:
-        pixels, beside = self._pixels({}), np.flatnonzero(self._beside_glass())
+        pixels, beside = self._pixels({}, room.FINE), np.flatnonzero(self._beside_glass())
         state = self._learn(pixels, beside)
         self._show_room(room.load_room(state, pixels, beside))
         return state
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
-        pixels = self._pixels(found)
+        pixels = self._pixels(found, room.FINE)
         return self._learn(pixels, np.arange(len(pixels.rgb)))
 
     def _learn(self, pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> dict[str, State]:
@@ -299,22 +301,20 @@ class _Work:
         # Clear glass was drawn, which may explain the darkness of tinted or frosted glass by a wrong wall.
         return drawn(glass) if is_shaded(glass) and len(cells) > 1 else (cells, glass)
 
-    def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: int) -> Objects:
-        drawn = self._room(textures, found)
+    def _search(self, stage: str, textures: dict[str, State], found: Objects, numbers: range) -> Objects:
         found = dict(found)
-        first = 0 if stage == "search" else ROUNDS
-        numbers = range(first, first + rounds)
         total = sum(count_searches(item.glass, number) for number in numbers for item in found.values())
-        for _ in track(self._rounds(stage, drawn, found, numbers), label=stage, total=total):
+        for _ in track(self._rounds(stage, textures, found, numbers), label=stage, total=total):
             pass
         for object_id, item in found.items():
             say(f"  {self._name(object_id)}: {in_words(item.glass)}")
-        self._show_drawn(stage, drawn, found)
+        self._show_drawn(stage, self._room(textures, found), found)
         return found
 
-    def _rounds(self, stage: str, drawn: room.Room, found: Objects, numbers: range) -> Iterator[None]:
+    def _rounds(self, stage: str, textures: dict[str, State], found: Objects, numbers: range) -> Iterator[None]:
         """Searches all numbers of all objects, round by round, and replaces them in `found`."""
         for number in numbers:
+            drawn = self._room(textures, found, room.FINE if number >= room.COARSE_ROUNDS else room.COARSE)
             for object_id in found:
                 item = found[object_id]
                 rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
@@ -342,15 +342,15 @@ class _Work:
         """Whether pixels are of even views."""
         return (rows // self.dataset.config.resolution.pixels) % 2 == 0
 
-    def _pixels(self, found: Objects) -> LightPathPixels:
+    def _pixels(self, found: Objects, limits: Limits = room.COARSE) -> LightPathPixels:
         meshes, materials = list(self.known), [item.material for item in self.scene.objects]
         for object_id, item in found.items():
             for each, body in zip(item.ids(object_id), item.glass.bodies(), strict=True):
                 meshes[each - 1], materials[each - 1] = body
-        return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials))
+        return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials), limits)
 
-    def _room(self, textures: dict[str, State], found: Objects) -> room.Room:
-        return room.load_room(textures, self._pixels(found), np.flatnonzero(self._beside_glass()))
+    def _room(self, textures: dict[str, State], found: Objects, limits: Limits = room.COARSE) -> room.Room:
+        return room.load_room(textures, self._pixels(found, limits), np.flatnonzero(self._beside_glass()))
 
     # Pictures
 

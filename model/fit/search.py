@@ -20,7 +20,7 @@ SOFTNESS = 0.05
 
 WALLS = (0.03, 0.05, 0.08, 0.12)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
-CORNERS = (0.3, 0.6)
+CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
 USUAL = (USUAL_WALL, 0.15, 0.3)

@@ -11,7 +11,7 @@ from support.traced_dataset import write_traced_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.scene.folder import load_scene
-from model.fit.room import load_pixels
+from model.fit.room import COARSE, load_pixels
 from model.fit.visits import ENOUGH, SKY_LEVEL, STEEPNESS, Visits, count_visits
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import Ends, LightPathBatch, Sky
@@ -75,7 +75,9 @@ def test_a_place_that_few_pixels_show_is_half_known() -> None:
 def test_pixels_that_show_a_floor_are_trusted_only_after_some_of_them_were_counted(tmp_path: Path) -> None:
     dataset = write_traced_dataset(tmp_path / "glasses", resolution=24)
     scene = load_scene(dataset.root / "scene", is_sealed=True)
-    pixels = load_pixels(dataset, scene, read_meshes(dataset, TRUTH), tuple(item.material for item in scene.objects))
+    pixels = load_pixels(
+        dataset, scene, read_meshes(dataset, TRUTH), tuple(item.material for item in scene.objects), COARSE
+    )
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=(8,) * len(scene.objects)))
     first = np.stack([view.object_ids()[0] for view in dataset.views("train")]).ravel()
     floor, others = np.flatnonzero(first == FLOOR), np.flatnonzero((first == 0) | (first == CUBE))
