@@ -98,6 +98,8 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
         support: height along `up` of the known surface below it; an upright box ends there.
     """
     rng = np.random.default_rng(0)
+    # Where a mask shows the object, a known surface in front of it is misplaced, as parts of a fitted room are.
+    rays = dataclasses.replace(rays, reach=np.where(rays.hits, np.inf, rays.reach))
     edge = rays.at_edges().thinned(RAYS)
     few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
     center, radius = find_center(rays)

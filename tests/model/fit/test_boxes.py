@@ -69,6 +69,22 @@ def test_a_box_that_stands_on_a_surface_does_not_reach_below_it() -> None:
     assert box.center[2] - box.half_sizes[2] == pytest.approx(0, abs=3e-4)
 
 
+def test_a_pane_does_not_grow_towards_a_known_thing_on_it_whose_mesh_is_too_large() -> None:
+    center, sizes, above = (0, 0, 0.09), (0.17, 0.12, 0.003), 0.01
+    masked = sightings_of(block(center, sizes, np.eye(3)))
+    rays = [masked.cameras[view].rays() for view in range(len(masked.first))]
+    origins, directions = (np.stack(values).astype(np.float64) for values in zip(*rays, strict=True))
+    to_face = (center[2] + sizes[2] - origins[:, None, None, 2]) / directions[..., 2]
+    across = (origins[:, None, None] + to_face[..., None] * directions)[..., :2]
+    from_middle = np.where(to_face > 0, np.linalg.norm(across, axis=-1), np.inf)
+    # The thing hides the pane within 5 cm, and its mesh within 10 cm.
+    first = np.where(from_middle < 0.05, 0, masked.first).astype(np.uint8)
+    depth = np.where(from_middle < 0.1, to_face + above / directions[..., 2], masked.depth).astype(np.float32)
+    box = fit_box(rays_near(dataclasses.replace(masked, first=first, touched=first > 0, depth=depth), 1), UP)
+    assert box is not None
+    assert worst_corner(box, center, sizes, np.eye(3)) < 0.0001
+
+
 def test_a_ball_is_explained_worse_by_a_box_than_a_box_is() -> None:
     rays = rays_near(sightings_of(ball((0, 0, 0.05), 0.04)), 1)
     box = fit_box(rays, UP)
