@@ -85,6 +85,9 @@ def find_points(folder: Folder) -> None:
             known = _known(colmap, database, shots, times)
             found = colmap.triangulate_points(known, database, work / "images", work)
     points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
+    if not len(points):
+        say(f"{folder.root}: no points were found, for want of detail beside the glass")
+        return
     import trimesh
 
     data = trimesh.PointCloud(points).export(file_type="ply")

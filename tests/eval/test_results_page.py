@@ -91,7 +91,7 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
 
 def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
     content = results()
-    errors = {"mean_distance": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
+    errors = {"chamfer": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
     near = {"value": 2.5, "low": 2.4, "high": 2.6}
     channels = {f"absorption_{channel}": near for channel in ("red", "green", "blue")}
     tumbler = {

@@ -5,6 +5,7 @@ import math
 import shutil
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -123,6 +124,23 @@ def captured(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     answer = call(f"datagen capture '{folder}' --out {root}")
     assert answer.status == 0, answer.error
     return open_dataset(root)
+
+
+def test_where_colmap_finds_no_points_the_room_stays_empty(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    colmap = SimpleNamespace(
+        logging=SimpleNamespace(minloglevel=0),
+        set_random_seed=lambda _: None,
+        triangulate_points=lambda *_: SimpleNamespace(points3D={}),
+    )
+    monkeypatch.setattr("datagen.capture.structure._colmap", lambda _: colmap)
+    for name in ("_matched", "_known"):
+        monkeypatch.setattr(f"datagen.capture.structure.{name}", lambda *_, **__: None)
+    answer = call(f"datagen capture {own} --out {tmp_path / 'balls'}")
+    assert answer.status == 0, answer.error
+    assert "no points were found, for want of detail beside the glass" in answer.err
+    assert not (own / "points3d.ply").exists()
 
 
 # The dataset
