@@ -215,8 +215,8 @@ def _bounds(
 ) -> Float[np.ndarray, " height"]:
     """The least distance from the axis of the rays that miss the object, but for `order` of them.
 
-    Infinite where that leaves the ball in which the object is looked for. Below what it stands on, only rays far beside
-    it pass: with their bounds, a wine glass on a table was 35 cm wide just below its foot.
+    Infinite beyond the search range, a ball around the axis's point. Below a table's surface the only rays are distant
+    ones, and a wine glass on it was 35 cm wide just below its foot.
     """
     least = np.partition(rho[~hits], order, axis=0)[order]
     reach = np.abs(heights).max()
