@@ -1,6 +1,7 @@
 """Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -11,7 +12,9 @@ from datagen.capture.choices import CaptureChoices
 from datagen.capture.folder import Folder, Shot, read_capture
 from datagen.capture.lenses import redrawn, redrawn_mask, shared_lens
 from datagen.capture.outlines import Outline, find_outlines
-from datagen.capture.room import LEAST_POINTS, Part, find_up, fit_room
+from datagen.capture.panes import Pane, find_panes
+from datagen.capture.planes import LEAST_POINTS, find_up
+from datagen.capture.room import Part, fit_room
 from datagen.capture.stereo import DepthMaps, find_depths
 from datagen.capture.structure import find_cameras, find_points
 from datagen.data.cameras import Cameras, Lens
@@ -83,19 +86,24 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     ids = {shot.picture: _object_ids(shot, lens) for shot in shots}
     about_masks = _check_masks(folder, list(ids.values()))
     world, outlines, about_world = _place(folder, lens, [ids[shot.picture] for shot in shots], choices)
+    every = world.cameras(shots, lens)
+    panes = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
+    flat = {pane.name: pane.outline() for pane in panes}
+    outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
     views, about_splits = split_views(_as_foreign(folder))
     cameras: dict[Split, Cameras] = {
         split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
     }
     parts: tuple[Part, ...] = ()
     if not choices.room:
-        every, points = world.cameras(shots, lens), world.points(folder.points)
-        maps = _find_depths(shots, lens, every, points, ids) if len(points) >= LEAST_POINTS else None
-        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps)
+        points = world.points(folder.points)
+        enough = len(points) >= LEAST_POINTS
+        maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
+        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
         parts, about_world = room.parts, [*about_world, room.remark]
         if room.support is not None:
             outlines = tuple(outline.standing_on(room.support) for outline in outlines)
-    about_world += [_size_of(outline) for outline in outlines]
+    about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
     name = scene_name(root.resolve())
     scene, about_scene = _find_scene(name, outlines, parts, cameras, world, choices)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
@@ -161,12 +169,14 @@ def _find_depths(
     cameras: Cameras,
     points: Float[np.ndarray, "point 3"],
     ids: dict[Path, UInt8[np.ndarray, "h w"]],
+    objects: Sequence[str],
+    panes: Sequence[Pane],
 ) -> DepthMaps:
-    """Depth maps of everything that is not glass."""
+    """Depth maps of everything that is not glass, also of what is seen through panes."""
     say(f"compares {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
-    return find_depths(
-        [_picture(shot, lens) for shot in shots], [ids[shot.picture] > 0 for shot in shots], cameras, points
-    )
+    flat = [1 + objects.index(pane.name) for pane in panes]
+    is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
+    return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)
 
 
 # Masks
@@ -240,9 +250,10 @@ def _place(
     return world, placed, lines
 
 
-def _size_of(outline: Outline) -> str:
+def _size_of(outline: Outline, *, is_pane: bool) -> str:
     sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
-    return f"{outline.name}: about {sides} mm by its masks; an ellipsoid, until `model fit` finds its shape"
+    kind = "a pane, which depth maps look through; " if is_pane else ""
+    return f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid, until `model fit` finds its shape"
 
 
 def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

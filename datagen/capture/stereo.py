@@ -26,8 +26,8 @@ SOURCES = 6
 """Other views that a view is compared with; the best half of them counts, since some see it hidden."""
 ANGLE_DEG, ANGLES_DEG = 15.0, (4.0, 35.0)
 """Best angle between a view and those it is compared with, and its limits."""
-HALF_WINDOW = 3
-"""Pixels on either side of the one that is compared."""
+HALF_WINDOW = 2
+"""Pixels on either side of the one that is compared; things seem wider than they are by about as much."""
 LEAST_SCORE = 0.6
 """Mean cross-correlation of a depth that is kept."""
 LEAST_CONTRAST = 0.006
@@ -40,7 +40,11 @@ BORDERS = (0.8, 1.25)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthMaps:
-    """Depths along the cameras' axes in metres; 0 where none was found."""
+    """Depths along the cameras' axes in metres; 0 where none was found.
+
+    What is seen through a pane appears a third of the pane's thickness nearer than it is. That is less than a depth is
+    off by, and is left as it is.
+    """
 
     cameras: Cameras
     depth: Float32[np.ndarray, "view h w"]
@@ -55,6 +59,7 @@ def find_depths(
     """The depth map of each view.
 
     Args:
+        is_glass: True where a picture shows glass that shifts what is seen through it: any but panes.
         points: some points of the scene, which tell the range of depths.
     """
     grey = np.stack([picture.astype(np.float32).mean(axis=-1) / 255 for picture in pictures])

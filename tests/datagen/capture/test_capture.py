@@ -16,7 +16,8 @@ from support.traced_dataset import write_traced_dataset
 from datagen.build.verify import verify_dataset
 from datagen.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from datagen.capture.outlines import Outline
-from datagen.capture.room import find_up, fit_room
+from datagen.capture.planes import find_up
+from datagen.capture.room import fit_room
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset

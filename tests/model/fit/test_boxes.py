@@ -53,7 +53,10 @@ def test_a_pane_thinner_than_a_pixel_that_leans_is_found_with_its_thickness() ->
     assert worst_corner(box, (0, 0, 0.055), sizes, turn) < 0.001
 
 
-@pytest.mark.parametrize("most_rays", [20_000, pytest.param(2000, id="of which only some are used")])
+@pytest.mark.parametrize(
+    "most_rays",
+    [pytest.param(20_000, marks=pytest.mark.full), pytest.param(2000, id="of which only some are used")],
+)
 def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face(
     most_rays: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
