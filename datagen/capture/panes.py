@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from datagen.capture.outlines import Outline
+from datagen.capture.outlines import Outline, ids_at
 from datagen.capture.rectangles import Flat, Rectangle, smallest_rectangle
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
@@ -45,7 +45,7 @@ class Pane:
         return self.top - self.thickness
 
     def outline(self) -> Outline:
-        """An upright ellipsoid as large as it."""
+        """An upright ellipsoid of the same size."""
         reach = np.abs(self.footprint.axes.T) @ self.footprint.half
         return Outline(
             name=self.name,
@@ -54,7 +54,7 @@ class Pane:
         )
 
     def without(self, mesh: Mesh) -> Mesh:
-        """A surface whose points in the pane, where nothing can be, are moved out of its nearer face."""
+        """A surface with its vertices inside the pane, where nothing can be, moved out through the nearer face."""
         vertices = mesh.vertices.copy()
         inside = self.footprint.holds(vertices[:, :2]) & (vertices[:, 2] > self.bottom) & (vertices[:, 2] < self.top)
         below = vertices[:, 2] < self.top - self.thickness / 2
@@ -66,7 +66,7 @@ class Pane:
 def find_panes(
     outlines: Sequence[Outline], ids: Sequence[UInt8[np.ndarray, "h w"]], cameras: Cameras
 ) -> tuple[Pane, ...]:
-    """Those objects that are panes.
+    """The objects that are panes.
 
     Args:
         outlines: of all objects.
@@ -137,10 +137,7 @@ def _share(
     """The share of the views that see an object at points, of those that see it or nothing in front of it."""
     yes, views_of = np.zeros(len(points)), np.zeros(len(points))
     for view in views:
-        pixel, depth = cameras[view].project(points)
-        column, row = np.floor(pixel).astype(np.int64).T
-        shown = (depth > 0) & (column >= 0) & (row >= 0) & (column < cameras.width) & (row < cameras.height)
-        found = ids[view][np.where(shown, row, 0), np.where(shown, column, 0)]
+        shown, found = ids_at(points, ids[view], cameras[view])
         yes += shown & (found == index)
         views_of += shown & ((found == index) | denies[found])
     return yes / np.maximum(views_of, 1)

@@ -189,9 +189,9 @@ def floor_within(points: Points, walls: Sequence[Wall], middle: np.ndarray) -> R
 
 
 def floor_around(ground: Rectangle, walls: Sequence[Wall], middle: np.ndarray, reach: float) -> list[Rectangle]:
-    """What lies around the floor as far as some distance from the middle, and not beyond walls: up to four parts.
+    """Up to four rectangles around the floor, out to some distance from the middle but not beyond walls.
 
-    They are parts of their own, so that their large area takes no texels from the floor.
+    Each becomes a part of its own, so that its large area takes no texels from the floor.
     """
     axes = ground.axes
     low, high = (np.array(ground.center) @ axes.T + sign * np.array(ground.half) for sign in (-1, 1))

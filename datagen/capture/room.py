@@ -73,7 +73,7 @@ def fit_room(
         glass: all objects of glass.
         places: of the cameras.
         maps: depths of opaque surfaces; without them, things are boxes.
-        panes: those objects that are panes.
+        panes: the objects that are panes.
     """
     middle = np.mean([outline.center for outline in glass], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
@@ -140,7 +140,7 @@ def fit_room(
 
 
 def _standing(glass: Sequence[Outline], panes: Sequence[Pane]) -> Sequence[Outline]:
-    """The glass that may stand on panes; all of it where there is nothing else."""
+    """All glass except panes; the panes themselves if there is no other glass."""
     names = {pane.name for pane in panes}
     return [outline for outline in glass if outline.name not in names] or glass
 
