@@ -16,7 +16,7 @@ LEAST_VIEWS = 3
 LEAST_PIXELS = 8
 """Smaller masks are left out: they say little, and are often wrong."""
 GAP = 0.0005
-"""Gap in metres between glass and its support."""
+"""Gap in metres between glass and opaque surfaces that it touches."""
 SIDE = 40
 """Points a side of the grid that is carved."""
 MAX_OUTSIDE = 0.1

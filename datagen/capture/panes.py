@@ -10,15 +10,13 @@ from itertools import product
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from datagen.capture.outlines import Outline, ids_at
+from datagen.capture.outlines import GAP, Outline, ids_at
 from datagen.capture.rectangles import Flat, Rectangle, smallest_rectangle
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
 
 MAX_THICKNESS = 0.1
 """Thickness of a pane over its narrower side."""
-GAP = 0.0005
-"""Metres between a pane and opaque surfaces that were found in it."""
 HEIGHTS, SIDE, VIEWS = 25, 48, 48
 """Heights that are tried, points a side of the grid in each, and most of the views that are asked."""
 STEEP = 0.2
