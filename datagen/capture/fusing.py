@@ -10,12 +10,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from datagen.capture.stereo import DepthMaps, projections_of
 from datagen.data.meshes import Mesh
+from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import num_cores
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ def _averages(
     return np.stack(distance), np.stack(views)
 
 
-@numba.njit(nogil=True, cache=True)
+@compiled(nogil=True)
 def _average(depth, projections, start, voxel, shape):
     """Mean signed distance to the surface in units of the truncation, positive in front of it; views that saw it."""
     distance, views = np.zeros(shape, np.float32), np.zeros(shape, np.float32)

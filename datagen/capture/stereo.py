@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Cameras
+from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import track
 
@@ -117,7 +118,7 @@ def _between(
     return turn.astype(np.float32), shift.astype(np.float32)
 
 
-@numba.njit(nogil=True, cache=True)
+@compiled(nogil=True)
 def _sweep(grey, opaque, others, others_opaque, turn, shift, planes):
     """Depth with the best score at each pixel; 0 where no score is good."""
     height, width = grey.shape
@@ -221,7 +222,7 @@ def _keep_best(best, scores):
                     best[place, row, column], score = score, best[place, row, column]
 
 
-@numba.njit(nogil=True, cache=True)
+@compiled(nogil=True)
 def _agreed(depth, others, turn, shift):
     """The depths that enough other views find, too; 0 for the rest."""
     height, width = depth.shape

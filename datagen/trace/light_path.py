@@ -20,12 +20,12 @@ Vectorised variants only. Call `use_mitsuba` first.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from jaxtyping import Bool, Float32, Int32, Int64, UInt8, UInt32
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
+from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
 from datagen.scene.materials import Material, check_material
@@ -370,7 +370,7 @@ def _pack(
     }
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _list_ends(
     end: UInt32[np.ndarray, "branch traced"],
     num_rays: int,

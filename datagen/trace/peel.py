@@ -20,6 +20,7 @@ from jaxtyping import Float32, Int32, UInt8
 from datagen.data.cameras import Cameras
 from datagen.data.layers import UV_SCALE, Layers
 from datagen.data.meshes import Mesh, is_there
+from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
 
@@ -153,7 +154,7 @@ def _interpolate(corners, barycentric):
     )
 
 
-@numba.njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _to_stacks(
     shape: Int32[np.ndarray, "layer ray"],
     prim: Int32[np.ndarray, "layer ray"],
@@ -176,7 +177,7 @@ def _to_stacks(
             uv[ray, layer, 0], uv[ray, layer, 1] = _interpolate(corners, barycentric[layer, ray])
 
 
-@numba.njit(parallel=True, cache=True, nogil=True)
+@compiled(parallel=True, nogil=True)
 def _to_layers(
     order: Int32[np.ndarray, " ray"],
     shape: Int32[np.ndarray, "layer ray"],

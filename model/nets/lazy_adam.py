@@ -16,6 +16,7 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 from torch import Tensor
 
 from datagen.disk.errors import HyalineError
+from datagen.machine.compiled import compiled
 from model.nets.texels import taps
 from model.settings.state import State
 
@@ -158,7 +159,7 @@ def _catch_up(moved, row):
         square[row, c] *= kept_square
 
 
-@numba.njit(cache=True)
+@compiled()
 def _read_texels(
     uv: Float32[np.ndarray, "slot 2"],
     object_id: UInt8[np.ndarray, " slot"],
@@ -187,7 +188,7 @@ def _read_texels(
     return num_read
 
 
-@numba.njit(cache=True)
+@compiled()
 def _catch_up_all(
     moved: Moved,
 ) -> None:
@@ -195,7 +196,7 @@ def _catch_up_all(
         _catch_up(moved, row)
 
 
-@numba.njit(cache=True)
+@compiled()
 def _sum_rows(values: Float32[np.ndarray, "texel c"], rows: Int32[np.ndarray, " row"]) -> float:
     total = 0.0
     for row in rows:
@@ -204,7 +205,7 @@ def _sum_rows(values: Float32[np.ndarray, "texel c"], rows: Int32[np.ndarray, " 
     return total
 
 
-@numba.njit(cache=True)
+@compiled()
 def _step_rows(
     table: Float32[np.ndarray, "texel c"],
     gradient: Float32[np.ndarray, "texel c"],

@@ -17,6 +17,7 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
+from datagen.machine.compiled import compiled
 from model.settings.runtime import start_numba_threads
 
 start_numba_threads()
@@ -97,7 +98,7 @@ def _fetch_ahead(table, rows, hit, count):
             _fetch(table, rows[hit + AHEAD, tap])
 
 
-@numba.njit(parallel=True, cache=True, boundscheck=False)
+@compiled(parallel=True, boundscheck=False)
 def add_look_ups(
     result: Float32[np.ndarray, "slot c"],
     table: Float32[np.ndarray, "texel c"],
@@ -128,7 +129,7 @@ def add_look_ups(
                 result[slot, c] += w0 * table[r0, c] + w1 * table[r1, c] + w2 * table[r2, c] + w3 * table[r3, c]
 
 
-@numba.njit(parallel=True, cache=True, boundscheck=False)
+@compiled(parallel=True, boundscheck=False)
 def add_gradient(
     gradient: Float32[np.ndarray, "texel c"],
     upstream: Float32[np.ndarray, "slot c"],
@@ -165,7 +166,7 @@ def add_gradient(
                     gradient[row, c] += share * upstream[slot, c]
 
 
-@numba.njit(parallel=True, cache=True, boundscheck=False)
+@compiled(parallel=True, boundscheck=False)
 def add_uv_gradient(
     gradient: Float32[np.ndarray, "slot 2"],
     upstream: Float32[np.ndarray, "slot c"],

@@ -19,7 +19,7 @@ CONF = BeartypeConf(is_pep484_tower=True)
 ARRAYS = {name for name, kind in vars(jaxtyping).items() if isinstance(kind, type) and issubclass(kind, AbstractDtype)}
 """Float32, UInt8, ...: the names of annotations that say an array's dtype and shape."""
 
-COMPILERS = {"numba", "intrinsic", "dr"}
+COMPILERS = {"numba", "compiled", "intrinsic", "dr"}
 """Decorators of functions that Numba and Dr.Jit compile from source: they take no wrapped ones."""
 
 
