@@ -246,7 +246,7 @@ def peel(
     say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
-    next_command(train_command(opened.home.root, geometry))
+    next_command(train_command(opened.home.root, geometry, opened.imported))
 
 
 def film(

@@ -20,7 +20,7 @@ from datagen.capture.structure import find_cameras, find_points
 from datagen.data.cameras import Cameras, Lens
 from datagen.data.config import SPLITS, Resolution, Split
 from datagen.data.depth_range import with_depth_range
-from datagen.data.images import png_bytes
+from datagen.data.images import mask_pixels, png_bytes
 from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, load_json
@@ -51,8 +51,10 @@ DISTANCE = 1.0
 """Metres from the cameras to the glass where nothing tells the scale."""
 GREY = (0.5, 0.5, 0.5)
 """Colour of the room in scene.json; renderers learn what it looks like."""
-MAX_SHARED = 0.02
-"""Share of an object's pixels that another may claim without a remark."""
+LEAST_SIZE = 0.004
+"""Metres that the largest side of an object must have: gaps between glass and other surfaces are in millimetres."""
+MAX_EDGES = 0.5
+"""Share of all pictures' edges that an object may cover."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,14 +80,13 @@ class World:
 def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     """Finds everything in a folder but the looks of its pictures."""
     folder = read_capture(root, find_cameras)
-    if not choices.room and not len(folder.points):
-        find_points(folder)
-        folder = read_capture(root, find_cameras)
-    shots = folder.shots
-    lens, about_lens = shared_lens([shot.lens for shot in shots], choices.longest)
-    ids = {shot.picture: _object_ids(shot, lens) for shot in shots}
+    lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
+    ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
     about_masks = _check_masks(folder, list(ids.values()))
-    world, outlines, about_world = _place(folder, lens, [ids[shot.picture] for shot in shots], choices)
+    folder, world, outlines, about_world = _place_with_points(
+        folder, lens, [ids[shot.picture] for shot in folder.shots], choices
+    )
+    shots = folder.shots
     every = world.cameras(shots, lens)
     panes = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
     flat = {pane.name: pane.outline() for pane in panes}
@@ -187,7 +188,7 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     found = np.zeros((lens.height, lens.width), np.uint8)
     masks = []
     for path in shot.masks:
-        mask = np.asarray(opened(path, (shot.lens.width, shot.lens.height)).convert("L")) > 127
+        mask = mask_pixels(opened(path, (shot.lens.width, shot.lens.height)))
         masks.append(redrawn_mask(mask, shot.lens, lens))
     for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
         found[masks[place]] = 1 + place
@@ -196,17 +197,36 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
 
 def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
     counts = np.sum([np.bincount(found.reshape(-1), minlength=len(folder.objects) + 1) for found in ids], axis=0)
-    for name, count in zip(folder.objects, counts[1:], strict=True):
-        if not count:
+    edges = np.concatenate([side.ravel() for found in ids for side in (found[[0, -1]], found[:, [0, -1]])])
+    for place, name in enumerate(folder.objects, start=1):
+        if not counts[place]:
             raise HyalineError(
-                f"{folder.root}: the masks of {name} are black in all {len(ids)} pictures; expected white where the "
-                "object is seen, or no folder of it"
+                f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
+                "those of other objects; expected white where the object is seen, or no folder of it"
+            )
+        if (share := (edges == place).mean()) > MAX_EDGES:
+            raise HyalineError(
+                f"{folder.root}: the masks of {name} show {100 * share:.0f} % of the pictures' edges; expected white "
+                "where the object is seen, black around it: invert them, or take pictures from farther away"
             )
     share = 100 * counts[1:].sum() / counts.sum()
     return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
 
 
 # The world
+
+
+def _place_with_points(
+    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+) -> tuple[Folder, World, tuple[Outline, ...], list[str]]:
+    """Places everything; looks for points if there are none, after all that is quicker and may be wrong."""
+    placed = _place(folder, lens, ids, choices)
+    if not choices.room and not len(folder.points):
+        find_points(folder)
+        folder = read_capture(folder.root, find_cameras)
+        if not folder.has_unit:  # Points say what is up.
+            placed = _place(folder, lens, ids, choices)
+    return folder, *placed
 
 
 def _place(
@@ -236,6 +256,12 @@ def _place(
         places = turned.cameras(shots, lens).world_from_camera[:, :3, 3]
         scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
         lines = [f"scale: is unknown; the cameras were put {DISTANCE:g} m away from the glass, --diameter sets it"]
+    for outline in outlines:
+        if (width := 2 * scale * max(outline.radii)) < LEAST_SIZE:
+            raise HyalineError(
+                f"{folder.root}: {outline.name} is {1000 * width:.2g} mm large by its masks and cameras; expected at "
+                f"least {1000 * LEAST_SIZE:g} mm: give the cameras' unit by --scale or --diameter"
+            )
     # A transforms file's world keeps its origin; otherwise it is below the glass.
     offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
     world = World(rotation=rotation, scale=scale, offset=offset)

@@ -103,8 +103,7 @@ def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"],
 def find_pictures(root: Path) -> list[Path]:
     """The pictures in images/, or else in the folder itself, by name."""
     folder = root / PICTURES if (root / PICTURES).is_dir() else root
-    found = sorted(path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
-    found = [path for path in found if path.relative_to(root).parts[0] != MASKS]
+    found = [path for path in _pictures_below(folder) if path.relative_to(root).parts[0] != MASKS]
     if not 3 <= len(found) <= MAX_VIEWS:
         raise HyalineError(f"{folder}: has {len(found)} pictures; expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files")
     for path in found:
@@ -112,12 +111,18 @@ def find_pictures(root: Path) -> list[Path]:
     return found
 
 
+def _pictures_below(folder: Path) -> list[Path]:
+    """The pictures in a folder and the folders in it, except hidden ones, such as macOS leaves."""
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
+    return sorted(path for path in found if not any(part[0] == "." for part in path.relative_to(folder).parts))
+
+
 class Masks:
     """The masks of each object, by the pictures that they belong to."""
 
     def __init__(self, root: Path, pictures: Sequence[Path]) -> None:
         folder = root / MASKS
-        folders = sorted(path for path in folder.iterdir() if path.is_dir()) if folder.is_dir() else []
+        folders = sorted(path for path in folder.glob("[!.]*") if path.is_dir()) if folder.is_dir() else []
         if not 1 <= len(folders) < MAX_OBJECTS:
             raise HyalineError(
                 f"{folder}: has {len(folders)} folders; expected one for each object of glass with a PNG for each "
@@ -132,15 +137,17 @@ class Masks:
 
 
 def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
-    """The mask of each picture, found by its path below images/ or by its name alone."""
-    listed = {path.relative_to(folder).with_suffix("").as_posix(): path for path in folder.rglob("*.png")}
-    names = [Path(name_of(root, path)).with_suffix("").as_posix() for path in pictures]
+    """The mask of each picture, found by its path below images/ or by its name alone, with or without its ending."""
+    listed = {path.relative_to(folder).with_suffix("").as_posix(): path for path in _pictures_below(folder)}
+    whole = [name_of(root, path) for path in pictures]
+    names = [Path(name).with_suffix("").as_posix() for name in whole]
     stems = [path.stem for path in pictures]
     if len(set(names)) < len(names):
         again = next(name for name in names if names.count(name) > 1)
         raise HyalineError(f"{root}: two pictures are called {shown(again)}; expected names that differ before the dot")
     found = [
-        listed.get(name) or (listed.get(stem) if stems.count(stem) == 1 else None) for name, stem in zip(names, stems)
+        listed.get(name) or listed.get(with_ending) or (listed.get(stem) if stems.count(stem) == 1 else None)
+        for name, with_ending, stem in zip(names, whole, stems, strict=True)
     ]
     if not any(found):
         raise HyalineError(
@@ -202,7 +209,7 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
         root=root,
         views={role: tuple(shots) for role, shots in views.items()},
         objects=objects,
-        points=np.zeros((0, 3)) if points_file is None else read_ply_points(points_file),
+        points=_points_in(points_file),
         has_unit=True,
         cameras=", ".join(files.values()),
         points_file=points_file,
@@ -211,11 +218,14 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
     )
 
 
-def _points_file(root: Path, file: Transforms) -> Path | None:
-    named = file.content.get("ply_file_path")
-    if isinstance(named, str):
+def _points_file(root: Path, file: Transforms | None = None) -> Path | None:
+    if file is not None and isinstance(named := file.content.get("ply_file_path"), str):
         return find_file(root, named, where=f"{file.where}.ply_file_path")
     return next((find_file(root, name, where=str(root)) for name in POINTS if (root / name).is_file()), None)
+
+
+def _points_in(file: Path | None) -> Float[np.ndarray, "point 3"]:
+    return np.zeros((0, 3)) if file is None else read_ply_points(file)
 
 
 def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
@@ -233,8 +243,8 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
         )
     if len(shots) < 3:
         raise HyalineError(
-            f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures; expected the names "
-            f"below {PICTURES}/, such as {name_of(root, pictures[0])}"
+            f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
+            f"{shown(next(iter(listed)))}; expected those below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
     remarks = ()
     if lost:
@@ -242,13 +252,16 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
             f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})",
         )
+    points = colmap_points(root)
+    points_file = None if len(points) else _points_file(root)
     return Folder(
         root=root,
         views={role: tuple(found) for role, found in _every(shots).items()},
         objects=masks.objects,
-        points=colmap_points(root),
+        points=points if points_file is None else _points_in(points_file),
         has_unit=False,
         cameras="COLMAP",
+        points_file=points_file,
         remarks=remarks,
     )
 

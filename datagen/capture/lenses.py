@@ -158,9 +158,13 @@ def _is_seen_by_all(tangent: float, size: Resolution, lenses: Sequence[TakenLens
     along = np.linspace(-1, 1, 33)
     edge = np.concatenate([[(t, s), (s, t)] for t in along for s in (-1.0, 1.0)])
     points = edge * (tangent, tangent * size.height / size.width)
+    outwards = points * np.linspace(0.1, 1, 10)[:, None, None]
     for lens in dict.fromkeys(lenses):
+        # Strong distortion folds the plane back into the picture, far from where any picture told it.
+        steps = lens.pixels(1.001 * outwards) - lens.pixels(outwards)
+        is_folded = ((steps * points).sum(axis=-1) <= 0).any()
         seen = lens.pixels(points)
-        if not ((seen >= -1e-6) & (seen <= np.array([lens.width, lens.height]) + 1e-6)).all():
+        if is_folded or not ((seen >= -1e-6) & (seen <= np.array([lens.width, lens.height]) + 1e-6)).all():
             return False
     return True
 

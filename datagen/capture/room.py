@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.capture.fusing import fuse
-from datagen.capture.outlines import Outline
+from datagen.capture.outlines import GAP, Outline
 from datagen.capture.panes import Pane
 from datagen.capture.planes import (
     FAR,
@@ -88,7 +88,7 @@ def fit_room(
     near, few = NEAR * radius, max(LEAST_POINTS, LEAST_SHARE * len(points))
     levels = _levels(points, near, few, below=float(places[:, 2].min()))
     if not levels:
-        side = 3 * radius
+        side, bottom = 3 * radius, min(outline.center[2] - outline.radii[2] for outline in glass) - GAP
         floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
         remark = f"room: none of {len(whole):,} points lie in a plane; it is a floor below the glass, --room gives more"
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)

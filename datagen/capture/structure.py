@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 from datagen.capture.folder import FOUND, POINTS, Folder, Masks, Shot, name_of
+from datagen.data.images import mask_pixels
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit
 from datagen.import_dataset.layouts import picture_size
@@ -61,8 +62,10 @@ def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
             )
         for camera in found.cameras.values():
             camera.rescale(round(camera.width / times), round(camera.height / times))
-        (root / FOUND / "sparse" / "0").mkdir(parents=True, exist_ok=True)
-        found.write_text(root / FOUND / "sparse" / "0")
+        found.write_text(folder)
+        # Without its images the model does not count, so they are the last to be there.
+        for name in ("points3D.txt", "cameras.txt", "images.txt"):
+            commit(root / FOUND / "sparse" / "0" / name, (folder / name).read_bytes())
     say(f"{root}: {count} cameras and {len(found.points3D):,} points were found, and kept in {root / FOUND}")
 
 
@@ -129,7 +132,7 @@ def _write_pictures(folder: Path, pictures: Sequence[tuple[Path, Sequence[Path]]
         picture.resize(size, Image.Resampling.LANCZOS).save(folder / "images" / f"{place:05d}.png")
         seen = np.zeros((picture.height, picture.width), bool)
         for mask in masks:
-            seen |= np.asarray(opened(mask, picture.size).convert("L")) > 127
+            seen |= mask_pixels(opened(mask, picture.size))
         hidden = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
         hidden.save(folder / "masks" / f"{place:05d}.png.png")
     return times

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8, UInt16
+from jaxtyping import Bool, Float, Float32, UInt8, UInt16
 from PIL import Image
 
 from datagen.data.config import Resolution
@@ -67,6 +67,13 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
     # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
+
+
+def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
+    """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
+    if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
+        return alpha > 127
+    return np.asarray(picture.convert("RGB")).max(axis=-1) > 127
 
 
 def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:

@@ -6,6 +6,7 @@ import shlex
 from pathlib import Path
 
 from datagen.data.config import Split
+from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.disk.storage import home_of
@@ -94,8 +95,10 @@ def build_command(root: Path = DATA_ROOT) -> str:
     )
 
 
-def train_command(root: Path, geometry: str = TRUTH) -> str:
-    """An example of the command after peeling a geometry."""
+def train_command(root: Path, geometry: str = TRUTH, imported: Imported | None = None) -> str:
+    """An example of the command after peeling a geometry; the glass of a capture is fitted first."""
+    if imported is not None and imported.has_objects and geometry == TRUTH:
+        return shlex.join(["model", "fit", str(root)])
     words = ["model", "train", "paper", str(root)]
     return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
 

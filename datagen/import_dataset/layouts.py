@@ -85,7 +85,7 @@ class ForeignDataset:
 ONE_FILE = "transforms.json"
 EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
-ENDINGS = ("", ".png", ".jpg", ".jpeg", ".JPG", ".webp")
+ENDINGS = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 

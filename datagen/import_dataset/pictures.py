@@ -12,6 +12,7 @@ from datagen.data.config import Resolution
 from datagen.data.images import (
     MAX_NPY_BYTES,
     linear_from_srgb,
+    mask_pixels,
     npy_bytes,
     png_bytes,
     read_npy,
@@ -68,10 +69,9 @@ def on_background(
 
 
 def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
-    """Pixels that a mask shows: those that are not black, as RefRef's own reader takes them."""
+    """Pixels that a view's mask shows."""
     assert view.mask is not None
-    picture = opened(view.mask, (size.width, size.height))
-    return np.asarray(picture.convert("L")) > 127
+    return mask_pixels(opened(view.mask, (size.width, size.height)))
 
 
 def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:

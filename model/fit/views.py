@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.images import open_png
+from datagen.data.images import mask_pixels, open_png
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
@@ -180,7 +180,7 @@ def _read_pngs(dataset: Dataset, view: View, unknown: tuple[int, ...], masks: Pa
     seen = np.zeros(shape, np.uint8)
     for object_id in unknown:
         path = masks / dataset.objects[object_id - 1].name / f"{view_name(view.index)}.png"
-        mask = np.asarray(open_png(path, size=dataset.config.resolution).convert("L")) > 127
+        mask = mask_pixels(open_png(path, size=dataset.config.resolution))
         if bool((seen[mask] > 0).any()):
             other = dataset.objects[int(seen[mask].max()) - 1].name
             raise HyalineError(f"{path}: overlaps the mask of {other}; expected the object that is seen first")
