@@ -20,7 +20,7 @@ from datagen.capture.structure import find_cameras, find_points
 from datagen.data.cameras import Cameras, Lens
 from datagen.data.config import SPLITS, Resolution, Split
 from datagen.data.depth_range import with_depth_range
-from datagen.data.images import mask_pixels, png_bytes
+from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, load_json
@@ -53,8 +53,6 @@ GREY = (0.5, 0.5, 0.5)
 """Colour of the room in scene.json; renderers learn what it looks like."""
 LEAST_SIZE = 0.004
 """Metres that the largest side of an object must have: gaps between glass and other surfaces are in millimetres."""
-MAX_EDGES = 0.5
-"""Share of all pictures' edges that an object may cover."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,18 +195,13 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
 
 def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
     counts = np.sum([np.bincount(found.reshape(-1), minlength=len(folder.objects) + 1) for found in ids], axis=0)
-    edges = np.concatenate([side.ravel() for found in ids for side in (found[[0, -1]], found[:, [0, -1]])])
     for place, name in enumerate(folder.objects, start=1):
         if not counts[place]:
             raise HyalineError(
                 f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
                 "those of other objects; expected white where the object is seen, or no folder of it"
             )
-        if (share := (edges == place).mean()) > MAX_EDGES:
-            raise HyalineError(
-                f"{folder.root}: the masks of {name} show {100 * share:.0f} % of the pictures' edges; expected white "
-                "where the object is seen, black around it: invert them, or take pictures from farther away"
-            )
+        refuse_inverted(np.stack(ids) == place, where=f"{folder.root}: {name}")
     share = 100 * counts[1:].sum() / counts.sum()
     return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
 

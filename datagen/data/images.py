@@ -69,11 +69,25 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
 
 
+MAX_EDGES = 0.5
+"""Share of all pictures' edges that the masks of one object may cover."""
+
+
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
     return np.asarray(picture.convert("RGB")).max(axis=-1) > 127
+
+
+def refuse_inverted(masks: Bool[np.ndarray, "view h w"], *, where: str) -> None:
+    """Raises a HyalineError if the masks of one object cover most of all pictures' edges, as inverted ones do."""
+    share = np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
+    if share > MAX_EDGES:
+        raise HyalineError(
+            f"{where}: its masks show {100 * share:.0f} % of the pictures' edges; expected white where the object is "
+            "seen, black around it: invert them, or take pictures from farther away"
+        )
 
 
 def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:

@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.images import mask_pixels, open_png
+from datagen.data.images import mask_pixels, open_png, refuse_inverted
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
@@ -93,6 +93,10 @@ def read_sightings(
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
         met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
+    if masks is not None:
+        for object_id in unknown:
+            name = dataset.objects[object_id - 1].name
+            refuse_inverted(np.stack(first) == object_id, where=str(masks / name))
     depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
     return Sightings(
         cameras=cameras,

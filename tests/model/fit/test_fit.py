@@ -161,6 +161,10 @@ def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitt
     assert answer.status == 0, answer.err
     first, second = (json.loads((place / "fit.json").read_text())["objects"][0] for place in (fitted, tmp_path / "fit"))
     assert first["hull_outline"] == second["hull_outline"]
+    for path in masks.iterdir():
+        Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
+    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'inverted'}")
+    assert answer.status == 1 and f"{masks}: its masks show" in answer.error and "invert them" in answer.error
 
 
 def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:
