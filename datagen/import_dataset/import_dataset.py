@@ -192,6 +192,9 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
         raise HyalineError(
             f"{foreign.root}: has {len(train)} pictures to train on and {len(test)} to test; expected some of each"
         )
+    learned = {view.picture for view in train}
+    if (again := next((view.picture for view in test if view.picture in learned), None)) is not None:
+        raise HyalineError(f"{again}: is listed to train on and to test; expected each picture once")
     if len(test) == 1:
         return {"train": train, "interpolating": test, "extrapolating": test}, [
             *lines,

@@ -341,6 +341,7 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
     "an absolute path": (set_first(file_path="/etc/passwd"), "expected a file inside the folder"),
     "a link out": (outside, "is a link out of its folder"),
     "a missing picture": (set_first(file_path="./train/r_99"), "names 'train/r_99', which is not in"),
+    "a test picture to train on": (set_first(file_path="./test/r_0"), "r_0.png: is listed to train on and to test"),
     "a mirrored camera": (
         set_first(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
         "transform_matrix: camera: .* expected a rotation and a place",
