@@ -320,7 +320,9 @@ def _save_scene(
     opaque = [SceneObject(name=part.name, mesh=part.mesh, material=Diffuse(color=GREY)) for part in parts]
     opaque += _given_room(choices, world, remarks)
     allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
-    names = unique_names([*(item.name for item in glass), *(item.name for item in opaque)])
+    taken = {item.name for item in glass}
+    others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
+    names = unique_names([*(item.name for item in glass), *others])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
     scene = Scene(
         name=name,

@@ -131,7 +131,7 @@ def captured(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return open_dataset(root)
 
 
-def test_where_colmap_finds_no_points_the_room_stays_empty(
+def test_where_colmap_finds_no_points_the_room_is_a_floor_and_glass_may_be_called_so(
     own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     colmap = SimpleNamespace(
@@ -142,8 +142,11 @@ def test_where_colmap_finds_no_points_the_room_stays_empty(
     monkeypatch.setattr("datagen.capture.structure._colmap", lambda _: colmap)
     for name in ("_matched", "_known"):
         monkeypatch.setattr(f"datagen.capture.structure.{name}", lambda *_, **__: None)
+    (own / "masks" / "ball").rename(own / "masks" / "floor")
     answer = call(f"datagen capture {own} --out {tmp_path / 'balls'}")
     assert answer.status == 0, answer.error
+    objects = {item.name: item.is_glass for item in open_dataset(tmp_path / "balls").objects}
+    assert objects == {"floor": True, "wine_glass__1_": True, "room_floor": False}
     assert "no points were found, for want of detail beside the glass" in answer.err
     assert not (own / "points3d.ply").exists()
 
@@ -498,7 +501,7 @@ def edit(root: Path, **more: object) -> None:
         (with_inverted_masks, "expected white where the object is seen, black around it: invert them"),
         (with_masks_that_never_meet, "masks/ball: its masks do not meet in space"),
         (without_pictures, "has 0 pictures; expected 3 to"),
-        (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read"),
+        (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read (no PNG, JPEG or WebP)"),
         (with_a_fisheye, "its lens is a fisheye's (OPENCV_FISHEYE); expected PINHOLE or OPENCV"),
         (
             in_kilometres,
