@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from datagen.data.config import Resolution
 from datagen.data.images import (
@@ -101,6 +101,8 @@ def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
             return picture
     except HyalineError:
         raise
+    except UnidentifiedImageError as error:
+        raise HyalineError(f"{path}: not a picture that can be read (no PNG, JPEG or WebP)") from error
     # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
         raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__}: {error})") from error
