@@ -69,8 +69,8 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
 
 
-MAX_EDGES = 0.5
-"""Share of all pictures' edges that the masks of one object may cover."""
+MAX_EDGES = 0.9
+"""Share of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
 
 
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
@@ -81,7 +81,7 @@ def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
 
 
 def refuse_inverted(masks: Bool[np.ndarray, "view h w"], *, where: str) -> None:
-    """Raises a HyalineError if the masks of one object cover most of all pictures' edges, as inverted ones do."""
+    """Raises a HyalineError if the masks of one object cover nearly all edges of pictures, as inverted ones do."""
     share = np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
     if share > MAX_EDGES:
         raise HyalineError(
