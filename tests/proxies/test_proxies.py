@@ -1,6 +1,7 @@
 """Tests of proxies: what they enclose, how tight they are, their atlas, and what happens without pymeshlab."""
 
 import functools
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -227,19 +228,29 @@ def _shared(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return positions, index.reshape(-1)[mesh.faces]
 
 
+SLOW_PIECES = {"lowpoly": (1, 2, 3, 4), "wrap": (2, 4)}
+"""Unwrapping these takes longest, by `piece_of`."""
+
+
+def piece_of(place: int) -> Mesh:
+    """A cup, a table, then the shapes."""
+    return (cup, table)[place]() if place < 2 else shapes(0)[place - 2]
+
+
+def pieces_of(kinds: Sequence[ProxyKind], pieces: Sequence[int]) -> list:
+    """Cases of a test, of which the slow ones are for the full run."""
+    return [
+        pytest.param(kind, piece, marks=pytest.mark.full if piece in SLOW_PIECES.get(kind, ()) else ())
+        for kind in kinds
+        for piece in pieces
+    ]
+
+
 @needs_pymeshlab
-@pytest.mark.parametrize(
-    ("kind", "shape"),
-    # Unwrapping this one takes as long as all the others.
-    [
-        pytest.param(kind, shape, marks=pytest.mark.full if (kind, shape) == ("lowpoly", 0) else ())
-        for kind in KINDS
-        for shape in range(5)
-    ],
-)
-def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, shape: int) -> None:
-    is_slow = kind in SURFACE_KINDS
-    proxy = followed(kind)[1][2 + shape] if is_slow else fit(kind, scipy_solid(shapes(0)[shape]), padding=1e-5)
+@pytest.mark.parametrize(("kind", "piece"), pieces_of(KINDS, range(2, 7)))
+def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, piece: int) -> None:
+    is_followed = kind in SURFACE_KINDS
+    proxy = followed(kind, piece)[1] if is_followed else fit(kind, scipy_solid(piece_of(piece)), padding=1e-5)
     corners = proxy.uv[proxy.faces].astype(np.float64)
     if kind not in CELLS_OF_A_CHART:
         # xatlas may mirror a chart.
@@ -289,7 +300,7 @@ def test_charts_of_a_box_keep_two_texels_apart_at_256() -> None:
 def test_a_ray_that_hits_the_object_hits_its_proxy_first(kind: ProxyKind) -> None:
     rng = np.random.default_rng(3)
     if kind in SURFACE_KINDS:
-        truth, proxy = (meshes[2] for meshes in followed(kind))
+        truth, proxy = followed(kind, 5)
     else:
         truth = shapes(3)[0]
         proxy = fit(kind, scipy_solid(truth), padding=1e-5)
@@ -393,30 +404,30 @@ def table() -> Mesh:
 
 
 @functools.cache
-def followed(kind: ProxyKind) -> tuple[tuple[Mesh, ...], tuple[Mesh, ...]]:
-    """A cup, a table and the shapes, and their proxies of a kind that follows the surface; these take seconds."""
-    truths = (cup(), table(), *shapes(0))
-    return truths, fit_proxies(tuple(map(scipy_solid, truths)), kind)
+def followed(kind: ProxyKind, piece: int) -> tuple[Mesh, Mesh]:
+    """A piece and its proxy of a kind that follows the surface; these take seconds."""
+    truth = piece_of(piece)
+    return truth, fit_proxies((scipy_solid(truth),), kind)[0]
 
 
 @needs_pymeshlab
-@pytest.mark.parametrize("kind", SURFACE_KINDS)
-def test_proxies_that_follow_the_surface_are_closed_outward_and_enclose_all_of_it(kind: ProxyKind) -> None:
-    for truth, proxy in zip(*followed(kind), strict=True):
-        check_mesh(proxy, where=kind)
-        check_closed(proxy, where=kind)
-        assert measure.enclosure(proxy, truth).problem is None
-        np.testing.assert_allclose(np.linalg.norm(proxy.normals, axis=-1), 1, atol=1e-5)
-        # By another way than the check goes: vertices and points on the surface, by their winding numbers.
-        points = np.concatenate([truth.vertices[np.unique(truth.faces)], measure.surface_points(truth, 200)])
-        around = face_corners(proxy)
-        assert min(winding_number(point, around) for point in points) > 0.5
+@pytest.mark.parametrize(("kind", "piece"), pieces_of(SURFACE_KINDS, range(7)))
+def test_proxies_that_follow_the_surface_are_closed_outward_and_enclose_all_of_it(kind: ProxyKind, piece: int) -> None:
+    truth, proxy = followed(kind, piece)
+    check_mesh(proxy, where=kind)
+    check_closed(proxy, where=kind)
+    assert measure.enclosure(proxy, truth).problem is None
+    np.testing.assert_allclose(np.linalg.norm(proxy.normals, axis=-1), 1, atol=1e-5)
+    # By another way than the check goes: vertices and points on the surface, by their winding numbers.
+    points = np.concatenate([truth.vertices[np.unique(truth.faces)], measure.surface_points(truth, 200)])
+    around = face_corners(proxy)
+    assert min(winding_number(point, around) for point in points) > 0.5
 
 
 @needs_pymeshlab
 @pytest.mark.parametrize(("kind", "largest"), [("blocks", 1.0), ("wrap", 0.6), ("lowpoly", 0.7)])
 def test_proxies_that_follow_the_surface_leave_the_hollow_of_a_cup_open(kind: ProxyKind, largest: float) -> None:
-    truth, proxy = (meshes[0] for meshes in followed(kind))
+    truth, proxy = followed(kind, 0)
     assert winding_number(np.array([0, 0, 1.0]), face_corners(proxy)) < 0.5
     assert signed_volume(truth) < signed_volume(proxy) < largest * scipy_solid(truth).hull_volume
 
@@ -452,7 +463,7 @@ def test_a_block_that_is_left_out_is_missed() -> None:
 
 @needs_pymeshlab
 def test_a_low_poly_mesh_has_fewer_triangles_than_the_wrap_it_is_made_from() -> None:
-    few, many = (len(followed(kind)[1][0].faces) for kind in ("lowpoly", "wrap"))
+    few, many = (len(followed(kind, 0)[1].faces) for kind in ("lowpoly", "wrap"))
     assert few <= 600 < many
 
 
