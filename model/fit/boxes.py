@@ -13,8 +13,9 @@ from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rotation
+from model.fit.lathe import perpendicular
 from model.fit.outside import WORTH_A_TILT, find_center
-from model.fit.shapes import Glass, perpendicular
+from model.fit.shapes import Glass
 from model.fit.silhouettes import errors, misfit, pull
 from model.fit.views import NearRays
 

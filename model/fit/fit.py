@@ -35,25 +35,22 @@ from datagen.terminal.command import choose, say, track
 from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
+from model.fit.cut import CUT_ROUND, with_cut
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
 from model.fit.search import (
-    Cell,
-    Misses,
     alternatives,
-    count_cells,
     count_searches,
     find_absorption,
-    find_material,
     grid_row,
+    guess,
     guesses,
-    is_shaded,
     refine,
-    scan,
 )
-from model.fit.shapes import Glass, Revolution
-from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
+from model.fit.shapes import Revolution
+from model.fit.silhouettes import unexplained
+from model.fit.views import Sightings, height_below, known_meshes, rays_near, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -274,59 +271,49 @@ class _Work:
             misses = drawn.misses(ids, rows, guesses(start))
             if item.drink_id is not None:
                 start, _ = find_absorption(start, "drink_absorption", misses, self._is_even(rows))
-            cells, glass = self._guess(start, misses, rows, self._name(object_id))
+            cells, glass = guess(start, misses, self._is_even(rows), label=self._name(object_id))
             best, second = alternatives(cells)
             drawn.put(ids, glass)
             words = f"  {self._name(object_id)}: {in_words(glass)}"
             if second is not best:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
-            ordered = sorted(cells, key=lambda cell: cell.loss)
-            listed = tuple(grid_row(cell) for cell in ordered)
+            listed = tuple(map(grid_row, sorted(cells, key=lambda cell: cell.loss)))
             history = (history_row("grid", glass, best.loss),)
             found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
         self._show_drawn("grid", drawn, found)
         return found
 
-    def _guess(
-        self, start: Glass, misses: Misses, rows: Int[np.ndarray, " pixel"], name: str
-    ) -> tuple[list[Cell], Glass]:
-        """Draws the grid, and chooses a material for its best cell."""
-
-        def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
-            cells = list(track(scan(start, misses, like), label=name, total=count_cells(start)))
-            return cells, find_material(alternatives(cells)[0].glass, misses, self._is_even(rows))
-
-        cells, glass = drawn(None)
-        # Clear glass was drawn, which may explain the darkness of tinted or frosted glass by a wrong wall.
-        return drawn(glass) if is_shaded(glass) and len(cells) > 1 else (cells, glass)
-
     def _search(self, stage: str, textures: dict[str, State], found: Objects, numbers: range) -> Objects:
         found = dict(found)
-        total = sum(count_searches(item.glass, number) for number in numbers for item in found.values())
-        for _ in track(self._rounds(stage, textures, found, numbers), label=stage, total=total):
-            pass
+        for number in numbers:
+            total = sum(count_searches(item.glass, number) for item in found.values())
+            label = f"{stage}, round {number + 1}"
+            list(track(self._round(stage, textures, found, number), label=label, total=total))
         for object_id, item in found.items():
             say(f"  {self._name(object_id)}: {in_words(item.glass)}")
         self._show_drawn(stage, self._room(textures, found), found)
         return found
 
-    def _rounds(self, stage: str, textures: dict[str, State], found: Objects, numbers: range) -> Iterator[None]:
-        """Searches all numbers of all objects, round by round, and replaces them in `found`."""
-        for number in numbers:
-            drawn = self._room(textures, found, room.FINE if number >= room.COARSE_ROUNDS else room.COARSE)
-            for object_id in found:
-                item = found[object_id]
-                rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
-                misses = drawn.misses(item.ids(object_id), rows, (item.glass,))
-                for glass, name, value in refine(item.glass, misses, self._is_even(rows), number=number):
-                    if (earlier := item.numbers.get(name)) is not None:
-                        value = dataclasses.replace(value, before=earlier.value)
-                    item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
-                    yield
-                loss = float(misses(item.glass).mean())
-                history = (*item.history, history_row(stage, item.glass, loss))
-                found[object_id] = dataclasses.replace(item, history=history)
+    def _round(self, stage: str, textures: dict[str, State], found: Objects, number: int) -> Iterator[None]:
+        """Searches all numbers of all objects once, and replaces the objects in `found`."""
+        drawn = self._room(textures, found, room.FINE if number >= room.COARSE_ROUNDS else room.COARSE)
+        for object_id in found:
+            item = found[object_id]
+            rows = self._rows(item.ids(object_id), SEARCH_PIXELS if number >= 2 else GRID_PIXELS)
+            misses, is_even = drawn.misses(item.ids(object_id), rows, (item.glass,)), self._is_even(rows)
+            for glass, name, value in refine(item.glass, misses, is_even, number=number):
+                if (earlier := item.numbers.get(name)) is not None:
+                    value = dataclasses.replace(value, before=earlier.value)
+                item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
+                yield
+            if number == CUT_ROUND:
+                rays = rays_near(self.sightings, object_id)
+                cut = with_cut(item.glass, misses, is_even, lambda glass, rays=rays: unexplained(glass.mesh(), rays))
+                item = dataclasses.replace(item, glass=cut)
+            loss = float(misses(item.glass).mean())
+            history = (*item.history, history_row(stage, item.glass, loss))
+            found[object_id] = dataclasses.replace(item, history=history)
 
     # What the stages share
 

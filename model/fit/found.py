@@ -17,9 +17,10 @@ from model.fit.boxes import Box
 from model.fit.handles import Attached, Handled
 from model.fit.hull import HullShape
 from model.fit.intervals import intervals
+from model.fit.lathe import Axis
 from model.fit.search import NUMBERS, Found
 from model.fit.section import Section
-from model.fit.shapes import Axis, Glass, Revolution
+from model.fit.shapes import Glass, Revolution
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
 
@@ -118,6 +119,8 @@ def in_words(glass: Glass) -> str:
     else:
         assert glass.floor is not None
         parts.insert(0, f"wall {1000 * glass.wall:.2f} mm, floor {1000 * glass.floor:.1f} mm")
+    if isinstance(glass, Revolution) and glass.cut_count is not None:
+        parts.insert(1, f"{glass.cut_count} facets")
     parts += _tint_in_words(glass.absorption)
     if glass.roughness is not None:
         parts.append(f"roughness {glass.roughness:.2f}")

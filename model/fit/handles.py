@@ -9,7 +9,8 @@ from jaxtyping import Float32, Float64, Int
 
 from datagen.data.meshes import Mesh
 from model.fit.hull import HullShape
-from model.fit.shapes import Revolution, revolved
+from model.fit.lathe import revolved
+from model.fit.shapes import Revolution
 from model.fit.views import NearRays
 
 if TYPE_CHECKING:

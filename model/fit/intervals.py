@@ -51,7 +51,8 @@ def _interval(name: str, found: Found, least: float) -> tuple[float, float]:
         fine = np.linspace(values[0], values[-1], 1001)
         as_good = fine[np.interp(fine, values, losses) <= (1 + WORTH_IT) * losses.min()]
         ends += [float(as_good[0]), float(as_good[-1])]
-    return max(min(found.value - spread, *ends), 0.0), max(found.value + spread, *ends)
+    lowest = min(NUMBERS[name].low, 0.0) if name in NUMBERS else 0.0
+    return max(min(found.value - spread, *ends), lowest), max(found.value + spread, *ends)
 
 
 def _last_step(name: str, value: float) -> float:

@@ -12,10 +12,11 @@ from model.fit.boxes import fit_box
 from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
 from model.fit.hull import HullShape, carve
+from model.fit.lathe import Axis, perpendicular
 from model.fit.outlines import NOISES, find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_hull, find_section, hull_about
 from model.fit.section import guess_section
-from model.fit.shapes import Axis, Glass, Revolution, perpendicular
+from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import unexplained
 from model.fit.views import NearRays, Sightings, rays_near
 

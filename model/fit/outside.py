@@ -13,8 +13,8 @@ from jaxtyping import Bool, Float, Float64, Int
 from scipy import optimize
 
 from datagen.disk.errors import HyalineError
+from model.fit.lathe import Axis, perpendicular
 from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, Section
-from model.fit.shapes import Axis, perpendicular
 from model.fit.views import NearRays
 
 FINE = 501

@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.scene.values import as_vector
+from datagen.terminal.command import track
 from model.fit.shapes import USUAL_WALL, Glass, Revolution
 
 SOFTNESS = 0.05
 """sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
 
-WALLS = (0.03, 0.05, 0.08, 0.12)
+WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
@@ -85,6 +86,10 @@ NUMBERS: dict[str, Number] = {
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
+    "cut_turn": Number(low=-10.0, high=10.0, reach=0.12, least=0.03, is_factor=False),
+    "cut_depth": Number(low=-0.3, high=0.6, reach=0.03, least=0.01, is_factor=False),
+    "cut_low": Number(low=1e-5, high=10.0, reach=0.4, least=0.1),
+    "cut_high": Number(low=1e-5, high=10.0, reach=0.2, least=0.05),
     "level": Number(low=1e-5, high=10.0, reach=0.06, least=0.02),
     "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
@@ -118,6 +123,26 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
     return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
 
 
+def guess(
+    outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, label: str
+) -> tuple[list[Cell], Glass]:
+    """Draws the grid, and chooses a material for its best cell.
+
+    Clear glass is drawn first, which may explain the darkness of tinted glass by a wrong wall, so tinted or frosted
+    glass is drawn again; as smooth glass, too, because a little frost makes up for a wrong wall.
+    """
+
+    def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
+        cells = list(track(scan(outside, misses, like), label=label, total=len(_cells(outside))))
+        return cells, find_material(alternatives(cells)[0].glass, misses, is_even)
+
+    cells, glass = drawn(None)
+    if len(cells) == 1 or not (any(glass.absorption) or glass.roughness is not None):
+        return cells, glass
+    likes = [glass] if glass.roughness is None else [glass, dataclasses.replace(glass, roughness=None)]
+    return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
+
+
 def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
     """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
 
@@ -149,11 +174,6 @@ def _thickness(glass: Glass) -> float:
     if not isinstance(glass, Revolution):
         return 1.0
     return float(glass.outside[:, 0].max()) if glass.wall is None else glass.wall
-
-
-def count_cells(outside: Glass) -> int:
-    """How much `scan` yields."""
-    return len(_cells(outside))
 
 
 def _cells(outside: Glass) -> list[Glass]:
@@ -224,11 +244,6 @@ def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixe
     return find_roughness(found, misses)
 
 
-def is_shaded(glass: Glass) -> bool:
-    """Whether it is tinted or frosted."""
-    return any(glass.absorption) or glass.roughness is not None
-
-
 def find_index(glass: Glass, misses: Misses) -> Glass:
     """The best of the first guesses of its index; a vessel keeps the one it has.
 
@@ -272,7 +287,7 @@ def refine(
         for channel, found in zip(CHANNELS, channels, strict=True):
             yield glass, f"{name}_{channel}", found
     for name in _searched(glass, number):
-        glass, found = _search(glass, name, reach_of(name, number), misses, is_even)
+        glass, found = find_number(glass, name, reach_of(name, number), misses, is_even)
         yield glass, name, found
 
 
@@ -295,9 +310,10 @@ def reach_of(name: str, number: int) -> float:
     return max(NUMBERS[name].reach * SHRINKS**number, NUMBERS[name].least)
 
 
-def _search(
+def find_number(
     glass: Glass, name: str, reach: float, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
 ) -> tuple[Glass, Found]:
+    """Searches one of `NUMBERS` in a bracket of half this width."""
     how = NUMBERS[name]
     steps = reach * np.linspace(-1, 1, STEPS)
     now = getattr(glass, name)

@@ -6,17 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float64
+from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
+from model.fit.lathe import Axis, Cut, Outline, revolved
 from model.fit.section import Section
-
-SEGMENTS = 96
-"""Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
-
-CREASE_COS = np.cos(np.radians(35))
-"""Edges of an outline that turn by more are shaded as edges."""
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 """Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
@@ -36,33 +31,11 @@ USUAL_WALL = 0.05
 MOSTLY_INSIDE = 0.5
 """Share of the vertices of a thing inside a vessel that lie within its outside; a straw stands out."""
 
+MOST_LOW = 0.9
+"""Where a cut begins at most, in parts of where it ends."""
+
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
-
-Outline = Float64[np.ndarray, "_ 2"]
-"""Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Axis:
-    """A line in space."""
-
-    point: Float64[np.ndarray, "3"]
-    direction: Float64[np.ndarray, "3"]
-
-    def moved(self, tilt: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"]) -> "Axis":
-        """Shifted across (metres) and tilted by small amounts (radians) along two directions perpendicular to it."""
-        frame = perpendicular(self.direction)
-        direction = self.direction + tilt @ frame
-        return Axis(point=self.point + shift @ frame, direction=direction / np.linalg.norm(direction))
-
-
-def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2 3"]:
-    """Two unit vectors perpendicular to a direction and to each other; right-handed, the direction being third."""
-    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
-
 
 Body = tuple[Mesh, Material]
 
@@ -106,6 +79,14 @@ class Revolution(Glass):
     """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
     section: Section | None = None
     """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
+    cut_count: int | None = None
+    """Number of facets around a part of the outside; None: it is not cut."""
+    cut_depth: float | None = None
+    cut_turn: float | None = None
+    """As those of `Cut`."""
+    cut_low: float | None = None
+    cut_high: float | None = None
+    """Where the cut begins and ends, in metres above the outside's lowest point."""
     wall: float | None = None
     """Thickness of a vessel's wall above the floor, in metres; None: solid."""
     taper: float | None = None
@@ -128,6 +109,8 @@ class Revolution(Glass):
     def kind(self) -> str:
         if self.section is not None:
             return f"{self.section.sides}-sided"
+        if self.cut_count is not None:
+            return f"revolution with {self.cut_count} facets"
         return "ball" if self.is_closed and self._is_spherical() else "revolution"
 
     @property
@@ -188,7 +171,21 @@ class Revolution(Glass):
         return np.concatenate([side, _hollow(side, self.wall, at_rim, self.floor, self.corner)])
 
     def mesh(self) -> Mesh:
-        return revolved(self.axis, self.outline(), self.section)
+        return revolved(self.axis, self.outline(), self.section, self.cut())
+
+    def cut(self) -> Cut | None:
+        """Its facets; None: it is round."""
+        if self.cut_count is None:
+            return None
+        assert self.cut_depth is not None
+        assert self.cut_turn is not None
+        assert self.cut_low is not None
+        assert self.cut_high is not None
+        # Bottom and rim stay round.
+        rim = 0.0 if self.wall is None or self.taper is None else self.wall * self.taper
+        high = min(self.cut_high, self.height - rim)
+        low, lowest = min(self.cut_low, MOST_LOW * high), float(self.outside[:, 1].min())
+        return Cut(count=self.cut_count, depth=self.cut_depth, turn=self.cut_turn, low=lowest + low, high=lowest + high)
 
     def bodies(self) -> tuple[Body, ...]:
         if self.drink_ior is None:
@@ -299,65 +296,3 @@ def _at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:
 def _lengths(line: Outline) -> Float64[np.ndarray, " point"]:
     """How far along the line each point is."""
     return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
-
-
-def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Mesh:
-    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge.
-
-    Args:
-        section: by whose factors the outline's radii change around the axis; None: a circle.
-    """
-    edges = np.diff(outline, axis=0)
-    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    # Each edge has two rings of its own, which share the normals of its neighbours unless there is a crease.
-    starts, ends = normals.copy(), normals.copy()
-    smooth = np.einsum("ec,ec->e", normals[:-1], normals[1:]) > CREASE_COS
-    mean = normals[:-1] + normals[1:]
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
-    rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
-    ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    around, across, squares = _around(axis, section)
-
-    def swept(points: np.ndarray, ways: np.ndarray, up: np.ndarray) -> np.ndarray:
-        return (points[:, None, :1] * ways + points[:, None, 1:] * up).reshape(-1, 3)
-
-    index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
-    low, high = index[0::2], index[1::2]
-    lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
-    upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
-    # At the axis a quadrangle is one triangle.
-    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
-    vertices = axis.point + swept(rings, around, axis.direction)
-    turned = swept(ring_normals, across, squares[:, None] * axis.direction)
-    if section is not None:
-        turned /= np.maximum(np.linalg.norm(turned, axis=1, keepdims=True), 1e-12)
-    along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
-    uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
-    return Mesh(
-        vertices=vertices.astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=turned.astype(np.float32),
-        uv=uv.reshape(-1, 2).astype(np.float32),
-    )
-
-
-def _around(
-    axis: Axis, section: Section | None
-) -> tuple[Float64[np.ndarray, "angle 3"], Float64[np.ndarray, "angle 3"], Float64[np.ndarray, " angle"]]:
-    """In each direction around the axis: the point of the section, and what an outline's normal is multiplied by.
-
-    Where r(s) f(a) sweeps around the axis, with f the section's factors and (n_r, n_z) the outline's normal, the
-    surface's normal is n_r (f, -f') across and n_z f^2 along the axis.
-    """
-    # The last column repeats the first, at u = 1.
-    place = np.arange(SEGMENTS + 1) % SEGMENTS
-    u, v = perpendicular(axis.direction)
-    angles = (place * (2 * np.pi / SEGMENTS)) if section is None else section.spread(SEGMENTS)[place]
-    outward = np.cos(angles)[:, None] * u + np.sin(angles)[:, None] * v
-    if section is None:
-        return outward, outward, np.ones(len(angles))
-    sideways = np.cos(angles)[:, None] * v - np.sin(angles)[:, None] * u
-    factors, slopes = section.factors(angles)[:, None], section.slopes(angles)[:, None]
-    return factors * outward, factors * outward - slopes * sideways, factors[:, 0] ** 2

@@ -12,7 +12,8 @@ from datagen.scene.modelling import moved, rounded_box
 from datagen.scene.shading_normals import MAX_OPPOSING, opposing_share
 from model.fit.handles import Handled, with_handles, without_handles
 from model.fit.hull import HullShape
-from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+from model.fit.lathe import Axis
+from model.fit.shapes import OUTSIDE, Revolution, evenly
 from model.fit.views import rays_near
 
 use_mitsuba()
@@ -26,7 +27,7 @@ def hull_of(*beside: Mesh) -> HullShape:
     import manifold3d
 
     from model.fit.handles import _mesh, _solid
-    from model.fit.shapes import revolved
+    from model.fit.lathe import revolved
 
     fat = np.array([(0, -0.0005), (0.0305, -0.0005), (0.0305, 0.092), (0, 0.096)])
     parts = [revolved(AXIS, fat), *beside]

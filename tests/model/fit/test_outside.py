@@ -8,9 +8,9 @@ import pytest
 from datagen.data.cameras import Cameras, look_at
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.fit.boxes import Box
+from model.fit.lathe import Axis
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import find_hull, hull_about
-from model.fit.shapes import Axis
 from model.fit.views import Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])

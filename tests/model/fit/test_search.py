@@ -6,7 +6,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from model.fit.cut import with_cut
 from model.fit.intervals import intervals
+from model.fit.lathe import Axis
 from model.fit.search import (
     INDEX_HELD,
     alternatives,
@@ -15,12 +17,13 @@ from model.fit.search import (
     find_index,
     find_material,
     find_roughness,
+    guess,
     penalty,
     refine,
     scan,
     vertex,
 )
-from model.fit.shapes import OUTSIDE, Axis, Revolution, evenly
+from model.fit.shapes import OUTSIDE, Revolution, evenly
 
 PIXELS = 400
 IS_EVEN = np.arange(PIXELS) % 2 == 0
@@ -97,6 +100,26 @@ def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
         length = 0.05 if glass.wall is None else glass.wall
         assert np.array(glass.absorption) * length == pytest.approx(np.array([30.0, 0.0, 6.0]) * 0.08 * 0.05)
         assert glass.roughness == 0.1
+
+
+def test_a_little_frost_does_not_hide_a_wrong_wall() -> None:
+    thin, thick = 0.03 * 0.05, 0.2 * 0.05
+
+    def misses(glass: Revolution) -> np.ndarray:
+        if glass.wall is None:
+            return np.ones((PIXELS, 3))
+        tint = abs(np.exp(-glass.absorption[0] * glass.wall) - np.exp(-0.2))
+        if not any(glass.absorption):
+            shape = 0.1 * np.log(glass.wall / thin)
+        elif glass.roughness is not None:
+            shape = 0.02 + 0.01 * np.log(glass.wall / thin)
+        else:
+            shape = 0.05 * np.log(thick / glass.wall)
+        return np.full((PIXELS, 3), tint + shape)
+
+    _, found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass")
+    assert isinstance(found, Revolution)
+    assert found.wall == pytest.approx(thick) and found.roughness is None
 
 
 def test_a_solid_is_tinted_after_its_index_was_found() -> None:
@@ -194,3 +217,34 @@ def test_a_parabola_stays_in_its_bracket_and_falls_back_to_the_least() -> None:
     assert vertex(places, (places - 1.47) ** 2) == pytest.approx(1.47)
     assert vertex(places, (places - 3.0) ** 2) == pytest.approx(1.6)
     assert vertex(places, -((places - 1.45) ** 2)) == pytest.approx(1.6)
+
+
+def test_facets_are_found_where_they_explain_enough() -> None:
+    truth = dataclasses.replace(
+        OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), cut_count=9, cut_depth=0.09, cut_turn=0.6, cut_low=0.012, cut_high=0.06
+    )
+    angles = np.linspace(0, 2 * np.pi, PIXELS, endpoint=False)
+
+    def radii(glass: Revolution) -> np.ndarray:
+        if (cut := glass.cut()) is None:
+            return np.zeros(PIXELS)
+        directions, x = cut.columns(96)
+        return (
+            np.interp(angles, directions % (2 * np.pi), cut.depths(x), period=2 * np.pi) * (cut.high - cut.low) / 0.05
+        )
+
+    def misses(glass: Revolution) -> np.ndarray:
+        return np.repeat(0.02 + np.abs(radii(glass) - radii(truth))[:, None], 3, axis=1)
+
+    def wrong(glass: Revolution) -> float:
+        return 0.01
+
+    uncut = dataclasses.replace(truth, cut_count=None)
+    found = with_cut(uncut, misses, IS_EVEN, wrong)
+    assert isinstance(found, Revolution)
+    assert found.cut_count == 9
+    assert (found.cut_turn, found.cut_depth) == (pytest.approx(0.6, abs=0.1), pytest.approx(0.09, abs=0.03))
+    # What is drawn well, is no better with facets, or whose masks show none stays round.
+    assert with_cut(uncut, lambda glass: misses(glass) / 10, IS_EVEN, wrong) is uncut
+    assert with_cut(uncut, lambda glass: 0.5 + misses(glass) / 10, IS_EVEN, wrong) is uncut
+    assert with_cut(uncut, misses, IS_EVEN, lambda glass: 0.02 if glass.cut_count else 0.01) is uncut

@@ -6,10 +6,11 @@ from math import gamma
 import numpy as np
 import pytest
 
-from datagen.data.meshes import check_mesh, open_edges, signed_volume
+from datagen.data.meshes import MIN_AREA, Mesh, check_mesh, face_areas, open_edges, signed_volume
 from model.fit.found import from_state, to_state
+from model.fit.lathe import Axis, revolved
 from model.fit.section import Section
-from model.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly, revolved
+from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1
@@ -75,13 +76,50 @@ def test_a_prism_encloses_what_a_superellipse_does_and_its_normals_are_those_of_
     assert open_edges(mesh) == 0
     area = 4 * RADIUS**2 * gamma(1 + 1 / power) ** 2 / gamma(1 + 2 / power)
     assert signed_volume(mesh) == pytest.approx(area * HEIGHT, rel=0.01)
+    assert off_normal(mesh).max() < 12
+    assert prism.hollowed(0.1, 0.2, 0.3).mesh().faces.shape == mesh.faces.shape
+
+
+def off_normal(mesh: Mesh) -> np.ndarray:
+    """Degrees between each face's normal and the mean of those of its vertices."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat = across / np.linalg.norm(across, axis=1, keepdims=True)
     shaded = mesh.normals[mesh.faces].mean(axis=1)
-    shaded /= np.linalg.norm(shaded, axis=1, keepdims=True)
-    assert (flat * shaded).sum(axis=1).min() > np.cos(np.radians(12))
-    assert prism.hollowed(0.1, 0.2, 0.3).mesh().faces.shape == mesh.faces.shape
+    cosines = (across * shaded).sum(axis=1) / np.linalg.norm(across, axis=1) / np.linalg.norm(shaded, axis=1)
+    return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
+
+
+@pytest.mark.parametrize(("count", "depth"), [(7, 0.11), (16, 0.06), (12, -0.08)], ids=["facets", "flutes", "ribs"])
+def test_a_cut_lies_between_two_heights_of_the_outside(count: int, depth: float) -> None:
+    whole = CYLINDER.hollowed(0.15, 0.2, 0.3)
+    glass = dataclasses.replace(
+        whole, cut_count=count, cut_depth=depth, cut_turn=0.3, cut_low=0.2 * HEIGHT, cut_high=0.7 * HEIGHT
+    )
+    mesh = glass.mesh()
+    assert mesh.faces.shape == whole.mesh().faces.shape
+    mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
+    check_mesh(mesh, where="glass")
+    assert open_edges(mesh) == 0
+    assert np.quantile(off_normal(mesh), 0.99) < 12
+    x = np.linspace(-1, 1, 2001)
+    outside = (1 + depth * x**2) / max(1, (1 + depth) * np.cos(np.pi / count))
+    # Half of the height is cut; the cut fades out over a tenth of that at both ends. A facet has few columns.
+    share = np.clip(10 * np.minimum(np.linspace(0, 1, 1001), np.linspace(1, 0, 1001)), 0, 1)[:, None]
+    more = 0.5 * ((1 + share * (outside - 1)) ** 2 - 1).mean()
+    assert signed_volume(mesh) - signed_volume(whole.mesh()) == pytest.approx(ROUND * HEIGHT * more, rel=0.1)
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, 10.0), (0.9, 0.1)])
+def test_a_cut_leaves_bottom_and_rim_round(low: float, high: float) -> None:
+    cut = dataclasses.replace(
+        CYLINDER.hollowed(0.1, 0.2, 0.3), cut_count=9, cut_depth=0.1, cut_turn=0.0, cut_low=low, cut_high=high
+    )
+    for glass in (cut, dataclasses.replace(cut, wall=None)):
+        mesh = glass.mesh()
+        mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
+        check_mesh(mesh, where="glass")
+        assert open_edges(mesh) == 0
+        assert np.isfinite(mesh.normals).all()
 
 
 def test_a_solid_keeps_its_own_ends_and_a_vessel_does_not() -> None:

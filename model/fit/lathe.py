@@ -1,0 +1,181 @@
+"""Meshes that an outline sweeps around an axis."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from datagen.data.meshes import Mesh
+from model.fit.section import Section
+
+SEGMENTS = 96
+"""Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
+
+CREASE_COS = np.cos(np.radians(35))
+"""Edges of an outline that turn by more are shaded as edges."""
+
+FADE = 0.1
+"""Share of a cut's height over which it fades out, at both ends."""
+
+Outline = Float64[np.ndarray, "_ 2"]
+"""Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Axis:
+    """A line in space."""
+
+    point: Float64[np.ndarray, "3"]
+    direction: Float64[np.ndarray, "3"]
+
+    def moved(self, tilt: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"]) -> "Axis":
+        """Shifted across (metres) and tilted by small amounts (radians) along two directions perpendicular to it."""
+        frame = perpendicular(self.direction)
+        direction = self.direction + tilt @ frame
+        return Axis(point=self.point + shift @ frame, direction=direction / np.linalg.norm(direction))
+
+
+def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2 3"]:
+    """Two unit vectors perpendicular to a direction and to each other; right-handed, the direction being third."""
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """Equal facets around an axis, between two heights of an outside.
+
+    With x from -1 to 1 across a facet, its distance from the axis is proportional to 1 + depth x^2: flat facets have a
+    depth of about (pi / count)^2 / 2, flutes more, and ribs with grooves between them less than 0. The outline is the
+    largest circle inside the convex hull, which masks show.
+    """
+
+    count: int
+    depth: float
+    turn: float
+    """Direction of a facet's middle, in facets, from the first vector perpendicular to the axis."""
+    low: float
+    high: float
+    """Metres along the axis."""
+
+    def columns(self, segments: int) -> tuple[Float64[np.ndarray, " column"], Float64[np.ndarray, " column"]]:
+        """Directions around the axis in radians, and x there; an edge between facets has two columns."""
+        sizes = np.diff(np.arange(self.count + 1) * segments // self.count)
+        x = np.concatenate([np.linspace(-1, 1, size) for size in sizes])
+        facet = np.repeat(np.arange(self.count), sizes)
+        angles = (facet + self.turn + x / 2) * (2 * np.pi / self.count)
+        return np.append(angles, angles[0] + 2 * np.pi), np.append(x, x[0])
+
+    def depths(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
+        """By how much the surface is farther from the axis than the outline where the cut is deepest."""
+        return (1 + self.depth * x**2) / self._scale - 1
+
+    def slopes(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
+        """Derivatives of `depths`, per radian."""
+        return 2 * self.depth * x / self._scale * (self.count / np.pi)
+
+    def shares(
+        self, heights: Float64[np.ndarray, " ring"]
+    ) -> tuple[Float64[np.ndarray, " ring"], Float64[np.ndarray, " ring"]]:
+        """How deep the cut is at these heights, from 0 to 1, and the derivative, per metre."""
+        fade = FADE * (self.high - self.low)
+        up, down = (heights - self.low) / fade, (self.high - heights) / fade
+        shares = np.clip(np.minimum(up, down), 0, 1)
+        return shares, np.where((shares > 0) & (shares < 1), np.where(up < down, 1 / fade, -1 / fade), 0.0)
+
+    @property
+    def _scale(self) -> float:
+        return max(1.0, (1 + self.depth) * np.cos(np.pi / self.count))
+
+
+def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: Cut | None = None) -> Mesh:
+    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge.
+
+    Args:
+        section: by whose factors the outline's radii change around the axis; None: a circle.
+        cut: into the outside of a circular section, which ends at the outline's highest point.
+    """
+    edges = np.diff(outline, axis=0)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # Each edge has two rings of its own, which share the normals of its neighbours unless there is a crease.
+    starts, ends = normals.copy(), normals.copy()
+    smooth = np.einsum("ec,ec->e", normals[:-1], normals[1:]) > CREASE_COS
+    mean = normals[:-1] + normals[1:]
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
+    rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
+    ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
+    is_outside = np.repeat(np.arange(len(edges)) < outline[:, 1].argmax(), 2)
+    around = _cut_around(rings, is_outside, cut) if cut is not None else _around(section)
+    swept, turned = _swept(axis, rings, ring_normals, around)
+    index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
+    low, high = index[0::2], index[1::2]
+    lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
+    upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
+    # At the axis a quadrangle is one triangle.
+    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
+    along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
+    uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
+    return Mesh(
+        vertices=swept.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=turned.astype(np.float32),
+        uv=uv.reshape(-1, 2).astype(np.float32),
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Around:
+    """A surface around an axis: by how much an outline's radii change."""
+
+    angles: Float64[np.ndarray, " column"]
+    factors: Float64[np.ndarray, "#ring column"]
+    slopes: Float64[np.ndarray, "#ring column"]
+    """Derivatives of the factors, per radian."""
+    rises: Float64[np.ndarray, "#ring column"]
+    """Derivatives of the factors along the axis, times the outline's radius."""
+
+
+def _around(section: Section | None) -> _Around:
+    # The last column repeats the first, at u = 1.
+    place = np.arange(SEGMENTS + 1) % SEGMENTS
+    if section is None:
+        ones = np.ones((1, SEGMENTS + 1))
+        return _Around(angles=place * (2 * np.pi / SEGMENTS), factors=ones, slopes=0 * ones, rises=0 * ones)
+    angles = section.spread(SEGMENTS)[place]
+    factors, slopes = section.factors(angles)[None], section.slopes(angles)[None]
+    return _Around(angles=angles, factors=factors, slopes=slopes, rises=0 * factors)
+
+
+def _cut_around(rings: Float64[np.ndarray, "ring 2"], is_outside: np.ndarray, cut: Cut) -> _Around:
+    angles, x = cut.columns(SEGMENTS)
+    shares, rises = (np.where(is_outside, each, 0)[:, None] for each in cut.shares(rings[:, 1]))
+    depths = cut.depths(x)
+    return _Around(
+        angles=angles,
+        factors=1 + shares * depths,
+        slopes=shares * cut.slopes(x),
+        rises=rings[:, :1] * rises * depths,
+    )
+
+
+def _swept(
+    axis: Axis, rings: Float64[np.ndarray, "ring 2"], normals: Float64[np.ndarray, "ring 2"], around: _Around
+) -> tuple[Float64[np.ndarray, "vertex 3"], Float64[np.ndarray, "vertex 3"]]:
+    """Vertices and normals, ring by ring.
+
+    Where r(s) f(a, z) sweeps around the axis, with (n_r, n_z) the outline's normal, the surface's normal is n_r
+    outward, -n_r f_a / f sideways and n_z f - n_r r f_z along the axis.
+    """
+    u, v = perpendicular(axis.direction)
+    cos, sin = np.cos(around.angles)[:, None], np.sin(around.angles)[:, None]
+    outward, sideways = cos * u + sin * v, cos * v - sin * u
+    radii = rings[:, :1] * around.factors
+    vertices = axis.point + radii[..., None] * outward + rings[:, None, 1:] * axis.direction
+    n_r, n_z = normals[:, :1], normals[:, 1:]
+    aside, along = -n_r * around.slopes / around.factors, n_z * around.factors - n_r * around.rises
+    turned = n_r[..., None] * outward + aside[..., None] * sideways + along[..., None] * axis.direction
+    turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-12)
+    return vertices.reshape(-1, 3), turned.reshape(-1, 3)
