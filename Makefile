@@ -57,7 +57,7 @@ pytest: setup
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "promise or full" --full --promises=docs/reliability.md
 
-# RESULTS.md, docs/results/*.md and the tables of README.md and docs/paper.md, from the stored results.json files.
+# RESULTS.md, docs/results/*.md and the tables of README.md and docs/{index,paper}.md, from the stored results.json files.
 results: setup
 	for file in docs/results/*.json; do $(BIN)/report --results $$file > $${file%.json}.md || exit 1; done
 	$(BIN)/report --results docs/results > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
