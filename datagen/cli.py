@@ -195,12 +195,12 @@ def capture(
 ) -> None:
     """Make a dataset from a folder of pictures and masks of glass.
 
-    Takes cameras from a transforms file or COLMAP's sparse/0, and otherwise finds them (`pip install
-    'hyaline-glass[capture]'`). The opaque room is made of planes, surfaces and boxes, or of --room. An ellipsoid holds
-    the place of each object of glass until `model fit` finds its shape. If interrupted, the same command resumes.
+    Reads cameras from a transforms file or COLMAP's sparse/0, or finds them (needs the extra `capture`). Fits the
+    opaque room to points as planes, surfaces and boxes, unless --room gives it. Each glass object is an ellipsoid until
+    `model fit` finds its shape. If interrupted, the same command resumes.
 
     Args:
-        folder: A folder with images/ and masks/OBJECT/, one mask for each picture, white where the object is seen.
+        folder: A folder with images/ and masks/OBJECT/, one mask per picture, white where the object is visible.
         out: Folder to write. Default: data/NAME.
         overwrite: Replace an existing dataset.
     """

@@ -30,9 +30,9 @@ def report(
 ) -> None:
     """Score predicted images against a dataset's ground truth, and write a page about all runs.
 
-    Scores every folder RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ... of 8-bit sRGB PNGs, from any method;
-    run.json is optional. Tables go to stdout, one per scene. Open the page, RUNS/report/index.html, in any browser:
-    it is one file that needs no server.
+    Scores 8-bit sRGB PNGs of any method, RUNS/SCENE/NAME/predictions/SPLIT/0000.png, 0001.png, ...; run.json is
+    optional. Prints one table per scene to stdout. The page, RUNS/report/index.html, is one file that opens in any
+    browser without a server.
 
     Args:
         runs: Folder with the runs.
@@ -43,14 +43,14 @@ def report(
         table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
             table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of
             light-path), variants (of paper), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains;
-            or known (what is known of the glass, against what is reached) or perceptual (FLIP, LPIPS). May be
-            repeated. With --json, these tables are part of the results.
+            or known (scores by prior knowledge of the glass) or perceptual (FLIP, LPIPS). May be repeated. With --json,
+            these tables are part of the results.
         full: Also describe each run, and print quality by angle, by number of training views and by layers.
-        published: Also print the paper's own numbers, and beside them what its authors' script gives for these runs.
-        shown_views: Views of each split and run on the page: the worst, the median and the best first. Views beyond
-            20 MB are dropped.
-        results: Instead of scoring runs, print the tables of a results.json as a page of Markdown, or a list of the
-            pages of a folder of them; `make results` writes docs/results/*.md and RESULTS.md this way.
+        published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
+        shown_views: Views of each split and run on the page, starting with the worst, the median and the best. Views
+            beyond 20 MB are dropped.
+        results: Instead of scoring runs, print a results.json as a page of Markdown, or for a folder, the list of such
+            pages; `make results` writes docs/results/*.md and RESULTS.md this way.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """

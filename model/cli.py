@@ -138,23 +138,23 @@ def fit(
 ) -> None:
     """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
 
-    Cameras and everything that is not glass must be known. `light-path` trains on what was found with `--geometry
-    fitted`, and `proxies check --name fitted` compares it with the truth.
+    Cameras and everything that is not glass must be known. To train `light-path` on the result, use `--geometry
+    fitted`; to compare it with the truth, `proxies check --name fitted`.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         unknown: Name of an object of unknown shape and material. May be repeated. Default: all glass that pictures show
-            first, but thin panes.
+            first, except thin panes.
         masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
-            is seen first. Default: those in the dataset.
+            is seen first. Default: the dataset's own.
         mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
-            many others miss it, too. Default: 0, or 2 where masks were not made with the pictures.
+            many others miss it, too. Default: 2 with --masks and for imported or captured masks, otherwise 0.
         name: The geometry's name: fitted, or fitted-SOMETHING.
-        out: Folder of what each stage found, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
-        steps: Steps of learning the room's textures.
-        skip: Leave out a stage: grid (all glass is solid then), search, or again. May be repeated.
+        out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
+        steps: Training steps for the room's textures.
+        skip: Skip a stage: grid (then all glass is solid), search, or again. May be repeated.
         seed: Seed of all random numbers.
-        overwrite: Start over. Otherwise stages that were finished are kept.
+        overwrite: Start over. By default, finished stages are kept.
     """
     import re
 

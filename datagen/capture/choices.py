@@ -1,4 +1,4 @@
-"""The choices for a capture: what pictures and masks do not tell."""
+"""The flags of `datagen capture`: properties that pictures and masks do not determine."""
 
 import re
 from dataclasses import dataclass
@@ -15,19 +15,19 @@ class CaptureChoices:
     """The flags of `datagen capture`."""
 
     longest: int = 256
-    """Longer side of the dataset's pictures in pixels; larger pictures are made smaller by averaging light."""
+    """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light."""
     room: tuple[Path, ...] = ()
     """A mesh of the opaque room in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...); may be repeated.
-    Default: planes and boxes fitted to points."""
+    Default: planes, surfaces and boxes fitted to points."""
     scale: float | None = None
-    """Metres per unit of the cameras. Default: 1 with a transforms file; otherwise the cameras are 1 m away."""
+    """Metres per unit of the cameras. Default: 1 with a transforms file; otherwise a unit that puts them 1 m away."""
     diameter: str | None = None
-    """True diameter in metres of one object of glass where it is widest, 'tumbler=0.08', which gives the scale."""
+    """True diameter in metres of one glass object at its widest place, such as tumbler=0.08, to find the scale."""
     up: Literal["auto", "x", "y", "z"] = "auto"
-    """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise across the largest
-    surface below the cameras."""
+    """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
+    largest surface below the cameras."""
     ior: float = 1.5
-    """Index of refraction that the glass starts with."""
+    """Index of refraction of the glass, until `model fit` finds it."""
 
     def __post_init__(self) -> None:
         if not 8 <= self.longest <= MAX_LONGEST:

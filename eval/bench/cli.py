@@ -63,12 +63,12 @@ def submit(
     The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
 
     Args:
-        method: Name of the runs' folders. Default: every method, each packed into a file of its own.
+        method: Name of the runs' folders. Default: all methods, one file each.
         preset: Size of the benchmark's datasets: tiny, demo or standard.
-        track: What the method was told: pictures (and cameras), masks, proxies, shapes or materials. Default: by the
-            record of its runs.
+        track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
+            run.json.
         runs: Folder with the runs.
-        data: Folder with the datasets, DATA/SCENE, for runs whose record names none.
+        data: Folder with the datasets, DATA/SCENE, for runs whose run.json names none.
         out: File to write. Default: bench/PRESET/submissions/METHOD.tar.
         overwrite: Replace an existing file.
     """
@@ -101,12 +101,12 @@ def score(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Score a submission against the truth; no neural network runs, and no code of the submission.
+    """Score a submission against the truth, without running any code or network from it.
 
     Args:
-        submission: File that `hyaline-bench submit` wrote. Default: all in bench/PRESET/submissions.
-        preset: Whose submissions, if none is named.
-        data: Folder with the datasets that have the truth.
+        submission: File from `hyaline-bench submit`. Default: all in bench/PRESET/submissions.
+        preset: Without SUBMISSION: size of the datasets, tiny, demo or standard.
+        data: Folder with the datasets, including their truth.
         out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
         overwrite: Replace the scores of another submission.
     """
@@ -137,7 +137,7 @@ def leaderboard(scores: Path | None = None, /, *, preset: str = "demo", out: Pat
     """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
 
     Args:
-        scores: Folder of files that `hyaline-bench score` wrote. Default: bench/PRESET/scores.
+        scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
         preset: Size of the benchmark's datasets: tiny, demo or standard.
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
@@ -159,10 +159,10 @@ def leaderboard(scores: Path | None = None, /, *, preset: str = "demo", out: Pat
 
 
 def secret(file: Path, /, *, preset: str = "demo") -> None:
-    """For verifiers: print the commitment of a secret, and the commands that build the hidden scenes that it names.
+    """For verifiers: print the commitment of a secret, and the commands that build its hidden scenes.
 
     Args:
-        file: File with the secret; drawn if it is missing. Keep it until the round is over.
+        file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
         preset: Size of the hidden datasets: demo or standard.
     """
     from eval.bench.hidden import commitment_of, read_secret, verifier_commands
@@ -178,10 +178,10 @@ def secret(file: Path, /, *, preset: str = "demo") -> None:
 
 
 def hide(dataset: Path, /, *, scene: str, out: Path = Path()) -> None:
-    """For verifiers: split a dataset into one to publish, without the truth of its test views, and one to score with.
+    """For verifiers: split a dataset into one to publish, without the truth of its test views, and one for scoring.
 
     Args:
-        dataset: Folder of a dataset of a secret seed.
+        dataset: Folder of a dataset with a secret seed.
         scene: Name of the hidden scene, such as hidden-0.
         out: Folder for public/SCENE-PRESET and truth/SCENE-PRESET.
     """
