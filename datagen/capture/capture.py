@@ -48,7 +48,7 @@ from datagen.scene.soundness import check_scene
 from datagen.terminal.command import say
 
 DISTANCE = 1.0
-"""Metres from the cameras to the glass where nothing tells the scale."""
+"""Metres from the cameras to the glass if the scale is unknown."""
 GREY = (0.5, 0.5, 0.5)
 """Colour of the room in scene.json; renderers learn what it looks like."""
 LEAST_SIZE = 0.004
@@ -76,7 +76,7 @@ class World:
 
 
 def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
-    """Finds everything in a folder but the looks of its pictures."""
+    """Plans the dataset of a folder: cameras, scene, splits and remarks, without the pictures' contents."""
     folder = read_capture(root, find_cameras)
     lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
     ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}

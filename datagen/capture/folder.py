@@ -1,4 +1,4 @@
-"""What the folder of a capture holds: pictures, a mask for each of them and each object of glass, cameras, points.
+"""The folder of a capture: pictures, a mask for each picture and glass object, cameras, points.
 
     FOLDER/images/NAME.jpg           pictures (PNG, JPEG or WebP); or in FOLDER itself, or where a transforms file says
     FOLDER/masks/OBJECT/NAME.png     white where the object is seen
@@ -267,6 +267,6 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
 
 
 def _every(shots: list[Shot]) -> dict[Role, list[Shot]]:
-    """Each eighth shot is for tests."""
+    """Every eighth shot is for tests."""
     tests = shots[::EVERY]
     return {"train": [shot for place, shot in enumerate(shots) if place % EVERY], "val": [], "test": tests}

@@ -1,4 +1,4 @@
-"""Lenses that took pictures, distortion included, and pictures as the dataset's one pinhole lens would have taken them.
+"""Lenses with distortion, and pictures resampled for the dataset's one pinhole lens.
 
 Points are on the plane one unit ahead: x right, y down. Pixels are columns and rows from the upper left corner.
 

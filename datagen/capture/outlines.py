@@ -1,6 +1,6 @@
-"""Where objects of glass are, by their masks: upright ellipsoids around what their cones share.
+"""Places of glass objects: upright ellipsoids around the intersection of their masks' cones.
 
-They hold the place of the true meshes: `model fit` finds those.
+They replace the true meshes until `model fit` finds these.
 """
 
 from collections.abc import Sequence

@@ -1,4 +1,4 @@
-"""Panes: level objects of glass so thin that what is seen through them hardly leaves its place.
+"""Panes: level glass objects so thin that they hardly displace the view through them.
 
 Depth maps look through them. Thick or round glass shows its surroundings elsewhere, so it is left out there.
 """

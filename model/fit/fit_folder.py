@@ -1,4 +1,4 @@
-"""The folder of a fit: what each stage found, so that a fit that was stopped goes on.
+"""The folder of a fit: the results of each stage, from which an interrupted fit continues.
 
 FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
 FIT/STAGE.pt         what a stage found, with the digest of what it was found from

@@ -1,4 +1,4 @@
-"""Handles: vessels of revolution with what else their masks show beside them."""
+"""Handles: vessels of revolution with the other parts that their masks show."""
 
 import dataclasses
 from dataclasses import dataclass

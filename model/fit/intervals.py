@@ -1,4 +1,4 @@
-"""Between which values the numbers of a glass are likely to lie. docs/notes/fitting.md says how often they do."""
+"""Intervals for the numbers of a glass; docs/notes/fitting.md reports how often they contain the truth."""
 
 from collections.abc import Mapping
 

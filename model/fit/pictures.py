@@ -1,4 +1,4 @@
-"""Pictures of what the stages of a fit found."""
+"""Pictures of the results of a fit's stages."""
 
 from typing import TYPE_CHECKING
 
