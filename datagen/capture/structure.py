@@ -1,4 +1,4 @@
-"""Cameras and points of opaque surfaces, found by COLMAP in the pictures: what the extra `capture` is for.
+"""Cameras and points of opaque surfaces that COLMAP finds in pictures; needs the extra `capture`.
 
 Glass is masked: features on it move with the light, not with the surface.
 """
