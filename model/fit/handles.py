@@ -25,8 +25,8 @@ INSIDE = 0.0003
 LEAST_PART = 1e-7
 """Cubic metres (0.1 ml) below which a part is an error of the hull."""
 
-LEAST_REACH = 0.005
-"""Metres that a handle reaches away from the vessel."""
+LEAST_REACH = 0.2
+"""How far a handle reaches away from the vessel, in parts of its largest radius; edges of facets reach less."""
 
 ON_CUT = 1e-5
 """Metres within which a vertex is where a handle was cut off the hull."""
@@ -174,7 +174,7 @@ def _beside(vessel: Revolution, hull: HullShape) -> "list[manifold3d.Manifold]":
         points = np.asarray(part.to_mesh().vert_properties, np.float64)[:, :3] - vessel.axis.point
         along = points @ vessel.axis.direction
         away = np.linalg.norm(points - along[:, None] * vessel.axis.direction, axis=1)
-        stands_out = float((away - np.interp(along, heights, radii)).max()) > LEAST_REACH
+        stands_out = float((away - np.interp(along, heights, radii)).max()) > LEAST_REACH * radii.max()
         # What is on top, over the axis, is a place that no view sees past.
         return part.volume() > LEAST_PART and stands_out and away.min() > radii.max() / 2
 
