@@ -47,7 +47,7 @@ def with_cut(
     Args:
         wrong: share of the pixels at a mask's edge that a glass gets wrong.
     """
-    if not isinstance(glass, Revolution) or isinstance(glass, Handled) or glass.section is not None:
+    if not isinstance(glass, Revolution) or isinstance(glass, Handled) or glass.section or glass.is_closed:
         return glass
     uncut = _loss(glass, misses)
     if uncut < BADLY_DRAWN:

@@ -111,10 +111,11 @@ def in_process(arguments: tuple[str, ...], *_: object) -> Failure | None:
 def write_theirs(root: Path) -> None:
     """A dataset as another project lays it out."""
     root.mkdir()
-    Image.new("RGB", (8, 8)).save(root / "view.png")
-    frame = {"file_path": "view.png", "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]}
+    pose = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]
     for role in ("train", "test"):
-        (root / f"transforms_{role}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": [frame]}))
+        Image.new("RGB", (8, 8)).save(root / f"{role}.png")
+        frames = [{"file_path": f"{role}.png", "transform_matrix": pose}]
+        (root / f"transforms_{role}.json").write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
 
 
 @pytest.fixture(scope="module", autouse=True)
