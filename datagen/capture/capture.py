@@ -194,14 +194,15 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
 
 
 def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
-    counts = np.sum([np.bincount(found.reshape(-1), minlength=len(folder.objects) + 1) for found in ids], axis=0)
+    every = np.stack(ids)
+    counts = np.bincount(every.reshape(-1), minlength=len(folder.objects) + 1)
     for place, name in enumerate(folder.objects, start=1):
         if not counts[place]:
             raise HyalineError(
                 f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
                 "those of other objects; expected white where the object is seen, or no folder of it"
             )
-        refuse_inverted(np.stack(ids) == place, where=f"{folder.root}: {name}")
+        refuse_inverted(every == place, where=f"{folder.root}: {name}")
     share = 100 * counts[1:].sum() / counts.sum()
     return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
 

@@ -1,14 +1,15 @@
-"""Facets, flutes and ribs around a part of an outside, which masks hardly show: they are found by drawing them."""
+"""Finds facets, flutes and ribs around part of an outside by drawing them, since masks hardly show them."""
 
 import dataclasses
 from collections.abc import Callable
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Bool
 
 from datagen.terminal.command import say
 from model.fit.handles import Handled
-from model.fit.search import NUMBERS, Misses, find_number
+from model.fit.search import NUMBERS, Cell, Misses, find_number
 from model.fit.shapes import Glass, Revolution
 
 CUT_ROUND = 0
@@ -38,6 +39,8 @@ LOW, HIGH = 0.1, 0.7
 CHOSEN = 5
 """Counts whose numbers are searched; the best of these wins."""
 
+_LOSS = attrgetter("loss")
+
 
 def with_cut(
     glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], wrong: Callable[[Glass], float]
@@ -49,17 +52,16 @@ def with_cut(
     """
     if not isinstance(glass, Revolution) or isinstance(glass, Handled) or glass.section or glass.is_closed:
         return glass
-    uncut = _loss(glass, misses)
-    if uncut < BADLY_DRAWN:
+    uncut = _drawn(glass, misses)
+    if uncut.loss < BADLY_DRAWN:
         return glass
-    say("  tries facets on what is drawn badly")
+    say("  trying facets, since the glass is drawn badly")
     smooth = dataclasses.replace(glass, roughness=None)
-    best = [min(_first_guesses(smooth, count), key=lambda cut: _loss(cut, misses)) for count in COUNTS]
-    chosen = sorted(best, key=lambda cut: _loss(cut, misses))[:CHOSEN]
-    settled = [_settled(cut, misses, is_even) for cut in chosen]
-    shown = [cut for cut in settled if wrong(cut) < wrong(glass) + WRONG_EDGES]
-    found = min(shown, key=lambda cut: _loss(cut, misses), default=glass)
-    return found if _loss(found, misses) < (1 - WORTH_A_CUT) * uncut else glass
+    best = [min((_drawn(cut, misses) for cut in _first_guesses(smooth, count)), key=_LOSS) for count in COUNTS]
+    settled = [_drawn(_settled(cut.glass, misses, is_even), misses) for cut in sorted(best, key=_LOSS)[:CHOSEN]]
+    most_wrong = wrong(glass) + WRONG_EDGES
+    found = min((cut for cut in settled if wrong(cut.glass) < most_wrong), key=_LOSS, default=uncut)
+    return found.glass if found.loss < (1 - WORTH_A_CUT) * uncut.loss else glass
 
 
 def _first_guesses(glass: Revolution, count: int) -> list[Revolution]:
@@ -85,5 +87,5 @@ def _settled(cut: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) ->
     return cut
 
 
-def _loss(glass: Glass, misses: Misses) -> float:
-    return float(misses(glass).mean())
+def _drawn(glass: Glass, misses: Misses) -> Cell:
+    return Cell(glass=glass, loss=float(misses(glass).mean()))

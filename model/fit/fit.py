@@ -10,7 +10,7 @@ again     the textures once more, from all pixels with the glass that was found,
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Literal, cast
 
@@ -48,7 +48,7 @@ from model.fit.search import (
     guesses,
     refine,
 )
-from model.fit.shapes import Revolution
+from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import unexplained
 from model.fit.views import Sightings, height_below, known_meshes, rays_near, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
@@ -308,12 +308,16 @@ class _Work:
                 item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                 yield
             if number == CUT_ROUND:
-                rays = rays_near(self.sightings, object_id)
-                cut = with_cut(item.glass, misses, is_even, lambda glass, rays=rays: unexplained(glass.mesh(), rays))
+                cut = with_cut(item.glass, misses, is_even, self._wrong_edges(object_id))
                 item = dataclasses.replace(item, glass=cut)
             loss = float(misses(item.glass).mean())
             history = (*item.history, history_row(stage, item.glass, loss))
             found[object_id] = dataclasses.replace(item, history=history)
+
+    def _wrong_edges(self, object_id: int) -> Callable[[Glass], float]:
+        """The share of the pixels at an object's mask's edge that a glass gets wrong; rays are collected when asked."""
+        near = cache(lambda: rays_near(self.sightings, object_id))
+        return lambda glass: unexplained(glass.mesh(), near())
 
     # What the stages share
 

@@ -112,7 +112,7 @@ class Found:
 
 @dataclass(frozen=True, kw_only=True)
 class Cell:
-    """One cell of the grid."""
+    """A glass that was tried, such as a cell of the grid."""
 
     glass: Glass
     loss: float

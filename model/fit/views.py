@@ -93,11 +93,10 @@ def read_sightings(
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
         met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
+    depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
     if masks is not None:
         for object_id in unknown:
-            name = dataset.objects[object_id - 1].name
-            refuse_inverted(np.stack(first) == object_id, where=str(masks / name))
-    depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
+            refuse_inverted(seen == object_id, where=str(masks / dataset.objects[object_id - 1].name))
     return Sightings(
         cameras=cameras,
         first=seen,
