@@ -16,6 +16,9 @@ import numpy as np
 from jaxtyping import UInt32
 from scipy.stats import qmc
 
+from datagen.disk.errors import HyalineError
+from datagen.terminal.signals import hold_signals
+
 NUM_DIMENSIONS = 128
 """Further dimensions repeat the first ones with another scrambling: still unbiased, but less evenly spread."""
 
@@ -59,10 +62,19 @@ class SobolPoints:
 
 @functools.lru_cache(maxsize=8)
 def _reversed_points(count: int) -> UInt32[np.ndarray, "dimension point"]:
-    """Sobol's points as 32-bit fractions, lowest bit first."""
-    sequence = qmc.Sobol(NUM_DIMENSIONS, scramble=False, bits=32)
-    points = sequence.random_base2(math.ceil(math.log2(count)))[:count]
-    return _reverse_bits((points.T * 2.0**32).astype(np.uint32))
+    """Sobol's points as 32-bit fractions, lowest bit first.
+
+    Raises:
+        HyalineError: SciPy could not read its direction numbers.
+    """
+    # SciPy 1.17 drops whatever is raised while it reads them, Ctrl-C included, and goes on with zeros.
+    with hold_signals():
+        sequence = qmc.Sobol(NUM_DIMENSIONS, scramble=False, bits=32)
+    power = math.ceil(math.log2(count))
+    points = sequence.random_base2(power)
+    if (np.sort(points, axis=0) != np.arange(2**power)[:, None] / 2**power).any():
+        raise HyalineError("SciPy could not read its direction numbers for Sobol's points; run the command again")
+    return _reverse_bits((points[:count].T * 2.0**32).astype(np.uint32))
 
 
 def _hash(x: Any) -> Any:

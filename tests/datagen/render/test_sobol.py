@@ -1,5 +1,7 @@
 """Tests the random numbers of paths against SciPy's and against what makes a sequence Sobol's."""
 
+import subprocess
+import sys
 from collections.abc import Sequence
 
 import numpy as np
@@ -69,3 +71,48 @@ def test_pixels_seeds_and_repeated_dimensions_are_independent() -> None:
 
 def test_a_count_that_is_no_power_of_two_is_the_beginning_of_the_sequence() -> None:
     np.testing.assert_array_equal(points_of(9, 24, 5), points_of(9, 32, 5)[:24])
+
+
+FIRST_POINTS = """
+import os, signal
+import numpy as np
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.terminal.signals import Stopped
+
+use_mitsuba(quiet=True)
+from datagen.render.sobol import SobolPoints
+
+read = np.load
+
+def disturbed(*args, **options):
+    {disturbance}
+    return read(*args, **options)
+
+np.load = disturbed
+try:
+    SobolPoints(16, 0)
+except (HyalineError, KeyboardInterrupt, Stopped) as stop:
+    print(type(stop).__name__, stop)
+np.load = read
+table = np.sort(np.array(SobolPoints(16, 0)._table).reshape(-1, 16), axis=1)
+print("points differ:", (np.diff(table.astype(np.int64), axis=1) > 0).all())
+"""
+
+
+@pytest.mark.promise("R11")
+@pytest.mark.parametrize(
+    ("disturbance", "said"),
+    [
+        ("os.kill(os.getpid(), signal.SIGINT)", "Stopped stopped"),
+        (
+            "raise MemoryError",
+            "HyalineError SciPy could not read its direction numbers for Sobol's points; run the command again",
+        ),
+    ],
+)
+def test_a_ctrl_c_while_scipy_prepares_is_neither_lost_nor_makes_all_points_alike(disturbance: str, said: str) -> None:
+    """SciPy drops what is raised there and goes on with zeros: pictures as of one sample a pixel."""
+    program = FIRST_POINTS.format(disturbance=disturbance)
+    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines() == [said, "points differ: True"]
