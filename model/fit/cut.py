@@ -1,34 +1,23 @@
-"""Finds facets, flutes and ribs around part of an outside by drawing them, since masks hardly show them."""
+"""Finds facets and ribs around part of an outside, from masks."""
 
 import dataclasses
-from collections.abc import Callable
 from operator import attrgetter
+from typing import TypeGuard
 
 import numpy as np
 from jaxtyping import Bool
 
-from datagen.terminal.command import say
 from model.fit.handles import Handled
-from model.fit.search import NUMBERS, Cell, Misses, find_number
-from model.fit.shapes import Glass, Revolution
-
-CUT_ROUND = 0
-"""Number of the round of a search after which cuts are tried: the wall is roughly known."""
-
-BADLY_DRAWN = 0.025
-"""Mean penalty above which a glass may be cut."""
-
-WORTH_A_CUT = 0.1
-"""Share of the penalty that a cut has to take away: many shallow facets blur, which hides other errors."""
-
-WRONG_EDGES = 0.01
-"""Share of the pixels at a mask's edge that a cut may get wrong in addition; right flutes had 0.004."""
+from model.fit.search import Cell, find_number, reach_of
+from model.fit.shapes import Glass, Revolution, evenly
+from model.fit.silhouettes import contradictions
+from model.fit.views import NearRays
 
 COUNTS = range(5, 21)
 """Facets that are tried; more would have too few columns of a mesh each."""
 
-RIBS, FLUTES = -0.06, 0.06
-"""First guesses of the depth: of ribs, and of flutes beyond that of flat facets."""
+RIBS = -0.03
+"""First guess of the depth of ribs, of which masks show the tops. They don't tell flutes from flat facets."""
 
 TURNS = 4
 """Directions that are tried of each cut."""
@@ -36,56 +25,66 @@ TURNS = 4
 LOW, HIGH = 0.1, 0.7
 """First guesses of a cut's ends, in parts of the height."""
 
-CHOSEN = 5
-"""Counts whose numbers are searched; the best of these wins."""
+GUESS_RAYS = 10_000
+"""Rays by which first guesses are compared."""
+
+GUESS_POINTS = 80
+"""Points of the outlines that are compared; more would only cost time."""
+
+CHOSEN = (8, 3, 1)
+"""Cuts whose numbers are searched in each round."""
+
+CUT_NUMBERS = ("cut_count", "cut_turn", "cut_depth", "cut_low", "cut_high")
 
 _LOSS = attrgetter("loss")
 
 
-def with_cut(
-    glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], wrong: Callable[[Glass], float]
-) -> Glass:
-    """A badly drawn glass of revolution with the facets that explain pictures best, if these explain enough.
+def may_be_cut(glass: Glass) -> TypeGuard[Revolution]:
+    """Whether it may have facets: a round glass that is open, or flat, at the top."""
+    if not isinstance(glass, Revolution) or isinstance(glass, Handled):
+        return False
+    return glass.section is None and not glass.is_closed
 
-    Args:
-        wrong: share of the pixels at a mask's edge that a glass gets wrong.
+
+def cut_in_masks(glass: Revolution, rays: NearRays) -> Revolution:
+    """The glass with the cut that masks contradict least.
+
+    Drawn pictures tell facets from each other far worse: they did not find eight flat ones, which masks find at once.
     """
-    if not isinstance(glass, Revolution) or isinstance(glass, Handled) or glass.section or glass.is_closed:
-        return glass
-    uncut = _drawn(glass, misses)
-    if uncut.loss < BADLY_DRAWN:
-        return glass
-    say("  trying facets, since the glass is drawn badly")
-    smooth = dataclasses.replace(glass, roughness=None)
-    best = [min((_drawn(cut, misses) for cut in _first_guesses(smooth, count)), key=_LOSS) for count in COUNTS]
-    settled = [_drawn(_settled(cut.glass, misses, is_even), misses) for cut in sorted(best, key=_LOSS)[:CHOSEN]]
-    most_wrong = wrong(glass) + WRONG_EDGES
-    found = min((cut for cut in settled if wrong(cut.glass) < most_wrong), key=_LOSS, default=uncut)
-    return found.glass if found.loss < (1 - WORTH_A_CUT) * uncut.loss else glass
+    edge = rays.at_edges()
+    few = edge.thinned(GUESS_RAYS)
+    coarse = dataclasses.replace(glass, solid=evenly(glass.outline(), GUESS_POINTS))
+    guesses = [_first_guesses(coarse, count, depth) for count in COUNTS for depth in (RIBS, _flat(count))]
+    best = [min((_judged(cut, few) for cut in turned), key=_LOSS) for turned in guesses]
+    for number, kept in enumerate(CHOSEN):
+        best = [_searched(cut.glass, edge, number) for cut in sorted(best, key=_LOSS)[:kept]]
+    numbers = {name: getattr(best[0].glass, name) for name in CUT_NUMBERS}
+    return dataclasses.replace(glass, **numbers)
 
 
-def _first_guesses(glass: Revolution, count: int) -> list[Revolution]:
-    flat = float(1 / np.cos(np.pi / count) - 1)
-    return [
-        dataclasses.replace(
-            glass,
-            cut_count=count,
-            cut_depth=depth,
-            cut_turn=turn / TURNS,
-            cut_low=LOW * glass.height,
-            cut_high=HIGH * glass.height,
-        )
-        for depth in (RIBS, flat, flat + FLUTES)
-        for turn in range(TURNS)
-    ]
+def _flat(count: int) -> float:
+    """Depth of flat facets."""
+    return float(1 / np.cos(np.pi / count) - 1)
 
 
-def _settled(cut: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
-    for name in NUMBERS:
-        if name.startswith("cut_"):
-            cut, _ = find_number(cut, name, NUMBERS[name].reach, misses, is_even)
-    return cut
+def _first_guesses(glass: Revolution, count: int, depth: float) -> list[Revolution]:
+    """The same cut, turned."""
+    low, high = LOW * glass.height, HIGH * glass.height
+    cut = dataclasses.replace(glass, cut_count=count, cut_depth=depth, cut_low=low, cut_high=high)
+    return [dataclasses.replace(cut, cut_turn=turn / TURNS) for turn in range(TURNS)]
 
 
-def _drawn(glass: Glass, misses: Misses) -> Cell:
-    return Cell(glass=glass, loss=float(misses(glass).mean()))
+def _searched(cut: Glass, edge: NearRays, number: int) -> Cell:
+    """With the numbers of its cut searched once."""
+    is_even = edge.view % 2 == 0
+    for name in CUT_NUMBERS[1:]:
+        cut, _ = find_number(cut, name, reach_of(name, number), lambda glass: _misses(glass, edge), is_even)
+    return _judged(cut, edge)
+
+
+def _judged(cut: Glass, edge: NearRays) -> Cell:
+    return Cell(glass=cut, loss=float(_misses(cut, edge).mean()))
+
+
+def _misses(cut: Glass, edge: NearRays) -> Bool[np.ndarray, "edge 3"]:
+    return np.repeat(contradictions(cut.mesh(), edge)[:, None], 3, axis=1)

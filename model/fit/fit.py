@@ -10,7 +10,7 @@ again     the textures once more, from all pixels with the glass that was found,
 import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Literal, cast
 
@@ -35,7 +35,6 @@ from datagen.terminal.command import choose, say, track
 from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
-from model.fit.cut import CUT_ROUND, with_cut
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
 from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
@@ -48,9 +47,8 @@ from model.fit.search import (
     guesses,
     refine,
 )
-from model.fit.shapes import Glass, Revolution
-from model.fit.silhouettes import unexplained
-from model.fit.views import Sightings, height_below, known_meshes, rays_near, read_sightings, with_known
+from model.fit.shapes import Revolution
+from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -307,17 +305,9 @@ class _Work:
                     value = dataclasses.replace(value, before=earlier.value)
                 item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                 yield
-            if number == CUT_ROUND:
-                cut = with_cut(item.glass, misses, is_even, self._wrong_edges(object_id))
-                item = dataclasses.replace(item, glass=cut)
             loss = float(misses(item.glass).mean())
             history = (*item.history, history_row(stage, item.glass, loss))
             found[object_id] = dataclasses.replace(item, history=history)
-
-    def _wrong_edges(self, object_id: int) -> Callable[[Glass], float]:
-        """The share of the pixels at an object's mask's edge that a glass gets wrong; rays are collected when asked."""
-        near = cache(lambda: rays_near(self.sightings, object_id))
-        return lambda glass: unexplained(glass.mesh(), near())
 
     # What the stages share
 

@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from model.fit.boxes import fit_box
+from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
 from model.fit.hull import HullShape, carve
@@ -52,7 +53,14 @@ BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
 """Complexity of a ball, of a box or an outline about an axis, and of a hull."""
 
 CLOSER = 0.5
-"""By how much more complex an outline is that follows masks more closely."""
+"""By how much more complex a solid is that follows masks more closely."""
+
+CUT = 0.25
+"""By how much more complex an outline is that has facets around it: on round glass, facets explained 0.0007 of the edge
+pixels at most, and right ones 0.0018 at least."""
+
+MAY_BE_CUT = (0.005, 0.1)
+"""Share of edge pixels that a round outline gets wrong where facets are looked for."""
 
 SIMPLER = 0.006
 """Share of edge pixels that a unit of complexity has to explain."""
@@ -99,6 +107,7 @@ def choose_outside(
     hull = find_hull(rays, up, order=mask_errors)
     evidence = _Evidence(rays=rays, up=up, support=_support(hull, stands_on), mask_errors=mask_errors)
     found = [_judged(rays, *each) for each in _round(evidence, hull)]
+    found += [cut for each in found for cut in _with_facets(evidence, hull, each)]
     good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
     if min((each.unexplained for each in found), default=1.0) > good:
         for kind in _others(evidence, hull, lambda: carve(sightings, object_id, up, evidence.support)):
@@ -135,22 +144,20 @@ class _Evidence:
 
 def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
     """Ball and outlines about one axis, with their complexity."""
-    ball = find_ball(hull) if hull.section is None else None
+    ball = find_ball(hull) if hull.around is None else None
     found: list[tuple[float, Glass]] = [] if ball is None else [(BALL, ball)]
-    outside, solid = _smoothest(evidence, hull, find_outside), _smoothest(evidence, hull, find_solid)
+    outside, solid = find_outside(hull, evidence.along(hull.axis)), _smoothest(evidence, hull)
     if solid is not None and (outside is None or not solid[1].has_flat_top):
         return [*found, solid]
     if outside is not None and solid is not None:
-        return [*found, (solid[0], dataclasses.replace(outside[1], solid=solid[1].solid))]
-    return [*found, outside] if outside is not None else found
+        return [*found, (solid[0], dataclasses.replace(outside, solid=solid[1].solid))]
+    return [*found, (OUTLINE, outside)] if outside is not None else found
 
 
-def _smoothest(
-    evidence: _Evidence, hull: Hull, find: Callable[[Hull, float | None, float], Revolution | None]
-) -> tuple[float, Revolution] | None:
-    """The outline that explains masks best among those that follow the hull more or less closely."""
+def _smoothest(evidence: _Evidence, hull: Hull) -> tuple[float, Revolution] | None:
+    """The solid that explains masks best among those that follow the hull more or less closely."""
     support = evidence.along(hull.axis)
-    tried = [(OUTLINE + place * CLOSER, find(hull, support, noise)) for place, noise in enumerate(NOISES)]
+    tried = [(OUTLINE + place * CLOSER, find_solid(hull, support, noise)) for place, noise in enumerate(NOISES)]
     found = [(complexity, glass) for complexity, glass in tried if glass is not None]
     return min(found, key=lambda each: _judged(evidence.rays, *each).cost, default=None)
 
@@ -181,6 +188,18 @@ def _with_corners(evidence: _Evidence, axis: Axis, shape: HullShape) -> list[tup
     if section is None:
         return []
     return _round(evidence, find_section(evidence.rays, axis, section, order=evidence.mask_errors))
+
+
+def _with_facets(evidence: _Evidence, hull: Hull, outside: Outside) -> list[Outside]:
+    """A round outline with the facets that masks show best, where it explains masks neither well nor badly."""
+    least, most = MAY_BE_CUT
+    if not may_be_cut(outside.glass) or not least < outside.unexplained < most:
+        return []
+    cut = cut_in_masks(outside.glass, evidence.rays)
+    # Where facets are known, views from all around them show the outline, not only those along facets.
+    sharp = hull_about(evidence.rays, hull.axis, hull.heights, order=evidence.mask_errors, around=cut.cut())
+    found = [(outside.complexity, cut), *_round(evidence, sharp)]
+    return [_judged(evidence.rays, complexity + CUT, glass) for complexity, glass in found]
 
 
 def _radii_around(mesh: Mesh, axis: Axis) -> tuple[Float64[np.ndarray, " angle"], Float64[np.ndarray, " angle"]]:

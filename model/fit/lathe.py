@@ -67,17 +67,24 @@ class Cut:
         angles = (facet + self.turn + x / 2) * (2 * np.pi / self.count)
         return np.append(angles, angles[0] + 2 * np.pi), np.append(x, x[0])
 
-    def depths(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
+    def depths(self, x: Float64[np.ndarray, "*place"]) -> Float64[np.ndarray, "*place"]:
         """By how much the surface is farther from the axis than the outline where the cut is deepest."""
         return (1 + self.depth * x**2) / self._scale - 1
+
+    def looked_up(
+        self, angles: Float[np.ndarray, "*place"], heights: Float64[np.ndarray, "*#place"]
+    ) -> Float64[np.ndarray, "*place"]:
+        """Distance of places on the surface from the axis, relative to the outline's."""
+        facets = angles * (self.count / (2 * np.pi)) - self.turn
+        return 1 + self.shares(heights)[0] * self.depths(2 * (facets - np.rint(facets)))
 
     def slopes(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
         """Derivatives of `depths`, per radian."""
         return 2 * self.depth * x / self._scale * (self.count / np.pi)
 
     def shares(
-        self, heights: Float64[np.ndarray, " ring"]
-    ) -> tuple[Float64[np.ndarray, " ring"], Float64[np.ndarray, " ring"]]:
+        self, heights: Float64[np.ndarray, "*place"]
+    ) -> tuple[Float64[np.ndarray, "*place"], Float64[np.ndarray, "*place"]]:
         """How deep the cut is at these heights, from 0 to 1, and the derivative, per metre."""
         fade = FADE * (self.high - self.low)
         up, down = (heights - self.low) / fade, (self.high - heights) / fade
@@ -86,7 +93,10 @@ class Cut:
 
     @property
     def _scale(self) -> float:
-        return max(1.0, (1 + self.depth) * np.cos(np.pi / self.count))
+        """How far the hull of the facets' curve reaches where it reaches least: at their middles, or their edges."""
+        x, half = np.linspace(0, 1, SEGMENTS), np.pi / self.count
+        radii = 1 + self.depth * x**2
+        return float(min((radii * np.cos(half * x)).max(), (radii * np.cos(half * (1 - x))).max()))
 
 
 def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: Cut | None = None) -> Mesh:

@@ -1,8 +1,12 @@
 """Outlines of vessels, solids and balls from visual hulls of revolution."""
 
+import dataclasses
+
 import numpy as np
+from jaxtyping import Float64
 from scipy import interpolate
 
+from model.fit.lathe import Cut, Outline
 from model.fit.outside import Hull
 from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly
 
@@ -35,18 +39,33 @@ LEAST_HEIGHTS = 8
 """Fewer do not show an outline."""
 
 NOISES = (0.003, 0.001, 0.0005)
-"""Assumed standard deviations of a hull's radii: the first for smooth sides, the others for sides with creases."""
+"""Assumed standard deviations of a solid's radii: the first for smooth sides, the others for sides with creases."""
+
+ABOVE = 0.05
+"""Weight of radii that are larger than the outline: between two rays that touch it, exact masks leave the hull too
+wide, never too narrow."""
+
+STIFF = 0.3
+"""Weight of an outline's bends, in parts of the square of its mean distance from the hull."""
+
+BEND = 0.03
+"""Curvature, over the largest radius, below which bends count by their squares, beyond it by their size: an outline has
+few creases, and they may be sharp."""
+
+FIRST_STIFFNESS = 1e-6
+
+REWEIGHTED = 30
+"""Iterations that find which radii are larger, where it bends, and how far it is from the hull."""
 
 END = 10
 """Points of a flat end of a solid."""
 
 
-def find_outside(hull: Hull, support: float | None, noise: float = NOISES[0]) -> Revolution | None:
+def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     """Extracts the outside of a vessel from its hull, or of a solid with a flat top; None if the hull is too short.
 
     Args:
         support: height along the axis of the known surface below it, if there is one.
-        noise: assumed standard deviation of the hull's radii, in parts of the largest one.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]
@@ -58,15 +77,34 @@ def find_outside(hull: Hull, support: float | None, noise: float = NOISES[0]) ->
     kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
     if kept.sum() < LEAST_HEIGHTS:
         return None
-    spline = interpolate.UnivariateSpline(heights[kept], radii[kept], s=kept.sum() * (noise * size) ** 2)
-    low, high = heights[kept][[0, -1]]
-    below, above = np.asarray(spline([high - 1.5 * rim, high]))
+    smooth = size * _without_scallops(heights[kept] / size, radii[kept] / size, ABOVE if hull.is_exact else 1.0)
+    high = heights[kept][-1]
+    below, above = np.interp([high - 1.5 * rim, high], heights[kept], smooth)
     slope = (above - below) / (1.5 * rim)
     along = np.linspace(bottom, heights[-1], 400)
-    side = np.asarray(spline(np.clip(along, low, high))) + slope * np.maximum(along - high, 0)
+    side = np.interp(along, heights[kept], smooth) + slope * np.maximum(along - high, 0)
     line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
     outside = evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE)
-    return Revolution(axis=hull.axis, outside=outside, section=hull.section)
+    return _about(hull, outside)
+
+
+def _without_scallops(
+    heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"], above: float
+) -> Float64[np.ndarray, " height"]:
+    """The line under a hull's radii that bends least: it halves the distance from true sides, and errors of normals.
+
+    Least squares, reweighted: radii that are larger than the line count `above` as much, and bends by their size.
+
+    Args:
+        heights: evenly spaced, like the radii in parts of the largest radius.
+    """
+    bends = np.diff(np.eye(len(heights)), 2, axis=0) / (heights[1] - heights[0]) ** 2
+    line, weight, stiffness = radii, np.ones(len(radii)), np.full(len(bends), FIRST_STIFFNESS)
+    for _ in range(REWEIGHTED):
+        line = np.linalg.solve(np.diag(weight) + (bends.T * stiffness) @ bends, weight * radii)
+        weight = np.where(line > radii, 1.0, above)
+        stiffness = STIFF * np.abs(line - radii).mean() ** 2 / (np.abs(bends @ line) + BEND)
+    return line
 
 
 def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> Revolution | None:
@@ -76,7 +114,8 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
     that masks show well. None if the hull is too short.
 
     Args:
-        support, noise: as for `find_outside`.
+        support: as for `find_outside`.
+        noise: assumed standard deviation of the hull's radii, in parts of the largest one.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]
@@ -112,7 +151,24 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
     else:
         pieces.append(np.linspace((0.0, high), side[-1], END, endpoint=False)[::-1])
     line = np.concatenate(pieces)
-    return Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), solid=line, section=hull.section)
+    return dataclasses.replace(_about(hull, evenly(line, OUTSIDE)), solid=line)
+
+
+def _about(hull: Hull, outside: Outline) -> Revolution:
+    """An outside, with the section or the cut of its hull."""
+    cut = hull.around
+    if not isinstance(cut, Cut):
+        return Revolution(axis=hull.axis, outside=outside, section=cut)
+    lowest = float(outside[:, 1].min())
+    return Revolution(
+        axis=hull.axis,
+        outside=outside,
+        cut_count=cut.count,
+        cut_depth=cut.depth,
+        cut_turn=cut.turn,
+        cut_low=cut.low - lowest,
+        cut_high=cut.high - lowest,
+    )
 
 
 def find_ball(hull: Hull) -> Revolution | None:

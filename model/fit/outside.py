@@ -7,13 +7,14 @@ the ray's distance from the axis. The least bound of all rays is the visual hull
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64, Int
 from scipy import optimize
 
 from datagen.disk.errors import HyalineError
-from model.fit.lathe import Axis, perpendicular
+from model.fit.lathe import Axis, Cut, perpendicular
 from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, Section
 from model.fit.views import NearRays
 
@@ -49,6 +50,10 @@ SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
 
 
+Around = Section | Cut
+"""By what the radii of an outline change around the axis."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hull:
     """The visual hull of revolution about an axis."""
@@ -62,7 +67,9 @@ class Hull:
     """The same without ends: infinite where no ray bounds it."""
     unexplained: float
     """Share of the mask's rays that miss the hull."""
-    section: Section | None = None
+    is_exact: bool
+    """No mask is wrong: it is nowhere too narrow."""
+    around: Around | None = None
     """None: a circle."""
 
 
@@ -138,12 +145,12 @@ def _searched(
         found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
         x = np.concatenate([found, rest])
         axis, section = at(x)
-        hulls.append(hull_about(rays, axis, heights, order=order, section=section))
+        hulls.append(hull_about(rays, axis, heights, order=order, around=section))
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
 
 def hull_about(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, section: Section | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, around: Around | None = None
 ) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
     num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
@@ -151,16 +158,17 @@ def hull_about(
     each = max(1, -(-int(is_inside.sum()) // INSIDE_RAYS))
     rays = rays.only(~is_inside | (np.cumsum(is_inside) % each == 0))
     weight = np.where(rays.is_edge, 1, each)[rays.hits]
-    rho = crossings(rays, axis, heights, section)
+    rho = crossings(rays, axis, heights, around)
     bounds = _bounds(rho, rays.hits, heights, order=order)
+    hull_of = partial(Hull, axis=axis, heights=heights, bounds=bounds, is_exact=order == 0, around=around)
     radii = np.where(np.isfinite(bounds), bounds, 0)
     inside = rho[rays.hits] <= radii
-    place, least = _closest(rays, axis, heights, section)
+    place, least = _closest(rays, axis, heights, around)
     inside[np.arange(len(inside)), place] |= least <= radii[place]
     explained = inside.any(axis=1)
     if not explained.any():
         none = np.zeros_like(radii)
-        return Hull(axis=axis, heights=heights, radii=none, bounds=bounds, unexplained=1.0, section=section)
+        return hull_of(radii=none, unexplained=1.0)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
     # Some rays miss: where masks may be wrong, and where a rim is rounder than the spacing of heights.
     spare = min(round((WRONG_RAYS if order else STRAY_RAYS) * num_hits), len(lowest) - 1)
@@ -168,16 +176,16 @@ def hull_about(
     place = np.arange(len(heights))
     kept = np.where((place >= bottom) & (place <= top), radii, 0)
     unexplained = float(weight[~explained].sum() / num_hits)
-    return Hull(axis=axis, heights=heights, radii=kept, bounds=bounds, unexplained=unexplained, section=section)
+    return hull_of(radii=kept, unexplained=unexplained)
 
 
 def crossings(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], section: Section | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Around | None = None
 ) -> Float[np.ndarray, "ray height"]:
     """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera.
 
     Args:
-        section: by whose factors the distances are divided, so that an outline's radii bound them as about a circle.
+        around: by whose factors the distances are divided, so that an outline's radii bound them as about a circle.
     """
     along_o, across_o = _along_and_across(rays.origins - axis.point, axis)
     along_d, across_d = _along_and_across(rays.directions, axis)
@@ -187,8 +195,8 @@ def crossings(
         np.einsum("rc,rc->r", x, y) for x, y in ((across_o, across_o), (across_o, across_d), (across_d, across_d))
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
-    if section is not None:
-        rho /= section.looked_up(_angles(across_o[:, None], across_d[:, None], t, axis))
+    if around is not None:
+        rho /= around.looked_up(_angles(across_o[:, None], across_d[:, None], t, axis), heights)
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
@@ -224,7 +232,7 @@ def _bounds(
 
 
 def _closest(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], section: Section | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Around | None = None
 ) -> tuple[Int[np.ndarray, " hit"], Float64[np.ndarray, " hit"]]:
     """Where rays that meet the object come closest to the axis: the place of the nearest height, and the distance.
 
@@ -237,8 +245,8 @@ def _closest(
     place = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
     is_on = (place >= 0) & (place < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
     rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
-    if section is not None:
-        rho /= section.looked_up(_angles(across_o, across_d, t, axis))
+    if around is not None:
+        rho /= around.looked_up(_angles(across_o, across_d, t, axis), height)
     return np.clip(place, 0, len(heights) - 1), np.where(is_on, rho, np.inf)
 
 

@@ -24,6 +24,9 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
+GROOVES = -0.06
+"""Depth of ribs that is tried beside the one that masks show, which see their tops alone."""
+
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
 
@@ -181,7 +184,15 @@ def _cells(outside: Glass) -> list[Glass]:
         return [outside]
     # A vessel with handles has other faces than a solid.
     solids = [dataclasses.replace(outside, ior=ior) for ior in INDICES] if outside.wall is None else []
-    return [*solids, *(outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS))]
+    grid = itertools.product(_with_grooves(outside), WALLS, FLOORS, CORNERS)
+    return [*solids, *(each.hollowed(*cell) for each, *cell in grid)]
+
+
+def _with_grooves(outside: Revolution) -> list[Revolution]:
+    """As masks show it, and if that is with ribs, with deeper grooves between them."""
+    if outside.cut_depth is None or not GROOVES < outside.cut_depth < 0:
+        return [outside]
+    return [outside, dataclasses.replace(outside, cut_depth=GROOVES)]
 
 
 def find_absorption(

@@ -43,8 +43,8 @@ class Section:
         at_side = self._sum(np.array([self.turn]))
         return (self._sum(angles) / at_side) ** (-1 / self.sharpness)
 
-    def looked_up(self, angles: Float[np.ndarray, "*angle"]) -> Float64[np.ndarray, "*angle"]:
-        """The same for many directions, by a table."""
+    def looked_up(self, angles: Float[np.ndarray, "*angle"], heights: np.ndarray) -> Float64[np.ndarray, "*angle"]:  # noqa: ARG002
+        """The same for many directions, by a table; at all heights alike."""
         place = (angles % (2 * np.pi)) * (TABLE / (2 * np.pi))
         return self.factors(_UNIT)[np.rint(place).astype(np.int32)]
 

@@ -56,15 +56,20 @@ def pull(
     return Pull(slope=np.where(hits, 1, -1) * trust * wrong / width, curvature=trust * bound / width**2)
 
 
-def unexplained(mesh: Mesh, rays: NearRays) -> float:
-    """Share of the rays at a mask's edge that meet a mesh and should miss it, or the other way round.
+def contradictions(mesh: Mesh, rays: NearRays) -> Bool[np.ndarray, " edge"]:
+    """Which of the rays at a mask's edge meet a mesh and should miss it, or the other way round.
 
-    The same for shapes of all kinds, so that they can be compared. Where the mask shows the object, a known surface in
-    front of it is misplaced, as parts of a fitted room are, and does not count.
+    Where the mask shows the object, a known surface in front of it is misplaced, as parts of a fitted room are, and
+    does not count.
     """
     from datagen.trace.peel import Peeler
 
     edge = rays.at_edges()
     hits = Peeler((mesh,)).trace(edge.origins.astype(np.float32), edge.directions.astype(np.float32), 1)
     meets = (hits.shape[0] >= 0) & (edge.hits | (hits.t[0] < edge.reach))
-    return float((meets != edge.hits).mean())
+    return meets != edge.hits
+
+
+def unexplained(mesh: Mesh, rays: NearRays) -> float:
+    """Share of the rays at a mask's edge that contradict a mesh: the same for shapes of all kinds."""
+    return float(contradictions(mesh, rays).mean())

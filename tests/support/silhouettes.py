@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.data.cameras import Cameras, Lens, look_at
-from datagen.data.meshes import r2_steps
+from datagen.data.meshes import Mesh, r2_steps
 from model.fit.views import Sightings
 
 Points = Float[np.ndarray, "ray 3"]
@@ -91,6 +91,14 @@ def cylinder(radius: float, low: float, high: float) -> Meets:
 def either(*solids: Meets) -> Meets:
     """The union of solids."""
     return lambda o, d: np.any([meets(o, d) for meets in solids], axis=0)
+
+
+def traced(mesh: Mesh) -> Meets:
+    """A solid by its mesh."""
+    from datagen.trace.peel import Peeler
+
+    peeler = Peeler((mesh,))
+    return lambda o, d: peeler.trace(o.astype(np.float32), d.astype(np.float32), 1).shape[0] >= 0
 
 
 def _spoilt(

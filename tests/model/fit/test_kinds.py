@@ -4,9 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.silhouettes import Meets, ball, block, sightings_of
+from support.silhouettes import Meets, ball, block, sightings_of, traced
 
-from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.modelling import cylinder, lathe, moved, rotation, turned
 from datagen.scene.procedural.solids import soft_square
@@ -19,14 +18,6 @@ UP = np.array([0.0, 0.0, 1.0])
 
 def on_the_table(point: np.ndarray, reach: float) -> float | None:
     return 0.0 if abs(point[2]) < reach else None
-
-
-def traced(mesh: Mesh) -> Meets:
-    """A solid by its mesh."""
-    from datagen.trace.peel import Peeler
-
-    peeler = Peeler((mesh,))
-    return lambda o, d: peeler.trace(o.astype(np.float32), d.astype(np.float32), 1).shape[0] >= 0
 
 
 SQUARE = lathe([(0, 0.001), (0.03, 0.001), (0.034, 0.09), (0, 0.09)], around=soft_square(5.0))

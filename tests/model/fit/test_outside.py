@@ -122,6 +122,23 @@ def test_a_cut_cone_is_found_even_if_some_mask_pixels_are_wrong() -> None:
     assert z.max() == pytest.approx(height, abs=0.003)
 
 
+def test_exact_masks_show_a_straight_side_where_their_hull_has_scallops() -> None:
+    low, high, height = 0.03, 0.045, 0.11
+    taken = cameras()
+    hull = find_hull(rays_near(sightings_of(cone_mask(taken, low, high, height), taken), 1), UP, order=0)
+    found = find_outside(hull, support=-hull.axis.point[2])
+    assert found is not None
+
+    def slopes_off(heights: np.ndarray, radii: np.ndarray) -> float:
+        z = heights + hull.axis.point[2]
+        side = (z > 0.01) & (z < height - 0.01)
+        slopes = np.diff(radii[side]) / np.diff(z[side])
+        return float(np.degrees(np.sqrt(np.mean((slopes - (high - low) / height) ** 2))))
+
+    assert slopes_off(hull.heights, hull.radii) > 10
+    assert slopes_off(*found.outside.T[::-1]) < 1
+
+
 def test_an_egg_closes_over_its_axis_at_both_ends() -> None:
     radius, half = 0.035, 0.05
     taken = cameras()

@@ -6,7 +6,6 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from model.fit.cut import with_cut
 from model.fit.intervals import intervals
 from model.fit.lathe import Axis
 from model.fit.search import (
@@ -217,34 +216,3 @@ def test_a_parabola_stays_in_its_bracket_and_falls_back_to_the_least() -> None:
     assert vertex(places, (places - 1.47) ** 2) == pytest.approx(1.47)
     assert vertex(places, (places - 3.0) ** 2) == pytest.approx(1.6)
     assert vertex(places, -((places - 1.45) ** 2)) == pytest.approx(1.6)
-
-
-def test_facets_are_found_where_they_explain_enough() -> None:
-    truth = dataclasses.replace(
-        OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), cut_count=9, cut_depth=0.09, cut_turn=0.6, cut_low=0.012, cut_high=0.06
-    )
-    angles = np.linspace(0, 2 * np.pi, PIXELS, endpoint=False)
-
-    def radii(glass: Revolution) -> np.ndarray:
-        if (cut := glass.cut()) is None:
-            return np.zeros(PIXELS)
-        directions, x = cut.columns(96)
-        return (
-            np.interp(angles, directions % (2 * np.pi), cut.depths(x), period=2 * np.pi) * (cut.high - cut.low) / 0.05
-        )
-
-    def misses(glass: Revolution) -> np.ndarray:
-        return np.repeat(0.02 + np.abs(radii(glass) - radii(truth))[:, None], 3, axis=1)
-
-    def wrong(glass: Revolution) -> float:
-        return 0.01
-
-    uncut = dataclasses.replace(truth, cut_count=None)
-    found = with_cut(uncut, misses, IS_EVEN, wrong)
-    assert isinstance(found, Revolution)
-    assert found.cut_count == 9
-    assert (found.cut_turn, found.cut_depth) == (pytest.approx(0.6, abs=0.1), pytest.approx(0.09, abs=0.03))
-    # What is drawn well, is no better with facets, or whose masks show none stays round.
-    assert with_cut(uncut, lambda glass: misses(glass) / 10, IS_EVEN, wrong) is uncut
-    assert with_cut(uncut, lambda glass: 0.5 + misses(glass) / 10, IS_EVEN, wrong) is uncut
-    assert with_cut(uncut, misses, IS_EVEN, lambda glass: 0.03 if glass.cut_count else 0.01) is uncut

@@ -29,7 +29,7 @@ def test_slopes_are_derivatives_and_a_table_gives_the_same() -> None:
     section, step = Section(sides=5, sharpness=9.0, turn=1.1), 1e-6
     differences = (section.factors(ANGLES + step) - section.factors(ANGLES - step)) / (2 * step)
     assert section.slopes(ANGLES) == pytest.approx(differences, abs=1e-7)
-    assert section.looked_up(ANGLES - 7) == pytest.approx(section.factors(ANGLES - 7), abs=1e-3)
+    assert section.looked_up(ANGLES - 7, np.zeros(())) == pytest.approx(section.factors(ANGLES - 7), abs=1e-3)
 
 
 def test_points_are_dense_where_the_section_turns() -> None:

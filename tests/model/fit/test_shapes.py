@@ -102,11 +102,17 @@ def test_a_cut_lies_between_two_heights_of_the_outside(count: int, depth: float)
     assert open_edges(mesh) == 0
     assert np.quantile(off_normal(mesh), 0.99) < 12
     x = np.linspace(-1, 1, 2001)
-    outside = (1 + depth * x**2) / max(1, (1 + depth) * np.cos(np.pi / count))
+    radii = np.tile(1 + depth * x**2, count)
+    angles = ((np.arange(count)[:, None] + x / 2) * (2 * np.pi / count)).ravel()
+    # The largest circle in the convex hull touches it where the hull reaches least far.
+    inscribed = min((radii * np.cos(angles - towards)).max() for towards in np.linspace(0, np.pi / count, 50))
+    outside = (1 + depth * x**2) / inscribed
     # Half of the height is cut; the cut fades out over a tenth of that at both ends. A facet has few columns.
     share = np.clip(10 * np.minimum(np.linspace(0, 1, 1001), np.linspace(1, 0, 1001)), 0, 1)[:, None]
     more = 0.5 * ((1 + share * (outside - 1)) ** 2 - 1).mean()
-    assert signed_volume(mesh) - signed_volume(whole.mesh()) == pytest.approx(ROUND * HEIGHT * more, rel=0.1)
+    # Eight chords of a rib of this depth are 0.12 % of the volume too large.
+    grown = signed_volume(mesh) - signed_volume(whole.mesh())
+    assert grown == pytest.approx(ROUND * HEIGHT * more, rel=0.1, abs=0.0015 * ROUND * HEIGHT)
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, 10.0), (0.9, 0.1)])
