@@ -45,17 +45,21 @@ ABOVE = 0.05
 """Weight of radii that are larger than the outline: between two rays that touch it, exact masks leave the hull too
 wide, never too narrow."""
 
+FIRST_STIFFNESS = 1e-6
+"""Weight of an outline's bends."""
+
 STIFF = 0.3
-"""Weight of an outline's bends, in parts of the square of its mean distance from the hull."""
+"""The same in parts of the square of the mean distance between the hull and the outline with that weight."""
+
+MOST_STIFFNESS = 1e-5
+"""Beyond it, an outline with many creases is straightened away."""
 
 BEND = 0.03
 """Curvature, over the largest radius, below which bends count by their squares, beyond it by their size: an outline has
 few creases, and they may be sharp."""
 
-FIRST_STIFFNESS = 1e-6
-
-REWEIGHTED = 30
-"""Iterations that find which radii are larger, where it bends, and how far it is from the hull."""
+REWEIGHTED = 15
+"""Iterations that find which radii are larger, and where it bends."""
 
 END = 10
 """Points of a flat end of a solid."""
@@ -93,17 +97,25 @@ def _without_scallops(
 ) -> Float64[np.ndarray, " height"]:
     """The line under a hull's radii that bends least: it halves the distance from true sides, and errors of normals.
 
-    Least squares, reweighted: radii that are larger than the line count `above` as much, and bends by their size.
-
     Args:
         heights: evenly spaced, like the radii in parts of the largest radius.
+        above: weight of radii that are larger than the line.
     """
+    first = _least_bent(heights, radii, above, FIRST_STIFFNESS)
+    stiffness = STIFF * float(np.abs(first - radii).mean()) ** 2
+    return _least_bent(heights, radii, above, min(stiffness, MOST_STIFFNESS))
+
+
+def _least_bent(
+    heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"], above: float, stiffness: float
+) -> Float64[np.ndarray, " height"]:
+    """Least squares, reweighted so that bends count by their size."""
     bends = np.diff(np.eye(len(heights)), 2, axis=0) / (heights[1] - heights[0]) ** 2
-    line, weight, stiffness = radii, np.ones(len(radii)), np.full(len(bends), FIRST_STIFFNESS)
+    line, weight, stiff = radii, np.ones(len(radii)), np.full(len(bends), stiffness)
     for _ in range(REWEIGHTED):
-        line = np.linalg.solve(np.diag(weight) + (bends.T * stiffness) @ bends, weight * radii)
+        line = np.linalg.solve(np.diag(weight) + (bends.T * stiff) @ bends, weight * radii)
         weight = np.where(line > radii, 1.0, above)
-        stiffness = STIFF * np.abs(line - radii).mean() ** 2 / (np.abs(bends @ line) + BEND)
+        stiff = stiffness / (np.abs(bends @ line) + BEND)
     return line
 
 

@@ -10,7 +10,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from model.fit.boxes import Box
 from model.fit.lathe import Axis
 from model.fit.outlines import find_ball, find_outside, find_solid
-from model.fit.outside import find_hull, hull_about
+from model.fit.outside import Hull, find_hull, hull_about
 from model.fit.views import Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -137,6 +137,24 @@ def test_exact_masks_show_a_straight_side_where_their_hull_has_scallops() -> Non
 
     assert slopes_off(hull.heights, hull.radii) > 10
     assert slopes_off(*found.outside.T[::-1]) < 1
+
+
+def test_an_outline_with_deep_grooves_is_not_straightened_away() -> None:
+    heights = np.linspace(0, 2, 300)
+    radii = 0.8 + 0.15 * np.sign(np.sin(9 * heights))
+    hull = Hull(
+        axis=Axis(point=np.zeros(3), direction=UP),
+        heights=heights,
+        radii=radii + 0.003 * np.abs(np.sin(60 * heights)),
+        bounds=radii,
+        unexplained=0.0,
+        is_exact=True,
+    )
+    found = find_outside(hull, support=0.0)
+    assert found is not None
+    side = (found.outside[:, 1] > 0.1) & (found.outside[:, 1] < 1.9)
+    off = np.abs(found.outside[side, 0] - np.interp(found.outside[side, 1], heights, radii))
+    assert np.median(off) < 0.03
 
 
 def test_an_egg_closes_over_its_axis_at_both_ends() -> None:
