@@ -150,7 +150,7 @@ def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
     if solid is not None and (outside is None or not solid[1].has_flat_top):
         return [*found, solid]
     if outside is not None and solid is not None:
-        return [*found, (solid[0], dataclasses.replace(outside, solid=solid[1].solid))]
+        return [*found, (solid[0], dataclasses.replace(outside, solid=solid[1].solid, dish=solid[1].dish))]
     return [*found, (OUTLINE, outside)] if outside is not None else found
 
 

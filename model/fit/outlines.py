@@ -8,7 +8,7 @@ from scipy import interpolate
 
 from model.fit.lathe import Cut, Outline
 from model.fit.outside import Hull
-from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly
+from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly, find_shelf, spread
 
 ROUND = 0.015
 """By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
@@ -81,14 +81,18 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
     if kept.sum() < LEAST_HEIGHTS:
         return None
-    smooth = size * _without_scallops(heights[kept] / size, radii[kept] / size, ABOVE if hull.is_exact else 1.0)
+    smooth = radii[kept].copy()
+    # Its scallops would bend the edge of a thin foot away.
+    foot = find_shelf(np.stack([smooth, heights[kept]], axis=1))
+    beyond = slice(0 if foot is None else foot.stop - 1, None)
+    above = ABOVE if hull.is_exact else 1.0
+    smooth[beyond] = size * _without_scallops(heights[kept][beyond] / size, smooth[beyond] / size, above)
     high = heights[kept][-1]
-    below, above = np.interp([high - 1.5 * rim, high], heights[kept], smooth)
-    slope = (above - below) / (1.5 * rim)
+    slope = float(np.diff(np.interp([high - 1.5 * rim, high], heights[kept], smooth))[0]) / (1.5 * rim)
     along = np.linspace(bottom, heights[-1], 400)
     side = np.interp(along, heights[kept], smooth) + slope * np.maximum(along - high, 0)
     line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
-    outside = evenly(np.concatenate([[(0, bottom)], line]), OUTSIDE)
+    outside = spread(np.concatenate([[(0, bottom)], line]), OUTSIDE)
     return _about(hull, outside)
 
 
@@ -146,7 +150,7 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
     lower = first - at_first / slope_first if slope_first > 0 else -np.inf
     upper = last - at_last / slope_last if slope_last < 0 else np.inf
     least = heights[0] - MOST_CAP * size if support is None else support - LEAST_CAP * size
-    closes_below, closes_above = lower > least, upper < heights[-1] + MOST_CAP * size
+    closes_below, closes_above = bool(lower > least), bool(upper < heights[-1] + MOST_CAP * size)
     low = lower if closes_below else heights[0] if support is None else support
     high = upper if closes_above else heights[-1]
     along = (low + high) / 2 - (high - low) / 2 * np.cos(np.linspace(0, np.pi, 400))
@@ -163,7 +167,9 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
     else:
         pieces.append(np.linspace((0.0, high), side[-1], END, endpoint=False)[::-1])
     line = np.concatenate(pieces)
-    return dataclasses.replace(_about(hull, evenly(line, OUTSIDE)), solid=line)
+    is_loose = support is None and hull.around is None
+    dish = 0.0 if is_loose and not closes_below and not closes_above else None
+    return dataclasses.replace(_about(hull, evenly(line, OUTSIDE)), solid=line, dish=dish)
 
 
 def _about(hull: Hull, outside: Outline) -> Revolution:

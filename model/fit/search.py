@@ -27,6 +27,9 @@ CORNERS = (0.15, 0.5)
 GROOVES = -0.06
 """Depth of ribs that is tried beside the one that masks show, which see their tops alone."""
 
+DISHES = (0.0, 0.12, 0.24)
+"""First guesses for solids whose ends may be sunk."""
+
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
 
@@ -86,6 +89,8 @@ NUMBERS: dict[str, Number] = {
     "floor": Number(low=1e-5, high=10.0, reach=0.25, least=0.06),
     "corner": Number(low=0.02, high=0.95, reach=0.6, least=0.2),
     "foot": Number(low=1e-6, high=1.0, reach=1.2, least=0.3),
+    "sag": Number(low=1.0, high=5.0, reach=0.5, least=0.15),
+    "dish": Number(low=0.0, high=0.9, reach=0.08, least=0.02, is_factor=False),
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
@@ -131,8 +136,9 @@ def guess(
 ) -> tuple[list[Cell], Glass]:
     """Draws the grid, and chooses a material for its best cell.
 
-    Clear glass is drawn first, which may explain the darkness of tinted glass by a wrong wall, so tinted or frosted
-    glass is drawn again; as smooth glass, too, because a little frost makes up for a wrong wall.
+    Clear glass is drawn first, which may explain the darkness of tinted glass by a wrong wall. So the best cell of each
+    wall gets a tint of its own, and the grid is drawn again like the best of these. If the glass seems frosted, it is
+    also drawn like that: a little frost makes up for a wrong wall.
     """
 
     def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
@@ -142,8 +148,20 @@ def guess(
     cells, glass = drawn(None)
     if len(cells) == 1 or not (any(glass.absorption) or glass.roughness is not None):
         return cells, glass
-    likes = [glass] if glass.roughness is None else [glass, dataclasses.replace(glass, roughness=None)]
+    tinted = [find_absorption(cell.glass, "absorption", misses, is_even)[0] for cell in _best_by_wall(cells)]
+    likes = [_best(tinted, misses)] if glass.roughness is None else [glass, _best(tinted, misses)]
     return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
+
+
+def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
+    """The best cell of each wall, and the best solid one."""
+    ordered = sorted(cells, key=lambda cell: cell.loss)
+    walls = [getattr(cell.glass, "wall", None) for cell in ordered]
+    return [ordered[walls.index(wall)] for wall in dict.fromkeys(walls)]
+
+
+def _best(glasses: Sequence[Glass], misses: Misses) -> Glass:
+    return min(glasses, key=lambda each: float(misses(each).mean()))
 
 
 def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
@@ -182,10 +200,12 @@ def _thickness(glass: Glass) -> float:
 def _cells(outside: Glass) -> list[Glass]:
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
-    # A vessel with handles has other faces than a solid.
-    solids = [dataclasses.replace(outside, ior=ior) for ior in INDICES] if outside.wall is None else []
+    dishes = (None,) if outside.dish is None else DISHES
+    solids = [dataclasses.replace(outside, ior=ior, dish=dish) for ior in INDICES for dish in dishes]
     grid = itertools.product(_with_grooves(outside), WALLS, FLOORS, CORNERS)
-    return [*solids, *(each.hollowed(*cell) for each, *cell in grid)]
+    vessels = [each.hollowed(*cell) for each, *cell in grid]
+    # A vessel with handles has other faces than a solid.
+    return [*solids, *vessels] if outside.wall is None else vessels
 
 
 def _with_grooves(outside: Revolution) -> list[Revolution]:
@@ -263,14 +283,13 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
     """
     if hollow_of(glass) is not None:
         return glass
-    tried = [dataclasses.replace(glass, ior=value) for value in INDICES]
-    return min(tried, key=lambda each: float(misses(each).mean()))
+    return _best([dataclasses.replace(glass, ior=value) for value in INDICES], misses)
 
 
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
     """Frosted, if that explains more than smooth glass does: a little of it hides other errors."""
     tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
-    return _smoothed(min(tried, key=lambda each: float(misses(each).mean())), misses)
+    return _smoothed(_best(tried, misses), misses)
 
 
 def _smoothed(frosted: Glass, misses: Misses) -> Glass:

@@ -37,6 +37,22 @@ MOST_LOW = 0.9
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
 
+MOST_DISH = 0.48
+"""How far an end is sunk at most, in parts of the height."""
+
+SAG = 1.5
+"""First guess of a foot's sag."""
+
+SHELF = np.tan(np.radians(40))
+"""Steepest rise of the upper side of a foot, beside a stem."""
+
+TURNS = 0.05
+"""Share of an outside's length that a turn by a radian counts as, when points are spread along it: edges of feet are
+sharper than even steps."""
+
+LEAST_SHELF = 0.15
+"""Least width of such a side, in parts of the largest radius."""
+
 Body = tuple[Mesh, Material]
 
 
@@ -77,6 +93,9 @@ class Revolution(Glass):
     """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
     solid: Outline | None = None
     """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
+    dish: float | None = None
+    """How far the flat ends of solid glass are sunk in their middle, as spheres, in parts of their radius: masks do not
+    show that. None: they are flat, or stand on something."""
     section: Section | None = None
     """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
     cut_count: int | None = None
@@ -99,6 +118,9 @@ class Revolution(Glass):
     """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
     foot: float | None = None
     """How far the rounding between the flat bottom and the side reaches, in metres."""
+    sag: float | None = None
+    """Power to which the heights of the upper side of a foot, from 0 at its edge to 1 at the stem, are lower than those
+    of `outside`: masks do not show how a surface curves in that rises less than the lowest view. None: it has none."""
     level: float | None = None
     """Height of a drink's surface above the outside's lowest point, in metres; None: the vessel is empty."""
     drink_ior: float | None = None
@@ -140,7 +162,9 @@ class Revolution(Glass):
         """
         radius = float(self.outside[:, 0].max())
         height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
-        return dataclasses.replace(self, wall=wall * radius, taper=1.0, floor=height, corner=corner, foot=FOOT * radius)
+        sag = None if find_shelf(self.outside[_flat(self.outside) :]) is None else SAG
+        numbers = {"wall": wall * radius, "taper": 1.0, "floor": height, "corner": corner, "foot": FOOT * radius}
+        return dataclasses.replace(self, dish=None, sag=sag, **numbers)
 
     def around(self, things: Sequence[Mesh]) -> "Revolution":
         """The same outside, where the things that lie inside it leave no room for a higher floor."""
@@ -157,7 +181,7 @@ class Revolution(Glass):
     def outline(self) -> Outline:
         """The whole section."""
         if self.wall is None and self.solid is not None:
-            return self.solid
+            return self.solid if self.dish is None else _dished(self.solid, self.dish)
         if self.wall is None:
             top = np.array([[0.0, self.outside[-1, 1]]])
             return evenly(self.outside if self.is_closed else np.concatenate([self.outside, top]), POINTS)
@@ -167,7 +191,8 @@ class Revolution(Glass):
         assert self.foot is not None
         at_rim = self.wall * self.taper
         # The rim is a half circle: the outside ends below it.
-        side = _with_foot(_cut(self.outside, self.outside[-1, 1] - at_rim / 2), self.foot)
+        outside = self.outside if self.sag is None else _sagged(self.outside, self.sag)
+        side = _with_foot(_cut(outside, outside[-1, 1] - at_rim / 2), self.foot)
         return np.concatenate([side, _hollow(side, self.wall, at_rim, self.floor, self.corner)])
 
     def mesh(self) -> Mesh:
@@ -213,6 +238,20 @@ class Revolution(Glass):
         return np.concatenate([line, [(0.0, surface)]])
 
 
+def _dished(solid: Outline, dish: float) -> Outline:
+    """The outline with its flat ends sunk."""
+    line = solid.copy()
+    for end, inward in ((0, 1), (-1, -1)):
+        is_end = np.abs(solid[:, 1] - solid[end, 1]) < 1e-9
+        radius = solid[is_end, 0].max()
+        # A sphere through the edge, which is `depth` below it on the axis.
+        depth = min(dish * radius, MOST_DISH * float(np.ptp(solid[:, 1])))
+        slope = 2 * depth / (radius**2 + depth**2)
+        sunk = (1 - np.sqrt(1 - np.minimum(slope * solid[is_end, 0], 1) ** 2)) / slope if slope > 0 else 0.0
+        line[is_end, 1] += inward * (depth - sunk)
+    return line
+
+
 def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
     """The inside of a vessel from its rim down to the axis."""
     tangents = np.gradient(outside, axis=0)
@@ -241,17 +280,50 @@ def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: 
     return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
 
 
+def find_shelf(line: Outline) -> slice | None:
+    """The points of an outside's foot from its edge to its stem, where it rises less steeply than a stem or a side;
+    None if it has no such foot.
+
+    Args:
+        line: radii and heights of a side, from the bottom up.
+    """
+    radii, heights = line.T
+    lower = heights < heights.min() + np.ptp(heights) / 2
+    stem = int(np.where(lower, radii + heights, np.inf).argmin())
+    edge = int((radii + heights)[: stem + 1].argmax())
+    width, height = line[edge] - line[stem]
+    is_wide = width > LEAST_SHELF * radii.max() and -height < SHELF * width
+    return slice(edge, stem + 1) if is_wide else None
+
+
+def _sagged(outside: Outline, sag: float) -> Outline:
+    """The outline with a lower upper side of its foot."""
+    flat = _flat(outside)
+    shelf = find_shelf(outside[flat:])
+    if shelf is None:
+        return outside
+    line = outside.copy()
+    shelf = slice(flat + shelf.start, flat + shelf.stop)
+    low, high = line[shelf, 1][[0, -1]]
+    line[shelf, 1] = low + (high - low) * ((line[shelf, 1] - low) / (high - low)) ** sag
+    return line
+
+
 def _with_foot(line: Outline, reach: float) -> Outline:
     """The line, the corner between its flat bottom and its side rounded by an arc; the point count is unchanged."""
-    flat = int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0])
-    side = line[flat - 1 :]
+    side = line[_flat(line) :]
     way = _lengths(side)
     reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
     if reach <= 0:
         return line
     start = np.array([side[0, 0] - reach, line[0, 1]])
     arc = _arc(start, side[0], _at(side, reach))
-    return evenly(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
+    return spread(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
+
+
+def _flat(line: Outline) -> int:
+    """Where the flat bottom of an outline ends, and its side begins."""
+    return int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0]) - 1
 
 
 def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:
@@ -279,13 +351,27 @@ def _cut(line: Outline, height: float) -> Outline:
     above = int(np.flatnonzero(line[:, 1] < height)[-1])
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
-    return evenly(np.concatenate([line[: above + 1], end[None]]), len(line))
+    return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
+
+
+def spread(line: Outline, count: int) -> Outline:
+    """Points along a line, the closer the more it turns."""
+    ways = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    tangents = np.diff(line, axis=0) / np.maximum(ways, 1e-12)[:, None]
+    turns = np.arccos(np.clip((tangents[1:] * tangents[:-1]).sum(axis=1), -1, 1))
+    lengths = ways + TURNS * ways.sum() * (np.append(turns, 0) + np.insert(turns, 0, 0)) / 2
+    return _at_shares(line, np.insert(np.cumsum(lengths), 0, 0), count)
 
 
 def evenly(line: Outline, count: int) -> Outline:
     """Points along a line at even distances."""
-    way = _lengths(line)
-    return np.stack([np.interp(np.linspace(0, way[-1], count), way, line[:, axis]) for axis in range(2)], axis=1)
+    return _at_shares(line, _lengths(line), count)
+
+
+def _at_shares(line: Outline, lengths: Float64[np.ndarray, " point"], count: int) -> Outline:
+    """Points along a line at even steps of a length that grows along it."""
+    steps = np.linspace(0, lengths[-1], count)
+    return np.stack([np.interp(steps, lengths, line[:, axis]) for axis in range(2)], axis=1)
 
 
 def _at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:

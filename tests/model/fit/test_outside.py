@@ -157,6 +157,28 @@ def test_an_outline_with_deep_grooves_is_not_straightened_away() -> None:
     assert np.median(off) < 0.03
 
 
+def test_the_edge_of_a_thin_foot_stays_sharp() -> None:
+    heights = np.arange(-0.001, 0.28, 0.00086)
+    profile = (
+        np.array([(0, 46), (3.4, 46.5), (10, 20), (16, 7), (30, 5), (110, 5), (150, 54), (200, 55), (277, 44)]) / 1e3
+    )
+    true = np.interp(heights, *profile.T, left=0, right=0)
+    scalloped = true + np.where((heights > 0.012) & (true > 0), 0.0015 * np.abs(np.sin(600 * heights)), 0)
+    hull = Hull(
+        axis=Axis(point=np.zeros(3), direction=UP),
+        heights=heights,
+        radii=scalloped,
+        bounds=scalloped,
+        unexplained=0.0,
+        is_exact=True,
+    )
+    found = find_outside(hull, support=0.0)
+    assert found is not None
+    at = np.linspace(0.001, 0.009, 17)
+    assert np.interp(at, *found.outside.T[::-1]) == pytest.approx(np.interp(at, *profile.T), abs=0.0006)
+    assert found.hollowed(0.05, 0.4, 0.2).sag is not None
+
+
 def test_an_egg_closes_over_its_axis_at_both_ends() -> None:
     radius, half = 0.035, 0.05
     taken = cameras()
@@ -180,6 +202,10 @@ def test_a_solid_that_stands_on_a_table_is_flat_at_both_ends_and_as_wide_as_mask
     assert found is not None
     assert found.has_flat_top
     assert found.solid is not None
+    # Only ends that stand on nothing may be sunk.
+    loose = find_solid(hull, support=None)
+    assert loose is not None
+    assert (found.dish, loose.dish) == (None, 0.0)
     z = found.solid[:, 1] + hull.axis.point[2]
     assert (z.min(), z.max()) == pytest.approx((0, height), abs=0.001)
     side = (z > 0.002) & (z < height - 0.002)

@@ -84,6 +84,23 @@ def test_a_solid_of_high_index_is_not_taken_for_a_vessel() -> None:
     assert best.glass.wall is None and best.glass.ior in (1.75, 1.8)
 
 
+def test_a_solid_whose_ends_are_sunk_is_not_taken_for_frosted_glass_of_a_low_index() -> None:
+    lens = dataclasses.replace(OUTSIDE_OF, dish=0.0)
+
+    def misses(glass: Revolution) -> np.ndarray:
+        frost = 0.0 if glass.roughness is None else 0.3
+        off = 1.0 if glass.dish is None else abs(glass.dish - 0.2) + abs(glass.ior - 1.5)
+        return np.full((PIXELS, 3), off + frost)
+
+    cells, found = guess(lens, misses, IS_EVEN, label="glass")
+    assert isinstance(found, Revolution)
+    assert (found.wall, found.dish, found.ior, found.roughness) == (None, 0.24, 1.5, None)
+    for number in range(3):
+        *_, (found, _, _) = refine(found, misses, IS_EVEN, number=number)
+    assert found.dish == pytest.approx(0.2, abs=0.01)
+    assert all(cell.glass.dish is None for cell in cells if cell.glass.wall is not None)
+
+
 def test_the_first_guess_of_an_index_may_be_far_away() -> None:
     sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
     assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
@@ -119,6 +136,26 @@ def test_a_little_frost_does_not_hide_a_wrong_wall() -> None:
     _, found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass")
     assert isinstance(found, Revolution)
     assert found.wall == pytest.approx(thick) and found.roughness is None
+
+
+def test_each_wall_gets_a_tint_of_its_own_before_one_is_chosen() -> None:
+    thin, thick = 0.03 * 0.05, 0.2 * 0.05
+    tint = np.array([4.0, 32.0, 8.0])
+
+    def misses(glass: Revolution) -> np.ndarray:
+        if glass.wall is None:
+            return np.ones((PIXELS, 3))
+        if not any(glass.absorption):
+            return np.full((PIXELS, 3), 0.5 + 0.1 * np.log(glass.wall / thin))
+        # Thin walls look best with a tint that says nothing about a thick wall's.
+        wanted = tint if glass.wall == pytest.approx(thick) else np.array([128.0, 1.0, 128.0])
+        wrong = np.log((np.array(glass.absorption) + 1e-3) / wanted)
+        return np.broadcast_to(0.1 * np.abs(wrong) + 0.05 * np.log(thick / glass.wall), (PIXELS, 3))
+
+    _, found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass")
+    assert isinstance(found, Revolution)
+    assert found.wall == pytest.approx(thick)
+    assert found.absorption == pytest.approx(tint, rel=0.05)
 
 
 def test_a_solid_is_tinted_after_its_index_was_found() -> None:

@@ -128,6 +128,43 @@ def test_a_cut_leaves_bottom_and_rim_round(low: float, high: float) -> None:
         assert np.isfinite(mesh.normals).all()
 
 
+def test_flat_ends_of_a_solid_are_sunk_as_spheres() -> None:
+    line = np.array([*np.linspace((0, 0), (RADIUS, 0), 40), *np.linspace((RADIUS, HEIGHT), (0, HEIGHT), 40)])
+    whole = dataclasses.replace(CYLINDER, solid=line, dish=0.0)
+    depth = 0.2 * RADIUS
+    mesh = dataclasses.replace(whole, dish=0.2).mesh()
+    assert mesh.faces.shape == whole.mesh().faces.shape
+    mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
+    check_mesh(mesh, where="glass")
+    assert open_edges(mesh) == 0
+    cap = np.pi * depth * (3 * RADIUS**2 + depth**2) / 6
+    assert signed_volume(whole.mesh()) - signed_volume(mesh) == pytest.approx(2 * cap, rel=0.01)
+    # However deep, the ends do not meet.
+    assert signed_volume(dataclasses.replace(whole, dish=0.9, solid=line * [3, 0.1]).mesh()) > 0
+
+
+def test_a_foot_sags_towards_its_edge() -> None:
+    stem = np.array([(0, 0), (46, 0), (46, 4), (6, 16), (5, 100), (45, 140), (50, 200), (45, 270)]) / 1e3
+    glass = Revolution(axis=AXIS, outside=evenly(stem, 400)).hollowed(0.04, 0.42, 0.3)
+    assert glass.sag is not None
+    volumes = []
+    for sag in (1.0, 2.0):
+        mesh = dataclasses.replace(glass, sag=sag).mesh()
+        mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
+        check_mesh(mesh, where="glass")
+        assert open_edges(mesh) == 0
+        volumes.append(signed_volume(mesh))
+    radii = np.linspace(0.006, 0.046, 2001)
+    rise = (0.046 - radii) / 0.04
+    lost = np.trapezoid(2 * np.pi * radii * 0.012 * (rise - rise**2), radii)
+    assert volumes[0] - volumes[1] == pytest.approx(lost, rel=0.1)
+
+
+@pytest.mark.parametrize("line", [[(0, 0), (35, 0), (40, 90)], [(0, 0), (40, 0), (40, 90), (15, 110), (15, 200)]])
+def test_a_tumbler_and_the_shoulder_of_a_bottle_have_no_foot(line: list[tuple[float, float]]) -> None:
+    assert Revolution(axis=AXIS, outside=evenly(np.array(line) / 1e3, 400)).hollowed(0.1, 0.1, 0.3).sag is None
+
+
 def test_a_solid_keeps_its_own_ends_and_a_vessel_does_not() -> None:
     cone = np.array([(0, 0), (RADIUS, 0), (0, HEIGHT)], float)
     both = dataclasses.replace(CYLINDER, solid=evenly(cone, POINTS))
