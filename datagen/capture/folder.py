@@ -32,6 +32,7 @@ from datagen.import_dataset.layouts import (
     Role,
     find_named,
     frame_size,
+    picture_orientation,
     picture_size,
 )
 from datagen.scene.description import MAX_OBJECTS
@@ -43,6 +44,8 @@ ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
 POINTS = ("points3d.ply", "sparse_pc.ply")
 """Files of points beside a transforms file that names none."""
 ONE_OBJECT = "glass"
+UPRIGHT = 1
+"""EXIF's number for pictures that are shown as they are stored."""
 NAMED = 3
 """Files that an error names."""
 
@@ -108,7 +111,19 @@ def find_pictures(root: Path) -> list[Path]:
         raise HyalineError(f"{folder}: has {len(found)} pictures; expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files")
     for path in found:
         check_regular(path, root, where=str(root))
+        _check_upright(path)
     return found
+
+
+def _check_upright(picture: Path) -> None:
+    """Masks and cameras of a picture that is stored on its side may be of either way up, depending on the tool."""
+    turn = picture_orientation(picture)
+    if turn != UPRIGHT:
+        raise HyalineError(
+            f"{picture}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others do "
+            "not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these fit the "
+            "stored pixels, delete the tag (`exiftool -Orientation=`)"
+        )
 
 
 def _pictures_below(folder: Path) -> list[Path]:
@@ -179,6 +194,8 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
     }
     first = found["train"]
     pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
+    for path in dict.fromkeys(path for paths in pictures.values() for path in paths):
+        _check_upright(path)
     remarks = []
     if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
         masks = Masks(root, list(dict.fromkeys(path for paths in pictures.values() for path in paths)))

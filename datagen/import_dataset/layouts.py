@@ -10,6 +10,8 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +19,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
-from PIL import Image
+from PIL import ExifTags, Image
 
 from datagen.data.cameras import Lens
 from datagen.data.metadata import license_line
@@ -143,9 +145,22 @@ def frame_size(root: Path, frame: Frame) -> tuple[int, int]:
 
 def picture_size(path: Path) -> tuple[int, int]:
     """Width and height of a picture, by its header."""
+    with _header(path) as picture:
+        return picture.size
+
+
+def picture_orientation(path: Path) -> int:
+    """EXIF's orientation of a picture; 1: as it is stored."""
+    with _header(path) as picture:
+        return int(picture.getexif().get(ExifTags.Base.Orientation, 1))
+
+
+@contextmanager
+def _header(path: Path) -> Iterator[Image.Image]:
+    """The picture of a file, not decoded."""
     try:
         with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
-            return picture.size
+            yield picture
     except HyalineError:
         raise
     except Exception as error:

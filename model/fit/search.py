@@ -203,7 +203,7 @@ def _cells(outside: Glass) -> list[Glass]:
     dishes = (None,) if outside.dish is None else DISHES
     solids = [dataclasses.replace(outside, ior=ior, dish=dish) for ior in INDICES for dish in dishes]
     grid = itertools.product(_with_grooves(outside), WALLS, FLOORS, CORNERS)
-    vessels = [each.hollowed(*cell) for each, *cell in grid]
+    vessels: list[Glass] = [each.hollowed(*cell) for each, *cell in grid]
     # A vessel with handles has other faces than a solid.
     return [*solids, *vessels] if outside.wall is None else vessels
 

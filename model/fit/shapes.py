@@ -291,9 +291,9 @@ def find_shelf(line: Outline) -> slice | None:
     lower = heights < heights.min() + np.ptp(heights) / 2
     stem = int(np.where(lower, radii + heights, np.inf).argmin())
     edge = int((radii + heights)[: stem + 1].argmax())
-    width, height = line[edge] - line[stem]
-    is_wide = width > LEAST_SHELF * radii.max() and -height < SHELF * width
-    return slice(edge, stem + 1) if is_wide else None
+    width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
+    is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
+    return slice(edge, stem + 1) if is_shelf else None
 
 
 def _sagged(outside: Outline, sag: float) -> Outline:

@@ -279,14 +279,20 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
                 lens = ColmapCamera(width=int(words[2]), height=int(words[3]), model=model, values=values)
                 lenses[int(words[0])] = lens
         where = str(images)
-        # Each image is two lines, the second of which lists its points, and may be empty.
-        for words in _lines(images)[::2]:
+        for words in _image_lines(images):
             if words:
                 pose = tuple(map(float, words[1:8]))
                 listed.append(_Image(name=" ".join(words[9:]), camera=int(words[8]), pose=pose))
     except (ValueError, IndexError) as error:
         raise HyalineError(f"{where}: has a line that cannot be read ({error}); export it again") from None
     return lenses, listed
+
+
+def _image_lines(path: Path) -> list[list[str]]:
+    """Each image is two lines, the second of which lists its points and may be empty; some tools drop empty ones."""
+    lines = _lines(path)
+    is_complete = all(not words or words[-1].lstrip("-").isdigit() for words in lines[1::2])
+    return lines[::2] if is_complete else [words for words in lines if words and not words[-1].lstrip("-").isdigit()]
 
 
 def _lines(path: Path) -> list[list[str]]:

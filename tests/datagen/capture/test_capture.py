@@ -469,6 +469,14 @@ def with_a_broken_mask(root: Path) -> None:
     (root / "masks" / "ball" / "DSC 0003 é.png").write_bytes(b"no picture")
 
 
+def stored_on_its_side(root: Path) -> None:
+    path = next((root / "images").iterdir())
+    picture = Image.open(path)
+    exif = picture.getexif()
+    exif[0x0112] = 6
+    picture.save(path, exif=exif)
+
+
 def with_a_fisheye(root: Path) -> None:
     edit(root, camera_model="OPENCV_FISHEYE")
 
@@ -502,6 +510,7 @@ def edit(root: Path, **more: object) -> None:
         (with_masks_that_never_meet, "masks/ball: its masks do not meet in space"),
         (without_pictures, "has 0 pictures; expected 3 to"),
         (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read (no PNG, JPEG or WebP)"),
+        (stored_on_its_side, "is stored turned or mirrored (EXIF orientation 6), which some tools undo"),
         (with_a_fisheye, "its lens is a fisheye's (OPENCV_FISHEYE); expected PINHOLE or OPENCV"),
         (
             in_kilometres,

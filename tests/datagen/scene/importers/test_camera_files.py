@@ -87,6 +87,12 @@ def test_broken_text_of_colmap_is_refused(tmp_path: Path, cameras: str, images: 
         read_camera_file(write_text(tmp_path, cameras, images), Remarks())
 
 
+@pytest.mark.parametrize("points", ["\n", "", "10.5 20.25 -1 11.0 21.0 7\n"])
+def test_text_of_colmap_may_lack_the_empty_lines_of_images_without_points(tmp_path: Path, points: str) -> None:
+    images = "".join(f"{k} 1 0 0 0 {k} 0 5 1 picture {k}.png\n{points}" for k in range(1, 5))
+    assert len(read_camera_file(write_text(tmp_path, CAMERA, f"# a comment\n{images}"), Remarks())) == 4
+
+
 def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> None:
     remarks = Remarks()
     (camera,) = read_camera_file(write_text(tmp_path, "1 OPENCV 100 80 120 121 44 41 0.1 0 0 0\n", IMAGE), remarks)
