@@ -42,6 +42,9 @@ WRONG_RAYS = 0.003
 STRAY_RAYS = 0.0005
 """The same for exact masks: without it, a few rays over a rim lengthened a wine glass by a spike of 4 mm."""
 
+THREAD = 0.1
+"""Mean radius of a thread, over its length, at most."""
+
 FAR = 0.5
 """Cap on the distance between a ray and a hull, relative to the object's size; it limits the effect of wrong mask
 pixels."""
@@ -171,12 +174,31 @@ def hull_about(
         return hull_of(radii=none, unexplained=1.0)
     lowest, highest = inside.argmax(axis=1)[explained], len(heights) - 1 - inside[:, ::-1].argmax(axis=1)[explained]
     # Some rays miss: where masks may be wrong, and where a rim is rounder than the spacing of heights.
-    spare = min(round((WRONG_RAYS if order else STRAY_RAYS) * num_hits), len(lowest) - 1)
-    top, bottom = np.sort(lowest)[-1 - spare], np.sort(highest)[spare if order else 0]
+    loose, last = round(WRONG_RAYS * num_hits), len(heights) - 1
+    step = float(heights[1] - heights[0])
+    at_top, at_bottom = (loose, loose) if order else (round(STRAY_RAYS * num_hits), 0)
+    top = last - _end(radii[::-1], last - lowest, spare=at_top, loose=loose, step=step)
+    bottom = _end(radii, highest, spare=at_bottom, loose=loose, step=step)
     place = np.arange(len(heights))
     kept = np.where((place >= bottom) & (place <= top), radii, 0)
     unexplained = float(weight[~explained].sum() / num_hits)
     return hull_of(radii=kept, unexplained=unexplained)
+
+
+def _end(
+    radii: Float64[np.ndarray, " height"], needed: Int[np.ndarray, " ray"], *, spare: int, loose: int, step: float
+) -> int:
+    """Where a hull ends: all rays but `spare` need no place before it. A thread along the axis, which up to `loose`
+    rays over the edge of a flat end may meet, is none of the object.
+
+    Args:
+        radii: at heights that are `step` metres apart.
+        needed: the last place at which each ray is inside.
+    """
+    ends = np.sort(needed)[min(spare, len(needed) - 1) : loose + 1]
+    first, radii = int(ends[0]), radii / step
+    threads = [int(place) for place in ends if radii[first:place].sum() < THREAD * (place - first) ** 2]
+    return max(threads, default=first)
 
 
 def crossings(

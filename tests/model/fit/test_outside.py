@@ -11,7 +11,7 @@ from model.fit.boxes import Box
 from model.fit.lathe import Axis
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_hull, hull_about
-from model.fit.views import Sightings, doubted, height_below, rays_near, with_known
+from model.fit.views import NearRays, Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([0.02, -0.01, 0.05])
@@ -210,6 +210,29 @@ def test_a_solid_that_stands_on_a_table_is_flat_at_both_ends_and_as_wide_as_mask
     assert (z.min(), z.max()) == pytest.approx((0, height), abs=0.001)
     side = (z > 0.002) & (z < height - 0.002)
     assert np.abs(found.solid[side, 0] - (low + (high - low) * z[side] / height)).mean() < 0.0005
+
+
+def test_a_ray_beyond_a_flat_end_adds_no_thread_to_a_disc() -> None:
+    radius, thickness = 0.045, 0.02
+    beside, at, slope = np.meshgrid(np.linspace(-0.06, 0.06, 61), np.linspace(-0.07, 0.05, 481), [-0.05, 0.05])
+    beside, at, slope = beside.ravel(), at.ravel(), slope.ravel()
+    along = np.linspace(-0.06, 0.06, 61)[:, None]
+    inside = (np.hypot(along, beside) < radius) & (np.abs(at + slope * along - thickness / 2) < thickness / 2)
+    hits = inside.any(axis=0)
+    hits[np.argmin(np.hypot(beside, at + 0.05))] = True  # Through the axis, 5 cm below the disc.
+    directions = np.stack([np.ones_like(slope), np.zeros_like(slope), slope], axis=1)
+    rays = NearRays(
+        origins=np.stack([np.zeros_like(at), beside, at], axis=1) - directions,
+        directions=directions / np.linalg.norm(directions, axis=1, keepdims=True),
+        reach=np.full(len(hits), np.inf),
+        hits=hits,
+        is_edge=np.ones(len(hits), bool),
+        view=np.zeros(len(hits), int),
+        pixel_angle=0.001,
+    )
+    hull = hull_about(rays, Axis(point=np.zeros(3), direction=UP), np.linspace(-0.08, 0.08, 501), order=0)
+    found = hull.heights[hull.radii > 0]
+    assert (found.min(), found.max()) == pytest.approx((0, thickness), abs=0.003)
 
 
 def test_a_glass_on_a_table_is_no_wider_below_its_foot() -> None:
