@@ -116,7 +116,7 @@ def find_pictures(root: Path) -> list[Path]:
 
 
 def _check_upright(picture: Path) -> None:
-    """Masks and cameras of a picture that is stored on its side may be of either way up, depending on the tool."""
+    """Refuses a picture that is stored on its side: tools differ on whether they turn it before they make masks."""
     turn = picture_orientation(picture)
     if turn != UPRIGHT:
         raise HyalineError(
@@ -194,11 +194,12 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
     }
     first = found["train"]
     pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
-    for path in dict.fromkeys(path for paths in pictures.values() for path in paths):
+    every = list(dict.fromkeys(path for paths in pictures.values() for path in paths))
+    for path in every:
         _check_upright(path)
     remarks = []
     if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
-        masks = Masks(root, list(dict.fromkeys(path for paths in pictures.values() for path in paths)))
+        masks = Masks(root, every)
         objects, masks_of = masks.objects, lambda _, picture: masks.of(picture)
     elif all("mask_file_path" in frame for file in found.values() for frame in file.frames):
         objects, masks_of = (ONE_OBJECT,), lambda frame, _: (find_named(root, frame, "mask_file_path"),)

@@ -17,7 +17,7 @@ COUNTS = range(5, 21)
 """Facets that are tried; more would have too few columns of a mesh each."""
 
 RIBS = -0.03
-"""First guess of the depth of ribs, of which masks show the tops. They don't tell flutes from flat facets."""
+"""First guess of the depth of ribs. Masks show only their tops, and do not tell flutes from flat facets."""
 
 TURNS = 4
 """Directions that are tried of each cut."""

@@ -188,8 +188,8 @@ def hull_about(
 def _end(
     radii: Float64[np.ndarray, " height"], needed: Int[np.ndarray, " ray"], *, spare: int, loose: int, step: float
 ) -> int:
-    """Where a hull ends: all rays but `spare` need no place before it. A thread along the axis, which up to `loose`
-    rays over the edge of a flat end may meet, is none of the object.
+    """Where a hull ends: at most `spare` rays meet it only before that place. A thread along the axis is cut off if at
+    most `loose` rays meet nothing else: they passed over the edge of a flat end.
 
     Args:
         radii: at heights that are `step` metres apart.

@@ -25,7 +25,7 @@ CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
 GROOVES = -0.06
-"""Depth of ribs that is tried beside the one that masks show, which see their tops alone."""
+"""A depth of ribs that is tried besides the one found in masks, which show only the tops of ribs."""
 
 DISHES = (0.0, 0.12, 0.24)
 """First guesses for solids whose ends may be sunk."""
@@ -155,9 +155,10 @@ def guess(
 
 def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
     """The best cell of each wall, and the best solid one."""
-    ordered = sorted(cells, key=lambda cell: cell.loss)
-    walls = [getattr(cell.glass, "wall", None) for cell in ordered]
-    return [ordered[walls.index(wall)] for wall in dict.fromkeys(walls)]
+    best: dict[float | None, Cell] = {}
+    for cell in sorted(cells, key=lambda cell: cell.loss):
+        best.setdefault(getattr(cell.glass, "wall", None), cell)
+    return list(best.values())
 
 
 def _best(glasses: Sequence[Glass], misses: Misses) -> Glass:

@@ -47,8 +47,8 @@ SHELF = np.tan(np.radians(40))
 """Steepest rise of the upper side of a foot, beside a stem."""
 
 TURNS = 0.05
-"""Share of an outside's length that a turn by a radian counts as, when points are spread along it: edges of feet are
-sharper than even steps."""
+"""A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
+the edge of a thin foot."""
 
 LEAST_SHELF = 0.15
 """Least width of such a side, in parts of the largest radius."""
@@ -119,8 +119,8 @@ class Revolution(Glass):
     foot: float | None = None
     """How far the rounding between the flat bottom and the side reaches, in metres."""
     sag: float | None = None
-    """Power to which the heights of the upper side of a foot, from 0 at its edge to 1 at the stem, are lower than those
-    of `outside`: masks do not show how a surface curves in that rises less than the lowest view. None: it has none."""
+    """Exponent of the heights of a foot's upper side, from 0 at its edge to 1 at the stem; 1: as in `outside`. Masks do
+    not show this side where it is flatter than the lowest view. None: it has no foot."""
     level: float | None = None
     """Height of a drink's surface above the outside's lowest point, in metres; None: the vessel is empty."""
     drink_ior: float | None = None
@@ -162,9 +162,16 @@ class Revolution(Glass):
         """
         radius = float(self.outside[:, 0].max())
         height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
-        sag = None if find_shelf(self.outside[_flat(self.outside) :]) is None else SAG
-        numbers = {"wall": wall * radius, "taper": 1.0, "floor": height, "corner": corner, "foot": FOOT * radius}
-        return dataclasses.replace(self, dish=None, sag=sag, **numbers)
+        return dataclasses.replace(
+            self,
+            dish=None,
+            wall=wall * radius,
+            taper=1.0,
+            floor=height,
+            corner=corner,
+            foot=FOOT * radius,
+            sag=None if find_shelf(self.outside) is None else SAG,
+        )
 
     def around(self, things: Sequence[Mesh]) -> "Revolution":
         """The same outside, where the things that lie inside it leave no room for a higher floor."""
@@ -285,25 +292,24 @@ def find_shelf(line: Outline) -> slice | None:
     None if it has no such foot.
 
     Args:
-        line: radii and heights of a side, from the bottom up.
+        line: radii and heights of a side, from the bottom up, with or without the flat bottom.
     """
-    radii, heights = line.T
+    flat = _flat(line)
+    radii, heights = line[flat:].T
     lower = heights < heights.min() + np.ptp(heights) / 2
     stem = int(np.where(lower, radii + heights, np.inf).argmin())
     edge = int((radii + heights)[: stem + 1].argmax())
     width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
     is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
-    return slice(edge, stem + 1) if is_shelf else None
+    return slice(flat + edge, flat + stem + 1) if is_shelf else None
 
 
 def _sagged(outside: Outline, sag: float) -> Outline:
     """The outline with a lower upper side of its foot."""
-    flat = _flat(outside)
-    shelf = find_shelf(outside[flat:])
+    shelf = find_shelf(outside)
     if shelf is None:
         return outside
     line = outside.copy()
-    shelf = slice(flat + shelf.start, flat + shelf.stop)
     low, high = line[shelf, 1][[0, -1]]
     line[shelf, 1] = low + (high - low) * ((line[shelf, 1] - low) / (high - low)) ** sag
     return line

@@ -289,10 +289,13 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
 
 
 def _image_lines(path: Path) -> list[list[str]]:
-    """Each image is two lines, the second of which lists its points and may be empty; some tools drop empty ones."""
+    """The first line of each image. The second lists its points, and some tools leave it out if there are none."""
+
+    def lists_points(words: list[str]) -> bool:
+        return not words or words[-1].lstrip("-").isdigit()
+
     lines = _lines(path)
-    is_complete = all(not words or words[-1].lstrip("-").isdigit() for words in lines[1::2])
-    return lines[::2] if is_complete else [words for words in lines if words and not words[-1].lstrip("-").isdigit()]
+    return lines[::2] if all(map(lists_points, lines[1::2])) else [line for line in lines if not lists_points(line)]
 
 
 def _lines(path: Path) -> list[list[str]]:

@@ -93,6 +93,18 @@ def wrong_at_edges(mask: np.ndarray, share: float) -> np.ndarray:
     return mask & ~(edge & (np.random.default_rng(0).random(mask.shape) < share))
 
 
+def hull_of_cone(low: float, high: float, height: float) -> Hull:
+    """Of the exact masks of an upright cut cone."""
+    taken = cameras()
+    return find_hull(rays_near(sightings_of(cone_mask(taken, low, high, height), taken), 1), UP, order=0)
+
+
+def upright_hull(heights: np.ndarray, radii: np.ndarray) -> Hull:
+    """Of exact masks, about the z axis."""
+    axis = Axis(point=np.zeros(3), direction=UP)
+    return Hull(axis=axis, heights=heights, radii=radii, bounds=radii, unexplained=0.0, is_exact=True)
+
+
 def test_a_ball_is_found_to_a_fraction_of_a_millimetre() -> None:
     taken = cameras()
     rays = rays_near(sightings_of(ball_mask(taken, 0.045), taken), 1)
@@ -124,8 +136,7 @@ def test_a_cut_cone_is_found_even_if_some_mask_pixels_are_wrong() -> None:
 
 def test_exact_masks_show_a_straight_side_where_their_hull_has_scallops() -> None:
     low, high, height = 0.03, 0.045, 0.11
-    taken = cameras()
-    hull = find_hull(rays_near(sightings_of(cone_mask(taken, low, high, height), taken), 1), UP, order=0)
+    hull = hull_of_cone(low, high, height)
     found = find_outside(hull, support=-hull.axis.point[2])
     assert found is not None
 
@@ -142,15 +153,7 @@ def test_exact_masks_show_a_straight_side_where_their_hull_has_scallops() -> Non
 def test_an_outline_with_deep_grooves_is_not_straightened_away() -> None:
     heights = np.linspace(0, 2, 300)
     radii = 0.8 + 0.15 * np.sign(np.sin(9 * heights))
-    hull = Hull(
-        axis=Axis(point=np.zeros(3), direction=UP),
-        heights=heights,
-        radii=radii + 0.003 * np.abs(np.sin(60 * heights)),
-        bounds=radii,
-        unexplained=0.0,
-        is_exact=True,
-    )
-    found = find_outside(hull, support=0.0)
+    found = find_outside(upright_hull(heights, radii + 0.003 * np.abs(np.sin(60 * heights))), support=0.0)
     assert found is not None
     side = (found.outside[:, 1] > 0.1) & (found.outside[:, 1] < 1.9)
     off = np.abs(found.outside[side, 0] - np.interp(found.outside[side, 1], heights, radii))
@@ -164,15 +167,7 @@ def test_the_edge_of_a_thin_foot_stays_sharp() -> None:
     )
     true = np.interp(heights, *profile.T, left=0, right=0)
     scalloped = true + np.where((heights > 0.012) & (true > 0), 0.0015 * np.abs(np.sin(600 * heights)), 0)
-    hull = Hull(
-        axis=Axis(point=np.zeros(3), direction=UP),
-        heights=heights,
-        radii=scalloped,
-        bounds=scalloped,
-        unexplained=0.0,
-        is_exact=True,
-    )
-    found = find_outside(hull, support=0.0)
+    found = find_outside(upright_hull(heights, scalloped), support=0.0)
     assert found is not None
     at = np.linspace(0.001, 0.009, 17)
     assert np.interp(at, *found.outside.T[::-1]) == pytest.approx(np.interp(at, *profile.T), abs=0.0006)
@@ -196,8 +191,7 @@ def test_an_egg_closes_over_its_axis_at_both_ends() -> None:
 
 def test_a_solid_that_stands_on_a_table_is_flat_at_both_ends_and_as_wide_as_masks_show() -> None:
     low, high, height = 0.03, 0.045, 0.11
-    taken = cameras()
-    hull = find_hull(rays_near(sightings_of(cone_mask(taken, low, high, height), taken), 1), UP, order=0)
+    hull = hull_of_cone(low, high, height)
     found = find_solid(hull, support=-hull.axis.point[2])
     assert found is not None
     assert found.has_flat_top
