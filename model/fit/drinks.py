@@ -8,6 +8,7 @@ import dataclasses
 from collections.abc import Mapping
 
 import numpy as np
+from jaxtyping import Int
 from scipy import ndimage
 
 from datagen.data.meshes import Mesh, is_there
@@ -60,17 +61,36 @@ def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
 
 
 def find_holders(sightings: Sightings) -> dict[int, int]:
-    """Possible drinks by object id, each with the id of the object around it."""
-    holders = {}
+    """Possible drinks by object id, each with the id of the object around it.
+
+    Of several things in one object, such as a drink and ice that sticks out of it, the drink is what most pixels show.
+    """
+    around, num_pixels = {}, {}
     hidden = np.isin(sightings.met, sightings.filling) & (sightings.first == 0)
     for object_id in sightings.unknown:
         seen = sightings.sees(object_id)
         ring = np.asarray(ndimage.binary_dilation(seen, np.ones((1, 3, 3), bool))) & ~seen & ~hidden
-        around = np.bincount(sightings.first[ring], minlength=256)
-        other = int(around[1:].argmax()) + 1
-        if around[other] > AROUND * max(int(around.sum()), 1):
-            holders[object_id] = other
+        around[object_id] = np.bincount(sightings.first[ring], minlength=256)
+        num_pixels[object_id] = int(seen.sum())
+    holders = {}
+    for vessel in sightings.unknown:
+        if inside := _surrounded_by(vessel, around):
+            holders[max(inside, key=lambda each: num_pixels[each])] = vessel
     return {drink: vessel for drink, vessel in holders.items() if vessel not in holders}
+
+
+def _surrounded_by(vessel: int, around: Mapping[int, Int[np.ndarray, "256"]]) -> list[int]:
+    """The objects around which pixels show hardly anything but a vessel and each other.
+
+    Args:
+        around: for each object, how many pixels beside its own show each object id.
+    """
+    inside = [each for each in around if each != vessel]
+    while True:
+        kept = [each for each in inside if around[each][[vessel, *inside]].sum() > AROUND * max(around[each].sum(), 1)]
+        if kept == inside:
+            return inside
+        inside = kept
 
 
 def merged(sightings: Sightings, holders: Mapping[int, int]) -> Sightings:

@@ -106,7 +106,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             dataset=dataset,
             choices=choices,
             scene=scene,
-            known=known,
+            meshes=meshes,
             sightings=drinks.find_filling(sightings, known),
             folder=folder,
         )
@@ -171,8 +171,8 @@ class _Work:
     dataset: Dataset
     choices: FitChoices
     scene: Scene
-    known: tuple[Mesh, ...]
-    """The meshes, without those of unknown objects."""
+    meshes: tuple[Mesh, ...]
+    """True ones, of all objects; those of unknown objects are not looked at where masks show their shape."""
     sightings: Sightings
     folder: FitFolder
 
@@ -224,9 +224,9 @@ class _Work:
         apart = [each for each in sightings.unknown if each not in {*holders, *holders.values()}]
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
-            found[object_id] = self._find_outside(object_id, sightings)
-            if isinstance(found[object_id].glass, Box):
-                sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
+            found |= self._found_if_shown(object_id, sightings)
+            if object_id in found and isinstance(glass := found[object_id].glass, Box):
+                sightings = with_known(sightings, object_id, glass.mesh())
         for inside, vessel in holders.items():
             if vessel in found:
                 continue
@@ -235,14 +235,26 @@ class _Work:
                 found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
                 say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
         held = {item.drink_id for item in found.values()}
-        for object_id in sightings.unknown:
+        for object_id in dict.fromkeys((*holders.values(), *holders)):
             if object_id not in found and object_id not in held:
-                found[object_id] = self._find_outside(object_id, sightings)
+                found |= self._found_if_shown(object_id, sightings)
+        if not found:
+            raise HyalineError(f"{self.dataset.root}: masks show the shape of none of the unknown objects")
         self._show_outsides(found)
         return dict(sorted(found.items()))
 
+    def _found_if_shown(self, object_id: int, sightings: Sightings) -> Objects:
+        """The outside of an object, by its id; empty where masks do not show it and nobody asked for it by name."""
+        try:
+            return {object_id: self._find_outside(object_id, sightings)}
+        except HyalineError as error:
+            if self.choices.unknown:
+                raise
+            say(f"  taken as known: {error}")
+            return {}
+
     def _find_outside(self, object_id: int, sightings: Sightings) -> FoundGlass:
-        below = (*known_meshes(self.known, self.sightings.filling), *sightings.found)
+        below = (*known_meshes(self.meshes, (*self.sightings.unknown, *self.sightings.filling)), *sightings.found)
         try:
             outside = choose_outside(
                 sightings,
@@ -257,7 +269,7 @@ class _Work:
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
         glass = outside.glass
         if isinstance(glass, Revolution):
-            glass = glass.around([self.known[place - 1] for place in self.sightings.filling])
+            glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
         return FoundGlass(glass=glass, hull=outside.glass, unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
@@ -311,6 +323,13 @@ class _Work:
 
     # What the stages share
 
+    def _known(self, found: Objects | None = None) -> list[Mesh]:
+        """Meshes of the known objects, and of the unknown ones whose shape masks do not show; no others."""
+        hidden = set(self.sightings.unknown)
+        if found:
+            hidden = {each for object_id, item in found.items() for each in item.ids(object_id)}
+        return list(known_meshes(self.meshes, tuple(hidden)))
+
     def _name(self, object_id: int) -> str:
         return self.dataset.objects[object_id - 1].name
 
@@ -324,7 +343,7 @@ class _Work:
         return (rows // self.dataset.config.resolution.pixels) % 2 == 0
 
     def _pixels(self, found: Objects, limits: Limits = room.COARSE) -> LightPathPixels:
-        meshes, materials = list(self.known), [item.material for item in self.scene.objects]
+        meshes, materials = self._known(found), [item.material for item in self.scene.objects]
         for object_id, item in found.items():
             for each, body in zip(item.ids(object_id), item.glass.bodies(), strict=True):
                 meshes[each - 1], materials[each - 1] = body

@@ -77,7 +77,7 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
         support: height along `up` of the known surface below it; the hull ends there.
 
     Raises:
-        HyalineError: no point is inside all masks.
+        HyalineError: no point is inside all masks, or no ray passes beside them.
     """
     rays = rays_near(sightings, object_id)
     positions, faces = _carved(sightings, object_id, rays, up, support)
@@ -125,6 +125,8 @@ def _carved(
     field = depth_inside(_grid(low, coarse_step, COARSE)).reshape((COARSE,) * 3)
     if not (field > 0).any():
         raise HyalineError(f"object {object_id}: its masks have no point in common; check the masks and the cameras")
+    if (field > 0).all():
+        raise HyalineError(f"object {object_id}: no ray passes beside it")
     area = 1.5 * coarse_step**2 * sum(int((np.diff(field > 0, axis=axis)).sum()) for axis in range(3)) / 2
     step = np.sqrt(2 * area / FACES)
     count = int(np.clip(2 * radius / step + 1, COARSE, FINEST))
@@ -190,7 +192,7 @@ def _grid(low: np.ndarray, step: float, count: int) -> Float64[np.ndarray, "poin
 
 def _largest(
     positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]
-) -> tuple[Float64[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
+) -> tuple[Float64[np.ndarray, "kept 3"], Int[np.ndarray, "kept_face 3"]]:
     """The largest connected part: others are places that no view sees past."""
     joined = sparse.coo_array(
         (np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, [1, 2]].ravel())), shape=(len(positions),) * 2

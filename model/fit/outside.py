@@ -45,6 +45,9 @@ STRAY_RAYS = 0.0005
 THREAD = 0.1
 """Mean radius of a thread, over its length, at most."""
 
+LEAST_BESIDE = 0.02
+"""Least share of the rays at edges that miss the object; usually about half of them do."""
+
 FAR = 0.5
 """Cap on the distance between a ray and a hull, relative to the object's size; it limits the effect of wrong mask
 pixels."""
@@ -90,8 +93,8 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     """
     center, radius = find_center(rays)
     edge = rays.at_edges().thinned(COARSE_RAYS)
-    if (~edge.hits).sum() <= order or not edge.hits.any():
-        raise HyalineError("masks do not show its shape: no ray passes beside it")
+    if (~edge.hits).sum() <= max(order, LEAST_BESIDE * len(edge.hits)) or not edge.hits.any():
+        raise HyalineError("masks do not show its shape: hardly any ray passes beside it")
     axis = Axis(point=center, direction=up)
     coarse = np.linspace(-radius, radius, COARSE)
 

@@ -89,6 +89,14 @@ def test_masks_show_which_object_is_a_drink_and_its_level() -> None:
     assert found.level == pytest.approx(LEVEL, abs=0.0015)
 
 
+def test_ice_in_a_drink_is_none_and_its_drink_is_seen_around_it() -> None:
+    (vessel, _), (drink, _) = FULL.bodies()
+    ice = moved(ball(0.015, 0.0), (0, 0, LEVEL))
+    sightings = seen(vessel, drink, ice, unknown=(VESSEL, DRINK, 3))
+    assert (sightings.first == 3).sum() > 100
+    assert find_holders(sightings) == {DRINK: VESSEL}
+
+
 def test_a_ball_beside_a_vessel_and_what_lies_in_a_solid_are_no_drinks() -> None:
     (vessel, _), (drink, _) = FULL.bodies()
     beside = ball(0.03, 0.03)
