@@ -95,12 +95,12 @@ def _render(
     if not debias or radiance is None:
         return _Rendered(colors=renderer(batch, rng=rng))
     rays, rays_of_sky = radiance(batch)
-    of_sky = None if rays_of_sky is None else _average(rays_of_sky, debias)
-    return dataclasses.replace(_average(rays, debias), of_sky=of_sky)
-
-
-def _average(rays: Float32[Tensor, "pixel sample 3"], debias: float) -> _Rendered:
-    return _Rendered(colors=mean_color(rays), variance=debias * variance_of_mean(rays))
+    parts = [rays] if rays_of_sky is None else [rays, rays_of_sky]
+    together = torch.cat(parts)  # On a GPU, each operation is a launch.
+    values = mean_color(together), debias * variance_of_mean(together)
+    colors, variances = (value.unflatten(0, (len(parts), -1)).unbind() for value in values)
+    found = [_Rendered(colors=color, variance=variance) for color, variance in zip(colors, variances, strict=True)]
+    return dataclasses.replace(found[0], of_sky=found[1] if found[1:] else None)
 
 
 def _misses(

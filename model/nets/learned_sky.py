@@ -7,7 +7,7 @@ from jaxtyping import Float32, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.nets.texture import FINER_COUNTS, level_scales
+from model.nets.texture import FINER_COUNTS, constant_on, level_scales
 
 LOBE_RATE = 2.5
 """Learning rate of the lobes relative to the maps: they are few numbers, each constrained by many rays."""
@@ -82,8 +82,8 @@ class LearnedSky(nn.Module):
         if first == self.num_maps:
             return torch.zeros(len(azimuth), 3, device=azimuth.device)
         maps = [_look_up_map(texels, azimuth, polar) for texels in self.maps[first:]]
-        scales = level_scales(self.num_maps, FINER_COUNTS)[first:]
-        return torch.stack([scale * level for scale, level in zip(scales, maps, strict=True)]).sum(dim=0)
+        scales = tuple(level_scales(self.num_maps, FINER_COUNTS)[first:])
+        return (torch.stack(maps) * constant_on(scales, torch.float32, azimuth.device)[:, None, None]).sum(dim=0)
 
 
 class SkyLobes(nn.Module):
@@ -127,9 +127,10 @@ def _look_up_map(
     texels: Float32[Tensor, "3 tex_h tex_w"], azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"]
 ) -> Float32[Tensor, "exit 3"]:
     """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
-    # Wrap around: each end gets a column from the other end.
-    padded = torch.cat([texels[..., -1:], texels, texels[..., :1]], dim=-1)[None]
     width = texels.shape[2]
-    place = torch.stack([azimuth * width / (width + 2), polar], dim=-1)
+    # Wrap around: each end gets a column from the other end.
+    columns = constant_on((width - 1, *range(width), 0), torch.int32, texels.device)
+    padded = texels.index_select(2, columns)[None]
+    place = torch.stack([azimuth * (width / (width + 2)), polar], dim=-1)
     found = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
-    return found[0, :, 0].T
+    return found.squeeze((0, 2)).T

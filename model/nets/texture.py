@@ -60,33 +60,44 @@ def scene_layout(num_objects: int, size: int) -> TextureLayout:
 
 
 def bilinear_taps(
-    uv: Float32[Tensor, "hit 2"], object_id: UInt8[Tensor, " hit"], layout: TextureLayout
-) -> tuple[Int32[Tensor, "hit 4"], Float32[Tensor, "hit 4"]]:
-    """Rows of the four texels around each point, and their weights, which sum to 1.
+    uv: Float32[Tensor, "hit 2"], object_id: UInt8[Tensor, " hit"], *layouts: TextureLayout
+) -> tuple[Int32[Tensor, "hit tap"], Float32[Tensor, "hit tap"]]:
+    """Rows of the four texels around each point in each layout's table, and their weights, which sum to 1 in each.
 
-    Texel (row r, column c) has its centre at u = (c + 0.5) / size, v = 1 - (r + 0.5) / size. Outside the outermost
-    centres the border texel goes on: `grid_sample(align_corners=False, padding_mode="border")`.
+    Rows count on through the tables, one after the other. Texel (row r, column c) has its centre at u = (c + 0.5) /
+    size, v = 1 - (r + 0.5) / size. Outside the outermost centres the border texel goes on:
+    `grid_sample(align_corners=False, padding_mode="border")`.
     """
-    base, size, stride = places_on(layout, uv.device)[:, object_id.int() - 1]
+    base, size, stride = constant_on(_places_in_all(layouts), torch.int32, uv.device)[:, object_id.int() - 1]
     last = size - 1
-    zero = torch.zeros((), device=uv.device)
-    x = torch.clamp(uv[:, 0] * size - 0.5, zero, last)
-    y = torch.clamp((1 - uv[:, 1]) * size - 0.5, zero, last)
-    left, top = x.int(), y.int()
-    x, y = x - left, y - top
-    upper = base + top * stride
-    lower = upper + stride * (top < last).int()
-    right = left + (left < last)
-    texels = torch.stack([upper + left, upper + right, lower + left, lower + right], dim=1)
-    weights = torch.stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y], dim=1)
-    return texels, weights
+    # Columns and rows of all layouts at once: on a GPU, each operation is a launch.
+    place = torch.stack([uv[:, 0], 1 - uv[:, 1]])[..., None] * size - 0.5
+    place = torch.minimum(place.clamp_min(0), last)
+    corner = place.int()
+    further = place - corner
+    has_next = corner < last
+    column = torch.stack([corner[0], corner[0] + has_next[0]], dim=-1)
+    upper = base + corner[1] * stride
+    row = torch.stack([upper, upper + stride * has_next[1]], dim=-1)
+    texels = row[..., :, None] + column[..., None, :]
+    across, down = torch.stack([1 - further, further], dim=-1)
+    return texels.flatten(1), (down[..., :, None] * across[..., None, :]).flatten(1)
 
 
 @functools.cache
-def places_on(layout: TextureLayout, device: torch.device) -> Int32[Tensor, "3 object"]:
-    """`places_of` on a device, where a copy for every look-up would wait for the processor."""
+def _places_in_all(layouts: tuple[TextureLayout, ...]) -> tuple[tuple[tuple[int, ...], ...], ...]:
+    """First row, size and stride of each object's texture in each layout: (3, object, layout)."""
+    starts = itertools.accumulate((layout.num_texels for layout in layouts[:-1]), initial=0)
+    bases = [[start + base for base in layout.bases] for start, layout in zip(starts, layouts, strict=True)]
+    per_layout = bases, [layout.sizes for layout in layouts], [layout.strides for layout in layouts]
+    return tuple(tuple(zip(*values, strict=True)) for values in per_layout)
+
+
+@functools.cache
+def constant_on(values: tuple[object, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+    """Numbers on a device, where a copy for every look-up would wait for the processor."""
     with torch.inference_mode(False):
-        return torch.from_numpy(places_of(layout)).to(device)
+        return torch.tensor(values, dtype=dtype).to(device)
 
 
 def texel_centers(size: int) -> Float32[Tensor, "texel 2"]:
@@ -116,11 +127,7 @@ def sample(
     if flat_uv.device.type == "cpu" and not math.isfinite(flat_uv.detach().sum().item()):
         raise NumericsError("uv: a layer has one that is not finite; check the data with `datagen verify`")
     if flat_uv.device.type != "cpu":
-        levels = [
-            scale * sample_by_bags(table, flat_uv, flat_id, layout)
-            for table, layout, scale in zip(tables, layouts, scales, strict=True)
-        ]
-        features = torch.stack(levels).sum(dim=0) if len(levels) > 1 else levels[0]
+        features = sample_by_bags(tables, flat_uv, flat_id, layouts, scales)
     else:
         features = _CompiledSample.apply(
             flat_uv, flat_id, tuple(layouts), tuple(scales), tuple(lazy) or (None,) * len(tables), *tables
@@ -179,22 +186,25 @@ def places_of(layout: TextureLayout) -> Int32[np.ndarray, "3 object"]:
 
 
 def sample_by_bags(
-    table: Float32[Tensor, "texel c"],
+    tables: Sequence[Float32[Tensor, "_ c"]],
     uv: Float32[Tensor, "slot 2"],
     object_id: UInt8[Tensor, " slot"],
-    layout: TextureLayout,
+    layouts: Sequence[TextureLayout],
+    scales: Sequence[float],
 ) -> Float32[Tensor, "slot c"]:
-    """Bilinear features of every slot in one table, by torch's operations on any device.
+    """`sample` by torch's operations on any device, all tables at once.
 
     Empty slots are looked up with weights of zero: finding the others would make a GPU wait for the processor.
     """
     is_hit = (object_id != 0)[:, None]
-    texels, weights = bilinear_taps(torch.where(is_hit, uv, 0), object_id, layout)
-    return _WeightedTexels.apply(table, texels, torch.where(is_hit, weights, 0))
+    texels, weights = bilinear_taps(torch.where(is_hit, uv, 0), object_id, *layouts)
+    scale = constant_on(tuple(scale for scale in scales for _ in range(4)), torch.float32, uv.device)
+    table = tables[0] if len(tables) == 1 else torch.cat(list(tables))
+    return _WeightedTexels.apply(table, texels, torch.where(is_hit, weights * scale, 0))
 
 
 class _WeightedTexels(torch.autograd.Function):
-    """Sums four weighted rows of a table for each slot.
+    """Sums some weighted rows of a table for each slot.
 
     The forward pass is `embedding_bag`; its own backward pass in torch 2.13 sorts the texels and takes twice as long as
     this one.
