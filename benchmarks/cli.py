@@ -331,7 +331,7 @@ def step(choices: BenchChoices) -> None:
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
-def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable)) -> None:
+def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable), demo: bool = False) -> None:
     """This version beside an earlier commit: processor time of training, drawing, tracing and short commands, by turns.
 
     Each version builds small datasets and runs its own commands. A round takes about three minutes of one core. What is
@@ -342,10 +342,11 @@ def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable)
         rounds: Turns of each version.
         python: Python interpreter of an environment that also has the earlier commit's libraries, such as zarr for
             4bd2d80.
+        demo: Also run all commands of `make demo` once in each version: one to two hours of one core.
     """
     from benchmarks.versions import compare_versions
 
-    print(compare_versions(commit, rounds=rounds, python=python))
+    print(compare_versions(commit, rounds=rounds, python=python, demo=demo))
 
 
 def infer(choices: BenchChoices) -> None:

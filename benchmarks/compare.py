@@ -75,7 +75,7 @@ def compare_page(
     record = read_run(run)
     opened = open_dataset(dataset or Path(record.dataset))
     renderer = load_renderer(run, record.config, opened)
-    chosen = [
+    chosen: list[tuple[Split, int]] = [
         (split, view)
         for split in TEST_SPLITS
         for view in range(min(views or opened.num_views[split], opened.num_views[split]))

@@ -158,9 +158,11 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
         name, camera = Path(image.name).stem, model.cameras[image.camera_id]
         matrix = np.asarray(image.cam_from_world().matrix())
         flat = np.asarray(camera.cam_from_img(questions[name].astype(np.float64)))
+        picture = pycolmap.Bitmap.read(str(root / "images" / image.name), as_rgb=True)
+        assert picture is not None
         answer.pictures[name] = Picture(
             size=(camera.width, camera.height),
-            colors=pycolmap.Bitmap.read(str(root / "images" / image.name), as_rgb=True).to_array(),
+            colors=picture.to_array(),
             origins=np.tile(-matrix[:, :3].T @ matrix[:, 3], (len(flat), 1)),
             directions=np.pad(flat, ((0, 0), (0, 1)), constant_values=1) @ matrix[:, :3],
         )

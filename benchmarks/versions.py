@@ -1,5 +1,6 @@
 """This version beside an earlier commit: processor time of their commands, by turns, kept from call to call."""
 
+import dataclasses
 import json
 import os
 import re
@@ -131,6 +132,23 @@ def measure_first_line(version: Version) -> Values:
     return {"first line": max(version.watch("first-line", *words)["first line"][0] for words in commands.values())}
 
 
+def measure_demo(version: Version) -> Values:
+    """Each command of `make demo`, from the beginning."""
+    demo = dataclasses.replace(version, folder=version.folder / "demo")
+    shutil.rmtree(demo.folder, ignore_errors=True)
+    demo.folder.mkdir()
+    return {" ".join(words): demo.call("-m", *words) for words in demo_commands(version.tree / "Makefile")}
+
+
+def demo_commands(makefile: Path) -> list[list[str]]:
+    """The words of the commands of a Makefile's `demo`, as `python -m` takes them."""
+    recipe = re.search(r"^demo:.*\n((?:\t.*\n)+)", makefile.read_text(), re.M)
+    if recipe is None:
+        raise HyalineError(f"{makefile}: has no demo")
+    lines = [line.strip().removeprefix("$(BIN)/").split() for line in recipe[1].splitlines()]
+    return [["eval", *words] if words == ["report"] else words for words in lines]
+
+
 Measure = Callable[[Version], Values]
 
 MEASURES: dict[str, Measure] = {
@@ -140,8 +158,12 @@ MEASURES: dict[str, Measure] = {
     "512²": lambda version: {"512²": version.steps("light-path", "--texture-size", "512")},
     "paper-best": lambda version: {"paper-best": version.steps("paper-best")},
     "paths": lambda version: {"plain": version.paths(PLAIN), "dispersive": version.paths(DISPERSIVE)},
+    "demo": measure_demo,
 }
 """What is measured together; one that fails takes no other with it."""
+
+ONCE = ("demo",)
+"""Measures that take up to an hour: once, and only if asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +179,10 @@ class Row:
 
 def of(name: str, scale: float = 1.0) -> Callable[[Values], float]:
     return lambda values: scale * values[name]
+
+
+def of_demo(command: str) -> Callable[[Values], float]:
+    return lambda values: sum(seconds for words, seconds in values.items() if words.startswith(command))
 
 
 ROWS = (
@@ -180,6 +206,9 @@ ROWS = (
     Row(title="finished `datagen build`, CPU s", needs=("datagen",), value=of("build")),
     Row(title="finished `model train light-path`, CPU s", needs=("light-path",), value=of("train")),
     Row(title="first line of output, slowest of four commands, CPU s", needs=("first line",), value=of("first line")),
+    Row(title="`make demo` after set-up, CPU s", needs=("demo",), value=lambda values: sum(values.values()), digits=0),
+    Row(title="`datagen build` in it, CPU s", needs=("demo",), value=of_demo("datagen build"), digits=0),
+    Row(title="`light-path` in it, CPU s", needs=("demo",), value=of_demo("model train light-path"), digits=0),
 )
 
 
@@ -276,10 +305,11 @@ def has_changes() -> bool:
     return subprocess.run(["git", "diff", "--quiet", "HEAD"], cwd=ROOT, check=False).returncode != 0
 
 
-def compare_versions(name: str, *, rounds: int, python: Path) -> str:
+def compare_versions(name: str, *, rounds: int, python: Path, demo: bool = False) -> str:
     """The table of a commit and of the commit that is checked out, after measuring what an earlier call has not.
 
     Args:
+        demo: measure `make demo`, too.
         python: interpreter of an environment with the earlier commit's libraries.
 
     Raises:
@@ -294,6 +324,8 @@ def compare_versions(name: str, *, rounds: int, python: Path) -> str:
     comparison.prepare()
     for turn in range(rounds):
         for name in MEASURES:
+            if name in ONCE and not (demo and turn == 0):
+                continue
             for place in (0, 1) if turn % 2 == 0 else (1, 0):
                 comparison.measure(turn, name, place)
     return versions_table(comparison, rounds=rounds)
