@@ -37,6 +37,9 @@ BATCH = 1024
 RAYS = 9
 """A pixel, while glass is drawn; with 4 its error is larger than that of a wall which is a tenth off."""
 
+FROSTED_RAYS = 36
+"""The same for frosted glass, which scatters them: with 9, a loss was least for 0.12 where the truth is 0.2."""
+
 COARSE_ROUNDS = 3
 """Rounds of a search before light is followed as far as `FINE`."""
 
@@ -152,11 +155,14 @@ class Room:
         bodies = zip(object_ids, glass.bodies(), strict=True)
         self.pixels.tracer.change({object_id - 1: body for object_id, body in bodies})
 
-    def draw(self, rows: Int[np.ndarray, " pixel"]) -> Float32[np.ndarray, "pixel 3"]:
-        """sRGB colours of some pixels, in [0, 1]."""
-        parts = torch.from_numpy(rows).split(self.pixels.chunk)
+    def draw(self, rows: Int[np.ndarray, " pixel"], samples: int = RAYS) -> Float32[np.ndarray, "pixel 3"]:
+        """sRGB colours of some pixels, in [0, 1], by this number of rays each."""
+        pixels = dataclasses.replace(
+            self.pixels, config=dataclasses.replace(self.pixels.config, render_samples=samples)
+        )
+        parts = torch.from_numpy(rows).split(pixels.chunk)
         with torch.inference_mode():
-            rays = [self.renderer.radiance(self.pixels.take(part, None)) for part in parts]
+            rays = [self.renderer.radiance(pixels.take(part, None)) for part in parts]
             return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
 
     def sky(self, height: int) -> Float32[np.ndarray, "h w 3"]:
@@ -181,7 +187,8 @@ class Room:
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
             self.put(object_ids, glass)
-            return weights[:, None] * penalty(self.draw(rows) - truth)
+            drawn = self.draw(rows, RAYS if glass.roughness is None else FROSTED_RAYS)
+            return weights[:, None] * penalty(drawn - truth)
 
         return miss
 

@@ -136,9 +136,9 @@ def guess(
 ) -> tuple[list[Cell], Glass]:
     """Draws the grid, and chooses a material for its best cell.
 
-    Clear glass is drawn first, which may explain the darkness of tinted glass by a wrong wall. So the best cell of each
-    wall gets a tint of its own, and the grid is drawn again like the best of these. If the glass seems frosted, it is
-    also drawn like that: a little frost makes up for a wrong wall.
+    Clear glass is drawn first, which may explain tint and frost by a wrong wall. So the best cell of each wall gets a
+    material of its own, and the grid is drawn again like the best of these; if that is frosted, also with a tint alone:
+    a little frost makes up for a wrong wall.
     """
 
     def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
@@ -148,13 +148,15 @@ def guess(
     cells, glass = drawn(None)
     if len(cells) == 1 or not (any(glass.absorption) or glass.roughness is not None):
         return cells, glass
-    tinted = [find_absorption(cell.glass, "absorption", misses, is_even)[0] for cell in _best_by_wall(cells)]
-    likes = [_best(tinted, misses)] if glass.roughness is None else [glass, _best(tinted, misses)]
+    apart = [cell.glass for cell in _best_by_wall(cells)]
+    likes = [_best([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
+    if glass.roughness is not None:
+        likes.insert(0, _best([find_material(each, misses, is_even) for each in apart], misses))
     return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
 
 
 def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
-    """The best cell of each wall, and the best solid one."""
+    """The best cell of each wall, and of solids."""
     best: dict[float | None, Cell] = {}
     for cell in sorted(cells, key=lambda cell: cell.loss):
         best.setdefault(getattr(cell.glass, "wall", None), cell)
@@ -294,9 +296,10 @@ def find_roughness(glass: Glass, misses: Misses) -> Glass:
 
 
 def _smoothed(frosted: Glass, misses: Misses) -> Glass:
-    """Smooth, unless frost explains enough."""
-    smooth = dataclasses.replace(frosted, roughness=None)
-    return frosted if misses(frosted).mean() < (1 - WORTH_IT) * misses(smooth).mean() else smooth
+    """Smooth, unless frost explains more than hardly any, which is drawn by as many rays."""
+    hardly = dataclasses.replace(frosted, roughness=NUMBERS["roughness"].low)
+    is_worth_it = misses(frosted).mean() < (1 - WORTH_IT) * misses(hardly).mean()
+    return frosted if is_worth_it else dataclasses.replace(frosted, roughness=None)
 
 
 def refine(
@@ -380,8 +383,7 @@ def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " valu
 
 def grid_row(cell: Cell) -> tuple[float, ...]:
     """Wall, floor, corner and loss of a cell; 0 where it is solid."""
-    numbers = (float(getattr(cell.glass, name, None) or 0) for name in ("wall", "floor", "corner"))
-    return (*numbers, cell.loss)
+    return (*(float(getattr(cell.glass, name, None) or 0) for name in ("wall", "floor", "corner")), cell.loss)
 
 
 def hollow_of(glass: Glass) -> tuple[float, float] | None:

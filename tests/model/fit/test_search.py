@@ -138,6 +138,18 @@ def test_a_little_frost_does_not_hide_a_wrong_wall() -> None:
     assert found.wall == pytest.approx(thick) and found.roughness is None
 
 
+def test_a_frosted_solid_is_not_taken_for_a_vessel_whose_wall_blurs() -> None:
+    def misses(glass: Revolution) -> np.ndarray:
+        blur = (glass.roughness or 0.0) + (0.1 if glass.wall is not None else 0.0)
+        wrong = abs(blur - 0.25) + (0.02 if glass.wall is not None else abs(glass.ior - 1.5))
+        return np.full((PIXELS, 3), 0.1 + wrong + sum(glass.absorption))
+
+    cells, found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass")
+    assert alternatives(cells)[0].glass.wall is None
+    assert isinstance(found, Revolution)
+    assert (found.wall, found.roughness) == (None, 0.25)
+
+
 def test_each_wall_gets_a_tint_of_its_own_before_one_is_chosen() -> None:
     thin, thick = 0.03 * 0.05, 0.2 * 0.05
     tint = np.array([4.0, 32.0, 8.0])
@@ -181,7 +193,7 @@ def test_tint_and_frost_are_given_up_once_they_explain_too_little(gain: float, i
         return np.full((PIXELS, 3), 1.0 - gain * any(glass.absorption))
 
     def of_frost(glass: Revolution) -> np.ndarray:
-        return np.full((PIXELS, 3), 1.0 - gain * (glass.roughness is not None))
+        return np.full((PIXELS, 3), 1.0 - gain * (glass.roughness is not None and glass.roughness > 0.01))
 
     tinted, _ = find_absorption(shaded, "absorption", of_tint, IS_EVEN)
     assert all(tinted.absorption) == any(tinted.absorption) == is_kept
