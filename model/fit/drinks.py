@@ -65,17 +65,16 @@ def find_holders(sightings: Sightings) -> dict[int, int]:
 
     Of several things in one object, such as a drink and ice that sticks out of it, the drink is what most pixels show.
     """
-    around, num_pixels = {}, {}
+    around = {}
     hidden = np.isin(sightings.met, sightings.filling) & (sightings.first == 0)
     for object_id in sightings.unknown:
         seen = sightings.sees(object_id)
         ring = np.asarray(ndimage.binary_dilation(seen, np.ones((1, 3, 3), bool))) & ~seen & ~hidden
         around[object_id] = np.bincount(sightings.first[ring], minlength=256)
-        num_pixels[object_id] = int(seen.sum())
     holders = {}
     for vessel in sightings.unknown:
         if inside := _surrounded_by(vessel, around):
-            holders[max(inside, key=lambda each: num_pixels[each])] = vessel
+            holders[max(inside, key=lambda each: int(sightings.sees(each).sum()))] = vessel
     return {drink: vessel for drink, vessel in holders.items() if vessel not in holders}
 
 

@@ -323,8 +323,8 @@ class _Work:
 
     # What the stages share
 
-    def _known(self, found: Objects | None = None) -> list[Mesh]:
-        """Meshes of the known objects, and of the unknown ones whose shape masks do not show; no others."""
+    def _known(self, found: Objects) -> list[Mesh]:
+        """Meshes of the known objects, and once others are found, of the unknown ones whose shape masks do not show."""
         hidden = set(self.sightings.unknown)
         if found:
             hidden = {each for object_id, item in found.items() for each in item.ids(object_id)}

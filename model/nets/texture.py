@@ -68,7 +68,7 @@ def bilinear_taps(
     size, v = 1 - (r + 0.5) / size. Outside the outermost centres the border texel goes on:
     `grid_sample(align_corners=False, padding_mode="border")`.
     """
-    base, size, stride = constant_on(_places_in_all(layouts), torch.int32, uv.device)[:, object_id.int() - 1]
+    base, size, stride = places_on(layouts, uv.device)[:, object_id.int() - 1]
     last = size - 1
     # Columns and rows of all layouts at once: on a GPU, each operation is a launch.
     place = torch.stack([uv[:, 0], 1 - uv[:, 1]])[..., None] * size - 0.5
@@ -85,16 +85,16 @@ def bilinear_taps(
 
 
 @functools.cache
-def _places_in_all(layouts: tuple[TextureLayout, ...]) -> tuple[tuple[tuple[int, ...], ...], ...]:
-    """First row, size and stride of each object's texture in each layout: (3, object, layout)."""
-    starts = itertools.accumulate((layout.num_texels for layout in layouts[:-1]), initial=0)
-    bases = [[start + base for base in layout.bases] for start, layout in zip(starts, layouts, strict=True)]
-    per_layout = bases, [layout.sizes for layout in layouts], [layout.strides for layout in layouts]
-    return tuple(tuple(zip(*values, strict=True)) for values in per_layout)
+def places_on(layouts: tuple[TextureLayout, ...], device: torch.device) -> Int32[Tensor, "3 object layout"]:
+    """`places_of` each layout on a device; first rows count on through the tables."""
+    places = np.stack([places_of(layout) for layout in layouts], axis=-1)
+    places[0] += np.array(list(itertools.accumulate((each.num_texels for each in layouts[:-1]), initial=0)), np.int32)
+    with torch.inference_mode(False):
+        return torch.from_numpy(places).to(device)
 
 
 @functools.cache
-def constant_on(values: tuple[object, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
+def constant_on(values: tuple[float, ...], dtype: torch.dtype, device: torch.device) -> Tensor:
     """Numbers on a device, where a copy for every look-up would wait for the processor."""
     with torch.inference_mode(False):
         return torch.tensor(values, dtype=dtype).to(device)

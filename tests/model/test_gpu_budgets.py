@@ -15,7 +15,7 @@ from datagen.data.dataset import Dataset
 from model.batches.rays import to_device
 from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.table import open_inputs
-from model.nets.texture import constant_on
+from model.nets.texture import constant_on, places_on
 from model.run.predict import predict_pixels
 from model.run.preparation import build_renderer
 from model.run.train import train
@@ -62,6 +62,12 @@ def glasses(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return write_traced_dataset(tmp_path_factory.mktemp("budgets") / "data", resolution=64)
 
 
+def forget_constants() -> None:
+    """They count for the pretended GPU that they were made on."""
+    constant_on.cache_clear()
+    places_on.cache_clear()
+
+
 def assert_within(before: tuple[int, int, int], counts: Counts, budget: Budget) -> None:
     launches, waits, num_bytes = (after - first for after, first in zip(counts.totals(), before))
     found = Budget(launches, waits, num_bytes / 1000)
@@ -78,7 +84,7 @@ def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, 
         config = dataclasses.replace(config, net=dataclasses.replace(config.net, width=2, voxel_features=2))
 
     def count(steps: int) -> Counts:
-        constant_on.cache_clear()  # What it holds counts for the pretended GPU that it was made on.
+        forget_constants()
         with pretended_cuda() as counts:
             train(dataclasses.replace(config, steps=steps), glasses, tmp_path / str(steps), label="x", device=CUDA)
         return counts
@@ -91,7 +97,7 @@ def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, 
 def test_drawing_a_view_stays_within_its_budget(method: str, glasses: Dataset) -> None:
     config = configured(glasses, method)
     inputs = open_inputs(config.net, glasses, config.geometry)
-    constant_on.cache_clear()
+    forget_constants()
     with pretended_cuda() as counts:
         renderer = build_renderer(config, inputs, device=CUDA).eval()
         pixels = config.net.load(inputs, "interpolating", [0], with_images=False).to(CUDA)

@@ -14,6 +14,7 @@ from support.traced_dataset import BALL, write_traced_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Dielectric
@@ -114,6 +115,21 @@ def test_glass_seen_through_other_glass_alone_is_taken_as_known(tmp_path: Path) 
     assert "taken as known: slab: masks do not show its shape" in answer.err
     assert [item["name"] for item in load_sealed(tmp_path / "fit" / "fit.json")["objects"]] == ["ball"]
     assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
+
+
+def test_what_masks_do_not_show_is_refused_by_name_and_left_out_otherwise(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hidden(*_: object, **__: object) -> None:
+        raise HyalineError("masks do not show its shape")
+
+    monkeypatch.setattr("model.fit.fit.choose_outside", hidden)
+    rest = f"--steps 2 --skip grid --skip search --skip again --name fitted-none --out {tmp_path / 'fit'} --overwrite"
+    named = call(f"model fit {dataset.root} --unknown ball {rest}")
+    assert named.status == 1 and "ball: masks do not show its shape" in named.error
+    all_glass = call(f"model fit {dataset.root} {rest}")
+    assert all_glass.status == 1 and "masks show the shape of none of the unknown objects" in all_glass.error
+    assert "taken as known: ball: masks do not show its shape" in all_glass.err
 
 
 def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:
