@@ -8,8 +8,9 @@ import numpy as np
 from jaxtyping import Bool
 
 from model.fit.handles import Handled
+from model.fit.lathe import evenly
 from model.fit.search import Cell, find_number, reach_of
-from model.fit.shapes import Glass, Revolution, evenly
+from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import contradictions
 from model.fit.views import NearRays
 

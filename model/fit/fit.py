@@ -36,17 +36,9 @@ from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
 from model.fit.fit_folder import FIT, FitFolder
-from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, states, summary, write_geometry
+from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, settled, states, summary, write_geometry
 from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
-from model.fit.search import (
-    alternatives,
-    count_searches,
-    find_absorption,
-    grid_row,
-    guess,
-    guesses,
-    refine,
-)
+from model.fit.search import alternatives, count_searches, find_absorption, grid_row, guess, guesses, refine
 from model.fit.shapes import Revolution
 from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
@@ -183,6 +175,7 @@ class _Work:
         if "grid" not in skip:
             what = "grid: tells solid glass from vessels"
             found = self._stage("grid", what, found, lambda: self._scan(self._room(textures, found), found))
+        found = settled(found)
         if "search" not in skip:
             what = "search: one number after the other"
             found = self._stage("search", what, found, lambda: self._search("search", textures, found, range(ROUNDS)))
@@ -225,8 +218,8 @@ class _Work:
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
             found |= self._found_if_shown(object_id, sightings)
-            if object_id in found and isinstance(glass := found[object_id].glass, Box):
-                sightings = with_known(sightings, object_id, glass.mesh())
+            if object_id in found and isinstance(found[object_id].hull, Box):
+                sightings = with_known(sightings, object_id, found[object_id].hull.mesh())
         for inside, vessel in holders.items():
             if vessel in found:
                 continue
@@ -270,7 +263,7 @@ class _Work:
         glass = outside.glass
         if isinstance(glass, Revolution):
             glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
-        return FoundGlass(glass=glass, hull=outside.glass, unexplained=outside.unexplained)
+        return FoundGlass(glass=glass, hull=outside.glass.settled(), unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)

@@ -98,6 +98,11 @@ Objects = dict[int, FoundGlass]
 """By object id."""
 
 
+def settled(found: Objects) -> Objects:
+    """The same objects, those that were found solid as the shapes that they are then."""
+    return {object_id: dataclasses.replace(item, glass=item.glass.settled()) for object_id, item in found.items()}
+
+
 def states(found: Objects) -> dict[str, State]:
     return {str(object_id): item.state() for object_id, item in found.items()}
 

@@ -8,11 +8,11 @@ from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from model.fit.boxes import fit_box
+from model.fit.boxes import Box, fit_box, outline_of
 from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
-from model.fit.hull import HullShape, carve
+from model.fit.hull import SMOOTH, HullShape, carve
 from model.fit.lathe import Axis, perpendicular
 from model.fit.outlines import NOISES, find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_hull, find_section, hull_about
@@ -42,6 +42,9 @@ MIDDLE = (0.2, 0.8)
 
 StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
+
+LEAST_DEPTH = 0.5
+"""Least height of a box that may be a vessel, over half its smaller width; panes and table tops are none."""
 
 LEAST_VIEWS = 3
 """Training pictures that must show an object first; fewer never give its shape."""
@@ -110,14 +113,17 @@ def choose_outside(
     found += [cut for each in found for cut in _with_facets(evidence, hull, each)]
     good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
     if min((each.unexplained for each in found), default=1.0) > good:
-        for kind in _others(evidence, hull, lambda: carve(sightings, object_id, up, evidence.support)):
+        for kind in _others(evidence, hull, lambda: carve(sightings, object_id, up, evidence.support, SMOOTH[:1])):
             judged = [_judged(rays, *each) for each in kind]
             found += judged
             if any(each.complexity < HULL and each.unexplained < good for each in judged):
                 break
     if not found:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
-    return min(found, key=lambda each: each.cost)
+    best = min(found, key=lambda each: each.cost)
+    if isinstance(best.glass, HullShape):
+        return _judged(rays, HULL, carve(sightings, object_id, up, evidence.support))
+    return _with_opening(evidence, best, best.glass) if isinstance(best.glass, Box) else best
 
 
 def _judged(rays: NearRays, complexity: float, glass: Glass) -> Outside:
@@ -180,6 +186,14 @@ def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], HullShape]) ->
     vessel = _vessel_with_handles(evidence, hull, shape)
     if vessel is not None:
         yield [(OUTLINE, vessel)]
+
+
+def _with_opening(evidence: _Evidence, best: Outside, box: Box) -> Outside:
+    """An upright box as an outline that may be a vessel's; the box where that explains masks less."""
+    if box.axes[2] @ evidence.up < UPRIGHT or 2 * box.half_sizes[2] < LEAST_DEPTH * box.half_sizes[:2].min():
+        return best
+    outline = _judged(evidence.rays, best.complexity, outline_of(box))
+    return outline if outline.unexplained < best.unexplained + SIMPLER else best
 
 
 def _with_corners(evidence: _Evidence, axis: Axis, shape: HullShape) -> list[tuple[float, Glass]]:

@@ -1,4 +1,4 @@
-"""Meshes that an outline sweeps around an axis."""
+"""Outlines, and the meshes that they sweep around an axis."""
 
 from dataclasses import dataclass
 
@@ -16,6 +16,10 @@ CREASE_COS = np.cos(np.radians(35))
 
 FADE = 0.1
 """Share of a cut's height over which it fades out, at both ends."""
+
+TURNS = 0.05
+"""A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
+the edge of a thin foot."""
 
 Outline = Float64[np.ndarray, "_ 2"]
 """Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
@@ -71,12 +75,16 @@ class Cut:
         """By how much the surface is farther from the axis than the outline where the cut is deepest."""
         return (1 + self.depth * x**2) / self._scale - 1
 
-    def looked_up(
-        self, angles: Float[np.ndarray, "*place"], heights: Float64[np.ndarray, "*#place"]
+    def outline_radii(
+        self, x: Float[np.ndarray, "*place"], y: Float[np.ndarray, "*place"], heights: Float64[np.ndarray, "*#place"]
     ) -> Float64[np.ndarray, "*place"]:
-        """Distance of places on the surface from the axis, relative to the outline's."""
-        facets = angles * (self.count / (2 * np.pi)) - self.turn
-        return 1 + self.shares(heights)[0] * self.depths(2 * (facets - np.rint(facets)))
+        """Radii of the outlines whose cut surfaces go through places beside the axis."""
+        facets = np.arctan2(y, x) * (self.count / (2 * np.pi)) - self.turn
+        return np.hypot(x, y) / (1 + self.shares(heights)[0] * self.depths(2 * (facets - np.rint(facets))))
+
+    def middles(self) -> Float64[np.ndarray, "middle 2"]:
+        """As those of `Section`."""
+        return np.zeros((1, 2))
 
     def slopes(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
         """Derivatives of `depths`, per radian."""
@@ -124,8 +132,10 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: 
     low, high = index[0::2], index[1::2]
     lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
     upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
-    # At the axis a quadrangle is one triangle.
-    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
+    # At the axis a quadrangle is one triangle, but on the long sides of an oblong section.
+    is_long = np.diff(around.moved) != 0
+    triangles = [lower[:1, is_long], lower[1:], upper[:-1], upper[-1:, is_long]]
+    faces = np.concatenate([each.reshape(-1, 3) for each in triangles])
     along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
     uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
     return Mesh(
@@ -146,6 +156,9 @@ class _Around:
     """Derivatives of the factors, per radian."""
     rises: Float64[np.ndarray, "#ring column"]
     """Derivatives of the factors along the axis, times the outline's radius."""
+    moved: Float64[np.ndarray, " column"]
+    """Metres, towards an oblong section's `turn`."""
+    turn: float = 0.0
 
 
 def _around(section: Section | None) -> _Around:
@@ -153,10 +166,18 @@ def _around(section: Section | None) -> _Around:
     place = np.arange(SEGMENTS + 1) % SEGMENTS
     if section is None:
         ones = np.ones((1, SEGMENTS + 1))
-        return _Around(angles=place * (2 * np.pi / SEGMENTS), factors=ones, slopes=0 * ones, rises=0 * ones)
-    angles = section.spread(SEGMENTS)[place]
-    factors, slopes = section.factors(angles)[None], section.slopes(angles)[None]
-    return _Around(angles=angles, factors=factors, slopes=slopes, rises=0 * factors)
+        angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros(SEGMENTS + 1)
+        return _Around(angles=angles, factors=ones, slopes=0 * ones, rises=0 * ones, moved=moved)
+    columns = section.columns(SEGMENTS)
+    factors, slopes = columns.factors[None, place], columns.slopes[None, place]
+    return _Around(
+        angles=columns.angles[place],
+        factors=factors,
+        slopes=slopes,
+        rises=0 * factors,
+        moved=columns.moved[place],
+        turn=section.turn,
+    )
 
 
 def _cut_around(rings: Float64[np.ndarray, "ring 2"], is_outside: np.ndarray, cut: Cut) -> _Around:
@@ -168,6 +189,7 @@ def _cut_around(rings: Float64[np.ndarray, "ring 2"], is_outside: np.ndarray, cu
         factors=1 + shares * depths,
         slopes=shares * cut.slopes(x),
         rises=rings[:, :1] * rises * depths,
+        moved=np.zeros(len(angles)),
     )
 
 
@@ -183,9 +205,40 @@ def _swept(
     cos, sin = np.cos(around.angles)[:, None], np.sin(around.angles)[:, None]
     outward, sideways = cos * u + sin * v, cos * v - sin * u
     radii = rings[:, :1] * around.factors
-    vertices = axis.point + radii[..., None] * outward + rings[:, None, 1:] * axis.direction
+    moved = around.moved[:, None] * (np.cos(around.turn) * u + np.sin(around.turn) * v)
+    vertices = axis.point + radii[..., None] * outward + moved + rings[:, None, 1:] * axis.direction
     n_r, n_z = normals[:, :1], normals[:, 1:]
     aside, along = -n_r * around.slopes / around.factors, n_z * around.factors - n_r * around.rises
     turned = n_r[..., None] * outward + aside[..., None] * sideways + along[..., None] * axis.direction
     turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-12)
     return vertices.reshape(-1, 3), turned.reshape(-1, 3)
+
+
+def spread(line: Outline, count: int) -> Outline:
+    """Points along a line, the closer the more it turns."""
+    ways = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    tangents = np.diff(line, axis=0) / np.maximum(ways, 1e-12)[:, None]
+    turns = np.arccos(np.clip((tangents[1:] * tangents[:-1]).sum(axis=1), -1, 1))
+    lengths = ways + TURNS * ways.sum() * (np.append(turns, 0) + np.insert(turns, 0, 0)) / 2
+    return _at_shares(line, np.insert(np.cumsum(lengths), 0, 0), count)
+
+
+def evenly(line: Outline, count: int) -> Outline:
+    """Points along a line at even distances."""
+    return _at_shares(line, lengths_of(line), count)
+
+
+def _at_shares(line: Outline, lengths: Float64[np.ndarray, " point"], count: int) -> Outline:
+    """Points along a line at even steps of a length that grows along it."""
+    steps = np.linspace(0, lengths[-1], count)
+    return np.stack([np.interp(steps, lengths, line[:, axis]) for axis in range(2)], axis=1)
+
+
+def point_at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:
+    """The point of a line this far along it."""
+    return np.array([np.interp(reach, lengths_of(line), line[:, axis]) for axis in range(2)])
+
+
+def lengths_of(line: Outline) -> Float64[np.ndarray, " point"]:
+    """How far along the line each point is."""
+    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])

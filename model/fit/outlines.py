@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Float64
 from scipy import interpolate
 
-from model.fit.lathe import Cut, Outline
+from model.fit.lathe import Cut, Outline, evenly, spread
 from model.fit.outside import Hull
-from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly, find_shelf, spread
+from model.fit.shapes import OUTSIDE, POINTS, Revolution, find_shelf
 
 ROUND = 0.015
 """By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the

@@ -15,7 +15,7 @@ from scipy import optimize
 
 from datagen.disk.errors import HyalineError
 from model.fit.lathe import Axis, Cut, perpendicular
-from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, Section
+from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, SHARP, Section
 from model.fit.views import NearRays
 
 FINE = 501
@@ -113,12 +113,20 @@ def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) ->
 
     def at(x: np.ndarray) -> tuple[Axis, Section]:
         sharpness = float(np.clip(section.sharpness * np.exp(x[3]), LEAST_SHARPNESS, MOST_SHARPNESS))
-        changed = dataclasses.replace(section, turn=section.turn + float(x[2]), sharpness=sharpness)
-        return axis.moved(x[4:], x[:2] * radius), changed
+        stretch = section.stretch * (1 + float(x[4]) if section.is_oblong else 1)
+        changed = Section(sides=section.sides, sharpness=sharpness, turn=section.turn + float(x[2]), stretch=stretch)
+        return axis.moved(x[-2:], x[:2] * radius), changed
 
     # The sharpest polygon cannot become sharper.
-    stages = ((np.array([0.03, 0.03, 0.05, -0.25]), 80), (np.array([0.01, 0.01, 0.02, -0.1, 0.03, 0.03]), 160))
-    return _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
+    upright, both = np.array([0.03, 0.03, 0.05, -0.25]), np.array([0.01, 0.01, 0.02, -0.1])
+    if section.is_oblong:
+        upright, both = np.append(upright, 0.03), np.append(both, 0.01)
+    stages = ((upright, 80), (np.concatenate([both, [0.03, 0.03]]), 160))
+    rounded = _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
+    assert isinstance(rounded.around, Section)
+    sharp = dataclasses.replace(rounded.around, sharpness=SHARP)
+    hulls = [rounded, hull_about(rays, rounded.axis, rounded.heights, order=order, around=sharp)]
+    return min(hulls, key=lambda hull: hull.unexplained)
 
 
 def _searched(
@@ -210,7 +218,7 @@ def crossings(
     """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera.
 
     Args:
-        around: by whose factors the distances are divided, so that an outline's radii bound them as about a circle.
+        around: distances are the radii of outlines about it, so that radii bound them as about a circle.
     """
     along_o, across_o = _along_and_across(rays.origins - axis.point, axis)
     along_d, across_d = _along_and_across(rays.directions, axis)
@@ -221,7 +229,7 @@ def crossings(
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
     if around is not None:
-        rho /= around.looked_up(_angles(across_o[:, None], across_d[:, None], t, axis), heights)
+        rho = around.outline_radii(*_places(across_o[:, None], across_d[:, None], t, axis), heights)
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
@@ -233,10 +241,12 @@ def _along_and_across(
     return along, vectors - along[:, None] * axis.direction
 
 
-def _angles(origins: np.ndarray, directions: np.ndarray, t: np.ndarray, axis: Axis) -> Float64[np.ndarray, "*place"]:
-    """Direction from the axis of places along rays, in radians."""
+def _places(
+    origins: np.ndarray, directions: np.ndarray, t: np.ndarray, axis: Axis
+) -> tuple[Float64[np.ndarray, "*place"], Float64[np.ndarray, "*place"]]:
+    """Places along rays, by two coordinates across the axis."""
     first, second = ((origins @ way) + t * (directions @ way) for way in perpendicular(axis.direction))
-    return np.arctan2(second, first)
+    return first, second
 
 
 def _bounds(
@@ -265,14 +275,21 @@ def _closest(
     """
     along_o, across_o = _along_and_across(rays.origins[rays.hits] - axis.point, axis)
     along_d, across_d = _along_and_across(rays.directions[rays.hits], axis)
-    t = -np.einsum("rc,rc->r", across_o, across_d) / np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
-    height = along_o + t * along_d
-    place = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
-    is_on = (place >= 0) & (place < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
-    rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
-    if around is not None:
-        rho /= around.looked_up(_angles(across_o, across_d, t, axis), height)
-    return np.clip(place, 0, len(heights) - 1), np.where(is_on, rho, np.inf)
+    place, least = np.zeros(len(along_o), int), np.full(len(along_o), np.inf)
+    for middle in np.zeros((1, 2)) if around is None else around.middles():
+        towards = middle @ perpendicular(axis.direction) - across_o
+        t = np.einsum("rc,rc->r", towards, across_d)
+        t /= np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
+        height = along_o + t * along_d
+        at = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
+        is_on = (at >= 0) & (at < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
+        if around is None:
+            rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
+        else:
+            rho = around.outline_radii(*_places(across_o, across_d, t, axis), height)
+        is_closer = is_on & (rho < least)
+        place, least = np.where(is_closer, at, place), np.where(is_closer, rho, least)
+    return place, least
 
 
 def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, section: Section | None = None, *, order: int) -> float:

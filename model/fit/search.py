@@ -21,8 +21,8 @@ SOFTNESS = 0.05
 
 WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
-CORNERS = (0.15, 0.5)
-"""The grid: parts of the largest radius, of the height, and of the floor's radius."""
+CORNERS, PANE_CORNERS = (0.15, 0.5), (0.03,)
+"""The grid: parts of the largest radius, of the height, and of the floor's radius; of vessels made of panes."""
 
 GROOVES = -0.06
 """A depth of ribs that is tried besides the one found in masks, which show only the tops of ribs."""
@@ -205,8 +205,8 @@ def _cells(outside: Glass) -> list[Glass]:
         return [outside]
     dishes = (None,) if outside.dish is None else DISHES
     solids = [dataclasses.replace(outside, ior=ior, dish=dish) for ior in INDICES for dish in dishes]
-    grid = itertools.product(_with_grooves(outside), WALLS, FLOORS, CORNERS)
-    vessels: list[Glass] = [each.hollowed(*cell) for each, *cell in grid]
+    grid = itertools.product(WALLS, FLOORS, PANE_CORNERS if outside.is_of_panes else CORNERS)
+    vessels: list[Glass] = [each.hollowed(*cell) for cell in grid for each in _with_grooves(outside)]
     # A vessel with handles has other faces than a solid.
     return [*solids, *vessels] if outside.wall is None else vessels
 

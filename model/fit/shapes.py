@@ -10,8 +10,8 @@ from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
-from model.fit.lathe import Axis, Cut, Outline, revolved
-from model.fit.section import Section
+from model.fit.lathe import Axis, Cut, Outline, evenly, lengths_of, perpendicular, point_at, revolved, spread
+from model.fit.section import SHARP, Section
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 """Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
@@ -34,8 +34,8 @@ MOSTLY_INSIDE = 0.5
 MOST_LOW = 0.9
 """Where a cut begins at most, in parts of where it ends."""
 
-FOOT = 0.04
-"""First guess of a foot's rounding, in parts of the largest radius."""
+FOOT, PANE_FOOT = 0.04, 0.004
+"""First guess of a foot's rounding, in parts of the largest radius; of a vessel made of panes."""
 
 MOST_DISH = 0.48
 """How far an end is sunk at most, in parts of the height."""
@@ -45,10 +45,6 @@ SAG = 1.5
 
 SHELF = np.tan(np.radians(40))
 """Steepest rise of the upper side of a foot, beside a stem."""
-
-TURNS = 0.05
-"""A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
-the edge of a thin foot."""
 
 LEAST_SHELF = 0.15
 """Least width of such a side, in parts of the largest radius."""
@@ -78,6 +74,10 @@ class Glass:
         """A closed mesh; vertex and face counts are independent of the parameters."""
         raise NotImplementedError
 
+    def settled(self) -> "Glass":
+        """The shape that it is with these numbers."""
+        return self
+
     def material(self) -> Material:
         if self.roughness is None:
             return Dielectric(ior=self.ior, absorption=self.absorption)
@@ -93,6 +93,8 @@ class Revolution(Glass):
     """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
     solid: Outline | None = None
     """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
+    as_solid: Glass | None = None
+    """What it is if it is found solid; None: this."""
     dish: float | None = None
     """How far the flat ends of solid glass are sunk in their middle, as spheres, in parts of their radius: masks do not
     show that. None: they are flat, or stand on something."""
@@ -130,10 +132,15 @@ class Revolution(Glass):
     @property
     def kind(self) -> str:
         if self.section is not None:
-            return f"{self.section.sides}-sided"
+            return "oblong" if self.section.is_oblong else f"{self.section.sides}-sided"
         if self.cut_count is not None:
             return f"revolution with {self.cut_count} facets"
         return "ball" if self.is_closed and self._is_spherical() else "revolution"
+
+    @property
+    def is_of_panes(self) -> bool:
+        """Its sides are flat, with sharp edges between them, as a tank's."""
+        return self.section is not None and self.section.sharpness == SHARP
 
     @property
     def height(self) -> float:
@@ -169,9 +176,14 @@ class Revolution(Glass):
             taper=1.0,
             floor=height,
             corner=corner,
-            foot=FOOT * radius,
+            foot=(PANE_FOOT if self.is_of_panes else FOOT) * radius,
             sag=None if find_shelf(self.outside) is None else SAG,
         )
+
+    def settled(self) -> Glass:
+        if self.as_solid is None or self.wall is not None:
+            return self
+        return dataclasses.replace(self.as_solid, ior=self.ior, absorption=self.absorption, roughness=self.roughness)
 
     def around(self, things: Sequence[Mesh]) -> "Revolution":
         """The same outside, where the things that lie inside it leave no room for a higher floor."""
@@ -180,7 +192,8 @@ class Revolution(Glass):
         for mesh in things:
             from_axis = mesh.vertices - self.axis.point
             height = from_axis @ self.axis.direction
-            distance = np.linalg.norm(from_axis - height[:, None] * self.axis.direction, axis=1)
+            x, y = perpendicular(self.axis.direction) @ from_axis.T
+            distance = np.hypot(x, y) if self.section is None else self.section.outline_radii(x, y, height)
             if (distance < np.interp(height, self.outside[:, 1], self.outside[:, 0])).mean() > MOSTLY_INSIDE:
                 floors.append(float(height.min()) - lowest + DRINK_REACH * USUAL_WALL * radius)
         return dataclasses.replace(self, most_floor=min(floors)) if floors and min(floors) > 0 else self
@@ -190,17 +203,20 @@ class Revolution(Glass):
         if self.wall is None and self.solid is not None:
             return self.solid if self.dish is None else _dished(self.solid, self.dish)
         if self.wall is None:
-            top = np.array([[0.0, self.outside[-1, 1]]])
-            return evenly(self.outside if self.is_closed else np.concatenate([self.outside, top]), POINTS)
+            if self.is_closed:
+                return evenly(self.outside, POINTS)
+            top = np.linspace(self.outside[-1], (0.0, self.outside[-1, 1]), POINTS - OUTSIDE + 1)[1:]
+            return np.concatenate([self.outside, top])
         assert self.taper is not None
         assert self.floor is not None
         assert self.corner is not None
         assert self.foot is not None
         at_rim = self.wall * self.taper
-        # The rim is a half circle: the outside ends below it.
         outside = self.outside if self.sag is None else _sagged(self.outside, self.sag)
-        side = _with_foot(_cut(outside, outside[-1, 1] - at_rim / 2), self.foot)
-        return np.concatenate([side, _hollow(side, self.wall, at_rim, self.floor, self.corner)])
+        # The rim is a half circle, below which the outside ends; that of panes is flat.
+        side = _with_foot(outside if self.is_of_panes else _cut(outside, outside[-1, 1] - at_rim / 2), self.foot)
+        inside = _hollow(side, self.wall, at_rim, self.floor, self.corner, has_flat_rim=self.is_of_panes)
+        return np.concatenate([side, inside])
 
     def mesh(self) -> Mesh:
         return revolved(self.axis, self.outline(), self.section, self.cut())
@@ -259,7 +275,9 @@ def _dished(solid: Outline, dish: float) -> Outline:
     return line
 
 
-def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
+def _hollow(
+    outside: Outline, wall: float, at_rim: float, floor: float, corner: float, *, has_flat_rim: bool
+) -> Outline:
     """The inside of a vessel from its rim down to the axis."""
     tangents = np.gradient(outside, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
@@ -282,7 +300,7 @@ def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: 
     up = np.array([-arm[1], arm[0]])
     up = up if up @ tangents[-1] > 0 else -up
     angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
-    rim = middle + np.cos(angles) * arm + np.sin(angles) * up
+    rim = middle + np.cos(angles) * arm + (0 if has_flat_rim else np.sin(angles) * up)
     side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
     return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
 
@@ -318,12 +336,12 @@ def _sagged(outside: Outline, sag: float) -> Outline:
 def _with_foot(line: Outline, reach: float) -> Outline:
     """The line, the corner between its flat bottom and its side rounded by an arc; the point count is unchanged."""
     side = line[_flat(line) :]
-    way = _lengths(side)
+    way = lengths_of(side)
     reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
     if reach <= 0:
         return line
     start = np.array([side[0, 0] - reach, line[0, 1]])
-    arc = _arc(start, side[0], _at(side, reach))
+    arc = _arc(start, side[0], point_at(side, reach))
     return spread(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
 
 
@@ -334,9 +352,9 @@ def _flat(line: Outline) -> int:
 
 def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:
     """The line and a straight way on to `end`, their corner rounded from `reach` before it to as far behind."""
-    way = _lengths(line)
+    way = lengths_of(line)
     reach = min(reach, 0.5 * float(way[-1]), 0.95 * float(np.linalg.norm(line[-1] - end)))
-    start = _at(line, way[-1] - reach)
+    start = point_at(line, way[-1] - reach)
     kept = evenly(np.concatenate([line[way < way[-1] - reach], start[None]]), INSIDE)
     stop = line[-1] + reach * (end - line[-1]) / np.linalg.norm(end - line[-1])
     return np.concatenate([kept, _arc(start, line[-1], stop), end[None]])
@@ -358,33 +376,3 @@ def _cut(line: Outline, height: float) -> Outline:
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
     return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
-
-
-def spread(line: Outline, count: int) -> Outline:
-    """Points along a line, the closer the more it turns."""
-    ways = np.linalg.norm(np.diff(line, axis=0), axis=1)
-    tangents = np.diff(line, axis=0) / np.maximum(ways, 1e-12)[:, None]
-    turns = np.arccos(np.clip((tangents[1:] * tangents[:-1]).sum(axis=1), -1, 1))
-    lengths = ways + TURNS * ways.sum() * (np.append(turns, 0) + np.insert(turns, 0, 0)) / 2
-    return _at_shares(line, np.insert(np.cumsum(lengths), 0, 0), count)
-
-
-def evenly(line: Outline, count: int) -> Outline:
-    """Points along a line at even distances."""
-    return _at_shares(line, _lengths(line), count)
-
-
-def _at_shares(line: Outline, lengths: Float64[np.ndarray, " point"], count: int) -> Outline:
-    """Points along a line at even steps of a length that grows along it."""
-    steps = np.linspace(0, lengths[-1], count)
-    return np.stack([np.interp(steps, lengths, line[:, axis]) for axis in range(2)], axis=1)
-
-
-def _at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:
-    """The point of a line this far along it."""
-    return np.array([np.interp(reach, _lengths(line), line[:, axis]) for axis in range(2)])
-
-
-def _lengths(line: Outline) -> Float64[np.ndarray, " point"]:
-    """How far along the line each point is."""
-    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])

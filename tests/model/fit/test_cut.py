@@ -12,8 +12,8 @@ from datagen.scene.modelling import lathe, moved
 from datagen.scene.procedural.solids import flutes, outside_only, polygon
 from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.kinds import choose_outside
-from model.fit.lathe import Axis
-from model.fit.shapes import OUTSIDE, Revolution, evenly
+from model.fit.lathe import Axis, evenly
+from model.fit.shapes import OUTSIDE, Revolution
 from model.fit.views import rays_near
 
 use_mitsuba()

@@ -11,8 +11,8 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import moved, rounded_box
 from model.fit.drinks import find_filling, find_holders, merged, with_drink
-from model.fit.lathe import Axis, revolved
-from model.fit.shapes import OUTSIDE, Revolution, evenly
+from model.fit.lathe import Axis, evenly, revolved
+from model.fit.shapes import OUTSIDE, Revolution
 from model.fit.views import Sightings
 
 AXIS = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))

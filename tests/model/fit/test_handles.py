@@ -12,8 +12,8 @@ from datagen.scene.modelling import moved, rounded_box
 from datagen.scene.shading_normals import MAX_OPPOSING, opposing_share
 from model.fit.handles import Handled, with_handles, without_handles
 from model.fit.hull import HullShape
-from model.fit.lathe import Axis
-from model.fit.shapes import OUTSIDE, Revolution, evenly
+from model.fit.lathe import Axis, evenly
+from model.fit.shapes import OUTSIDE, Revolution
 from model.fit.views import rays_near
 
 use_mitsuba()

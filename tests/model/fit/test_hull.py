@@ -12,7 +12,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.atlas import coverage
 from datagen.scene.modelling import rounded_box
 from model.fit import hull
-from model.fit.hull import HullShape, carve
+from model.fit.hull import SMOOTH, HullShape, carve
 from model.fit.silhouettes import unexplained
 from model.fit.views import rays_near
 
@@ -28,7 +28,7 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def found(meets: Meets, wrong: float = 0.0) -> HullShape:
-    return carve(sightings_of(meets, wrong=wrong), 1, UP, 0.0)
+    return carve(sightings_of(meets, wrong=wrong), 1, UP, 0.0, SMOOTH[:1])
 
 
 @pytest.mark.parametrize(
@@ -42,6 +42,15 @@ def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_plac
     assert away.mean() < mean  # A pixel is 6 mm wide.
     assert np.quantile(away, 0.99) < most
     assert shape.unexplained < 0.01 + 2 * wrong
+
+
+@pytest.mark.parametrize(
+    ("meets", "scale"), [(ball((0, 0, 0.05), 0.04), 1.5), (block((0, 0, 0.05), (0.04, 0.03, 0.04), np.eye(3)), 0.7)]
+)
+def test_a_round_body_is_smoothed_further_than_edges_allow(meets: Meets, scale: float) -> None:
+    masks = sightings_of(meets, views=20, size=48)
+    expected = carve(masks, 1, UP, None, [scale]).surface.vertices
+    assert np.array_equal(carve(masks, 1, UP, None, (0.7, 1.5)).surface.vertices, expected)
 
 
 def test_a_handle_is_found_on_its_side_in_a_closed_mesh_with_texels_of_its_own_everywhere() -> None:

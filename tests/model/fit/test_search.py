@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from model.fit.intervals import intervals
-from model.fit.lathe import Axis
+from model.fit.lathe import Axis, evenly
 from model.fit.search import (
     INDEX_HELD,
     alternatives,
@@ -22,7 +22,7 @@ from model.fit.search import (
     scan,
     vertex,
 )
-from model.fit.shapes import OUTSIDE, Revolution, evenly
+from model.fit.shapes import OUTSIDE, Revolution
 
 PIXELS = 400
 IS_EVEN = np.arange(PIXELS) % 2 == 0

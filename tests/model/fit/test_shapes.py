@@ -8,9 +8,9 @@ import pytest
 
 from datagen.data.meshes import MIN_AREA, Mesh, check_mesh, face_areas, open_edges, signed_volume
 from model.fit.found import from_state, to_state
-from model.fit.lathe import Axis, revolved
-from model.fit.section import Section
-from model.fit.shapes import OUTSIDE, POINTS, Revolution, evenly
+from model.fit.lathe import Axis, evenly, revolved
+from model.fit.section import MOST_SHARPNESS, SHARP, Section
+from model.fit.shapes import OUTSIDE, POINTS, Revolution
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1
@@ -78,6 +78,26 @@ def test_a_prism_encloses_what_a_superellipse_does_and_its_normals_are_those_of_
     assert signed_volume(mesh) == pytest.approx(area * HEIGHT, rel=0.01)
     assert off_normal(mesh).max() < 12
     assert prism.hollowed(0.1, 0.2, 0.3).mesh().faces.shape == mesh.faces.shape
+
+
+@pytest.mark.parametrize("sharpness", [MOST_SHARPNESS, SHARP])
+def test_an_oblong_vessel_has_a_wall_of_one_thickness(sharpness: float) -> None:
+    wall, floor, stretch = 0.002, 0.2 * HEIGHT, 0.01
+    section = Section(sides=4, sharpness=sharpness, turn=0.4, stretch=stretch)
+    block = dataclasses.replace(CYLINDER, section=section)
+    assert block.kind == "oblong"
+    tank = dataclasses.replace(block.hollowed(wall / RADIUS, 0.2, 0.02), foot=1e-6, level=0.6 * HEIGHT, drink_ior=1.33)
+    solid, vessel, drink = block.mesh(), *(mesh for mesh, _ in tank.bodies())
+    assert solid.faces.shape == vessel.faces.shape
+    for mesh in (solid, vessel, drink):
+        mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
+        check_mesh(mesh, where="tank")
+        assert open_edges(mesh) == 0
+        assert off_normal(mesh).max() < 20
+    area = 4 * RADIUS * (RADIUS + stretch)
+    assert signed_volume(solid) == pytest.approx(area * HEIGHT, rel=0.01)
+    inside = 4 * (RADIUS - wall) * (RADIUS - wall + stretch) * (HEIGHT - floor)
+    assert signed_volume(solid) - signed_volume(vessel) == pytest.approx(inside, rel=0.02)
 
 
 def off_normal(mesh: Mesh) -> np.ndarray:
