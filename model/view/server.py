@@ -121,7 +121,7 @@ class Visitors:
         """The message to pass on to viser; None: drop it."""
         try:
             message = _DECODER.decode(data if isinstance(data, bytes) else b"")
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return None
         if isinstance(message, _Camera) and not _is_posed(message):
             return None

@@ -108,6 +108,7 @@ def hostile_messages(pose: Pose, controls: dict[str, str], names: list[str]) -> 
     yield packed({"type": "GuiUpdateMessage", "uuid": slider, "updates": {"update_cb": "text"}})
     for choice in ["truth", "none"] * 50:  # Each is carried out in a thread of its own.
         yield packed({"type": "GuiUpdateMessage", "uuid": controls["meshes"], "updates": {"value": choice}})
+    yield packed({"type": "GuiUpdateMessage", "uuid": slider, "updates": {"value": 0}}).replace(b"uuid", b"uu\xedd")
     yield from (b"", b"\xc1", b"\x91" * 50_000, b"\x81\xa4type" * 5000, "text", packed({"type": "ShareUrlRequest"}))
     click = {"type": "SceneNodeClickMessage", "name": names[0], "instance_index": None, "ray_origin": [0.0] * 3}
     click |= {"ray_direction": [0.0, 0.0, 1.0], "screen_pos": [0.5, 0.5], "modifier": None, "owner": ""}
@@ -134,6 +135,15 @@ def hostile_messages(pose: Pose, controls: dict[str, str], names: list[str]) -> 
         if rng.random() < 0.2:
             data[rng.integers(len(data))] ^= 1 << rng.integers(8)
         yield bytes(data[: rng.integers(len(data))] if rng.random() < 0.05 else data)
+
+
+def test_no_message_ends_the_connection_that_it_comes_by() -> None:
+    require_viewer()
+    pose = pose_of(hyaline.open_dataset("one"), (48, 32))
+    visitors = Visitors("127.0.0.1", protocol="viser-v1", takes=lambda *_: True)
+    controls = {name: f"{place}-uuid" for place, name in enumerate(("layer", "pause", "meshes"))}
+    passed_on = [visitors.check(data) for data in hostile_messages(pose, controls, ["/cameras/0"])]
+    assert None in passed_on and any(passed_on)
 
 
 def strange(rng: np.random.Generator) -> object:
