@@ -133,7 +133,7 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: 
     lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
     upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
     # At the axis a quadrangle is one triangle, but on the long sides of an oblong section.
-    is_long = np.diff(around.moved) != 0
+    is_long = np.diff(around.moved, axis=0).any(axis=1)
     triangles = [lower[:1, is_long], lower[1:], upper[:-1], upper[-1:, is_long]]
     faces = np.concatenate([each.reshape(-1, 3) for each in triangles])
     along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
@@ -156,9 +156,8 @@ class _Around:
     """Derivatives of the factors, per radian."""
     rises: Float64[np.ndarray, "#ring column"]
     """Derivatives of the factors along the axis, times the outline's radius."""
-    moved: Float64[np.ndarray, " column"]
-    """Metres, towards an oblong section's `turn`."""
-    turn: float = 0.0
+    moved: Float64[np.ndarray, "column 2"]
+    """As those of `Columns`."""
 
 
 def _around(section: Section | None) -> _Around:
@@ -166,7 +165,7 @@ def _around(section: Section | None) -> _Around:
     place = np.arange(SEGMENTS + 1) % SEGMENTS
     if section is None:
         ones = np.ones((1, SEGMENTS + 1))
-        angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros(SEGMENTS + 1)
+        angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros((SEGMENTS + 1, 2))
         return _Around(angles=angles, factors=ones, slopes=0 * ones, rises=0 * ones, moved=moved)
     columns = section.columns(SEGMENTS)
     factors, slopes = columns.factors[None, place], columns.slopes[None, place]
@@ -176,7 +175,6 @@ def _around(section: Section | None) -> _Around:
         slopes=slopes,
         rises=0 * factors,
         moved=columns.moved[place],
-        turn=section.turn,
     )
 
 
@@ -189,7 +187,7 @@ def _cut_around(rings: Float64[np.ndarray, "ring 2"], is_outside: np.ndarray, cu
         factors=1 + shares * depths,
         slopes=shares * cut.slopes(x),
         rises=rings[:, :1] * rises * depths,
-        moved=np.zeros(len(angles)),
+        moved=np.zeros((len(angles), 2)),
     )
 
 
@@ -205,7 +203,7 @@ def _swept(
     cos, sin = np.cos(around.angles)[:, None], np.sin(around.angles)[:, None]
     outward, sideways = cos * u + sin * v, cos * v - sin * u
     radii = rings[:, :1] * around.factors
-    moved = around.moved[:, None] * (np.cos(around.turn) * u + np.sin(around.turn) * v)
+    moved = around.moved[:, :1] * u + around.moved[:, 1:] * v
     vertices = axis.point + radii[..., None] * outward + moved + rings[:, None, 1:] * axis.direction
     n_r, n_z = normals[:, :1], normals[:, 1:]
     aside, along = -n_r * around.slopes / around.factors, n_z * around.factors - n_r * around.rises

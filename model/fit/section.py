@@ -41,8 +41,8 @@ class Columns:
     """Distance from the axis, relative to the middle of a side."""
     slopes: Float64[np.ndarray, " column"]
     """Derivatives of the factors, per radian."""
-    moved: Float64[np.ndarray, " column"]
-    """Metres along the section's `turn`."""
+    moved: Float64[np.ndarray, "column 2"]
+    """Metres across the axis, by which the halves of an oblong section are apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,8 +88,8 @@ class Section:
 
     def middles(self) -> Float64[np.ndarray, "middle 2"]:
         """Places beside the axis to which a ray that meets the section may come close."""
-        ends = (-self.stretch, self.stretch) if self.is_oblong else ()
-        return np.array([(0.0, 0.0), *((end * np.cos(self.turn), end * np.sin(self.turn)) for end in ends)])
+        ends = (0.0, -self.stretch, self.stretch) if self.is_oblong else (0.0,)
+        return self._along_turn(np.array(ends))
 
     def slopes(self, angles: Float[np.ndarray, "*angle"]) -> Float64[np.ndarray, "*angle"]:
         """Derivatives of `factors`, per radian."""
@@ -103,13 +103,13 @@ class Section:
         if self.sharpness == SHARP:
             return self._of_polygon(count)
         if not self.is_oblong:
-            return self._at(self._spread(np.arange(count) * (2 * np.pi / count)), np.zeros(count))
+            return self._at(self._spread(np.arange(count) * (2 * np.pi / count)), np.zeros((count, 2)))
         half, last = count // 2 - LONG_SIDE, LONG_SIDE - 1
         arc = self._spread(self.turn + np.pi * (np.arange(half + 1) / half - 0.5))
         side = np.linspace(self.stretch, -self.stretch, LONG_SIDE + 1)[1:-1]
         angles = np.concatenate([arc, np.full(last, arc[-1]), arc + np.pi, np.full(last, arc[0])])
         moved = np.full(half + 1, self.stretch)
-        return self._at(angles, np.concatenate([moved, side, -moved, side[::-1]]))
+        return self._at(angles, self._along_turn(np.concatenate([moved, side, -moved, side[::-1]])))
 
     def _at(self, angles: np.ndarray, moved: np.ndarray) -> Columns:
         return Columns(angles=angles, factors=self.factors(angles), slopes=self.slopes(angles), moved=moved)
@@ -137,7 +137,10 @@ class Section:
         factors = np.sqrt(1 + along**2)
         # The long sides of an oblong section are the second and the fourth.
         moved = self.stretch * np.select([side == 0, side == 2], [1.0, -1.0], (side - 2) * share)
-        return Columns(angles=angles, factors=factors, slopes=along * factors, moved=moved)
+        return Columns(angles=angles, factors=factors, slopes=along * factors, moved=self._along_turn(moved))
+
+    def _along_turn(self, distances: Float64[np.ndarray, " place"]) -> Float64[np.ndarray, "place 2"]:
+        return distances[:, None] * np.array([np.cos(self.turn), np.sin(self.turn)])
 
     def _from_middle(self, angles: Float[np.ndarray, "*angle"]) -> Float64[np.ndarray, "*angle"]:
         """Direction from the middle of the nearest side, in radians."""
