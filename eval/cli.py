@@ -56,9 +56,15 @@ def report(
     """
     hush(quiet)
     if results is not None:
+        from eval.bench.track_pages import TRACKS, track_rows
         from eval.tables.pages import results_index, results_page
 
-        sys.stdout.write(results_index(list(results.glob("*.json"))) if results.is_dir() else results_page(results))
+        text = (
+            results_index(list(results.glob("*.json")), track_rows(results / TRACKS))
+            if results.is_dir()
+            else results_page(results)
+        )
+        sys.stdout.write(text)
         return
     output_format = "json" if json else choose("--format", format, FORMATS)
     from datagen.data.paths import find_dataset

@@ -167,7 +167,7 @@ def build(
         scene: a `Scene`, the name of a built-in or random one such as `glass_table` or `random-0007`, a folder with a
             scene.json, or a file of another program such as `vase.glb`.
         folder: where the dataset is written; data/NAME of the scene unless given.
-        preset: its size: tiny (seconds), demo (minutes), standard or paper.
+        preset: its size: tiny (seconds), small, demo (minutes), standard or paper.
         resolution: pixels, one number for squares, or (width, height); the preset's unless given.
         views: training views; the scene's or the preset's number unless given.
         test_views: views in each test split; the scene's or the preset's number unless given.

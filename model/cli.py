@@ -336,7 +336,7 @@ def sweep(
         experiment: A TOML file (see model/run/experiments.py), paper-tables or one of its parts (table1, table2,
             square, zero-layer, variants, budget, claims, figure8, deepvoxels, larger), paper-sizes, headline, proxies,
             ablation, random, bench (hyaline-bench) or bench-fitted (its scenes whose glass `model fit` can find).
-        preset: Size, for files that have presets: demo, standard or tiny for bench. Default: the file's first.
+        preset: Size, for files that have presets: demo, small, standard or tiny for bench. Default: the file's first.
         dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. As many as fit in memory (4 GB

@@ -11,7 +11,7 @@ class BuildChoices:
     """Which dataset to build, and how."""
 
     preset: str = "demo"
-    """Size of the dataset: tiny, demo, standard or paper."""
+    """Size of the dataset: tiny, small, demo, standard or paper."""
     out: Path | None = None
     """Folder to write; with --count, the folder for all datasets. Default: data/SCENE."""
     seed: int = 0

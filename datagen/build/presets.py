@@ -33,6 +33,7 @@ def _preset(purpose: str, side: int, train: tuple[int, int], test: tuple[int, in
 
 PRESETS: dict[str, Preset] = {
     "tiny": _preset("tests: seconds", 32, train=(8, 16), test=(3, 64)),
+    "small": _preset("many scenes: a minute on two cores", 64, train=(60, 64), test=(8, 256)),
     "demo": _preset("a first look: minutes on two cores", 128, train=(100, 64), test=(12, 512)),
     "standard": _preset("comparing methods: half an hour on two cores", 256, train=(200, 64), test=(20, 512)),
     "paper": _preset("the paper's size: a night on two cores", 512, train=(1000, 64), test=(40, 512)),

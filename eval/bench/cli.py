@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import next_command, run, say, tell
+from datagen.terminal.command import choose, next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
 
 BENCH = Path("bench")
@@ -33,7 +33,7 @@ def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path
     """Predict with two methods that learn nothing: the mean training picture, and that of the nearest camera.
 
     Args:
-        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
         runs: Folder for the predictions.
         data: Folder with the datasets.
     """
@@ -64,7 +64,7 @@ def submit(
 
     Args:
         method: Name of the runs' folders. Default: all methods, one file each.
-        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
         track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
             run.json.
         runs: Folder with the runs.
@@ -105,7 +105,7 @@ def score(
 
     Args:
         submission: File from `hyaline-bench submit`. Default: all in bench/PRESET/submissions.
-        preset: Without SUBMISSION: size of the datasets, tiny, demo or standard.
+        preset: Without SUBMISSION: size of the datasets, tiny, small, demo or standard.
         data: Folder with the datasets, including their truth.
         out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
         overwrite: Replace the scores of another submission.
@@ -133,26 +133,39 @@ def score(
         next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 
-def leaderboard(scores: Path | None = None, /, *, preset: str = "demo", out: Path | None = None) -> None:
+def leaderboard(
+    scores: Path | None = None,
+    /,
+    *,
+    preset: str = "demo",
+    track: str | None = None,
+    out: Path | None = None,
+) -> None:
     """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
 
     Args:
         scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
-        preset: Size of the benchmark's datasets: tiny, demo or standard.
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        track: Instead of writing the page, print this track's tables as Markdown, as docs/results has them.
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
     from eval.bench.leaderboard import leaderboard_page
     from eval.bench.protocol import load_protocol
-    from eval.bench.score import read_scored
+    from eval.bench.track_pages import read_scores, track_page
     from eval.page.page import PAGE
     from eval.page.report_folder import Drawing, write_report
 
     protocol = load_protocol()
     protocol.size(preset)
+    if track is not None:
+        choose("--track", track, protocol.tracks)
     folder, place = scores or BENCH / preset / "scores", out or BENCH / preset / "leaderboard"
-    found = [read_scored(path) for path in sorted(folder.glob("*.json"))]
+    found = read_scores(folder)
     if not found:
         raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
+    if track is not None:
+        sys.stdout.write(track_page(track, found, protocol))
+        return
     for path in write_report(place, {PAGE: Drawing(draw=lambda: leaderboard_page(found, protocol))}):
         say(f"wrote {path}: {len(found)} submissions")
     tell(str(place / PAGE))
@@ -163,14 +176,14 @@ def secret(file: Path, /, *, preset: str = "demo") -> None:
 
     Args:
         file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
-        preset: Size of the hidden datasets: demo or standard.
+        preset: Size of the hidden datasets: small, demo or standard.
     """
     from eval.bench.hidden import commitment_of, read_secret, verifier_commands
     from eval.bench.protocol import load_protocol
 
     protocol = load_protocol()
     if not protocol.hidden_scenes(preset):
-        raise UsageError(f"--preset: {preset} has no hidden scenes; expected demo or standard")
+        raise UsageError(f"--preset: {preset} has no hidden scenes; expected small, demo or standard")
     text = read_secret(file)
     say(f"commitment: {commitment_of(text)}")
     for line in verifier_commands(text, preset, protocol):

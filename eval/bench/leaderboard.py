@@ -33,6 +33,21 @@ NOTES = (
 
 def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
     """The page of scored submissions, all of one preset."""
+    check_comparable(found, protocol)
+    gallery = Gallery(MOST_BYTES)
+    details = [_submission_page(scored, protocol, gallery) for scored in _ranked(found, protocol)]
+    title = f"hyaline-bench {protocol.version}, {found[0].preset}"
+    return document(
+        title,
+        gallery.store(),
+        tag("div", tag("h1", title), *_tracks(found, protocol), class_="page", id="tracks-page"),
+        *details,
+        navigation=_navigation(found, protocol),
+    )
+
+
+def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
+    """Raises a HyalineError unless all names differ, and all were scored by this protocol at one preset."""
     preset, names = found[0].preset, [scored.name for scored in found]
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise HyalineError(
@@ -44,16 +59,6 @@ def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
                 f"{scored.name}: was scored with protocol {scored.version} at {shown(scored.preset)}; expected "
                 f"{protocol.version} at {preset}, as the others"
             )
-    gallery = Gallery(MOST_BYTES)
-    details = [_submission_page(scored, protocol, gallery) for scored in _ranked(found, protocol)]
-    title = f"hyaline-bench {protocol.version}, {preset}"
-    return document(
-        title,
-        gallery.store(),
-        tag("div", tag("h1", title), *_tracks(found, protocol), class_="page", id="tracks-page"),
-        *details,
-        navigation=_navigation(found, protocol),
-    )
 
 
 def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:

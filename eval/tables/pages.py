@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -27,8 +27,9 @@ MOST_NAMES = 3
 
 HEAD = """# Results
 
-Every table is in one of the pages below, each made from a `results.json` that `eval report` wrote. To add one, copy \
-it to [docs/results](docs/results) and run `make results`, which writes the pages and this list. Measurements of \
+Every table is in one of the pages below, each made from a `results.json` that `eval report` wrote, or, for the tracks \
+of [hyaline-bench](docs/bench.md), from the files of `hyaline-bench score`. To add one, copy it to \
+[docs/results](docs/results) and run `make results`, which writes the pages and this list. Measurements of \
 earlier versions, and what was tried, are in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
 """
 
@@ -38,6 +39,9 @@ NOTES = (
 )
 
 INDEX_COLUMNS = ("page", "datasets", "tables", "seeds", "hyaline")
+
+Row = tuple[str, str, str, str, str]
+"""A row of the list, by `INDEX_COLUMNS`."""
 
 Stored = dict[str, Any]
 """A part of results.json."""
@@ -63,10 +67,15 @@ def _without(grid: Grid, said: Sequence[str]) -> Grid:
     return dataclasses.replace(grid, notes=tuple(note for note in grid.notes if note not in said))
 
 
-def results_index(paths: Sequence[Path]) -> str:
-    """The list of all pages in Markdown, the shortest first."""
-    rows = []
-    for path in sorted(paths, key=lambda path: (len(results_page(path)), path.name)):
+def results_index(paths: Sequence[Path], others: Mapping[Row, str] | None = None) -> str:
+    """The list of all pages in Markdown, the shortest first.
+
+    Args:
+        paths: results.json files, each with its page beside it.
+        others: rows of further pages, and the pages' text.
+    """
+    lengths = {row: len(text) for row, text in (others or {}).items()}
+    for path in paths:
         data = _read(path)
         runs = [run for scene in data["scenes"] for run in scene["runs"]]
         seeds = {run["seed"] for run in runs if run["seed"] is not None}
@@ -74,7 +83,9 @@ def results_index(paths: Sequence[Path]) -> str:
         shown = ", ".join(names) if len(names) <= MOST_NAMES else f"{len(names)} datasets"
         page = path.with_suffix(".md").as_posix()
         tables = _in_order(data.get("tables", {})) or ["scores"]
-        rows.append((f"[{path.stem}]({page})", shown, ", ".join(tables), str(len(seeds)), _made_by(data)[1]))
+        row = (f"[{path.stem}]({page})", shown, ", ".join(tables), str(len(seeds)), _made_by(data)[1])
+        lengths[row] = len(results_page(path))
+    rows = sorted(lengths, key=lambda row: (lengths[row], row))
     rules = ["---" if column != "seeds" else "---:" for column in INDEX_COLUMNS]
     lines = (f"| {' | '.join(cells)} |" for cells in (INDEX_COLUMNS, rules, *rows))
     return HEAD + "\n" + "\n".join(lines) + "\n"

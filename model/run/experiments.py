@@ -2,6 +2,7 @@
 
     about = "What the experiment shows, in one line."
 
+    datasets = ["one", "two"]             # of blocks that name none
     [[runs]]                              # a grid: every combination of the values that are lists
     dataset = ["glass_table", "vitrine"]
     method = "paper"                      # or several, which must all know the flags of the block
@@ -15,6 +16,7 @@
     [presets.demo]                        # sizes of the experiment, the usual one first; the size's name
     [presets.tiny]                        # takes the place of {preset} in datasets and commands
     only = ["one-{preset}"]               # the datasets that are left; without the key, all
+    methods.paper.steps = 70              # the methods that are left, and flags of each; without the key, all
     steps = 50                            # other keys are flags that every block gets
 
 Blocks add up; a run that is in two of them is trained once, and so are commands. The experiments in
@@ -110,15 +112,17 @@ def read_experiment(
     if not os.path.lexists(path):
         raise HyalineError(f"{path}: the file is missing; built-in experiments are {', '.join(list_experiments())}")
     content = load_toml(path)
-    if unknown := sorted(set(content) - {"about", "presets", "runs"}):
-        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about, presets and runs")
+    if unknown := sorted(set(content) - {"about", "datasets", "presets", "runs"}):
+        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are about, datasets, presets and runs")
     about, blocks = content.get("about", ""), content.get("runs", [])
     if not isinstance(about, str):
         raise HyalineError(f"{path}: about is {shown(about)}; expected text")
     if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
         raise HyalineError(f"{path}: has no runs; expected at least one [[runs]] block")
+    if "datasets" in content:
+        blocks = [{"dataset": content["datasets"]} | block for block in blocks]
     chosen, size = _find_preset(content.get("presets", {}), preset, path)
-    only = size.pop("only", None)
+    only, methods = size.pop("only", None), _methods_of(size, path)
     replaced = size | {key: list(values) for key, values in (("dataset", datasets), ("seed", seeds)) if values}
     # In the block's order, so that the given seeds vary like the file's.
     asked = [_of_preset(block, chosen, only) | replaced for block in blocks]
@@ -134,7 +138,8 @@ def read_experiment(
         commands = {key: _texts(block, key, where) for key in LISTS}
         if (part is not None and part not in commands["parts"]) or (only and block.get("dataset") == []):
             continue
-        for arguments, parsed in _grid({k: v for k, v in block.items() if k not in commands}, where=where):
+        flags = {key: value for key, value in block.items() if key not in commands}
+        for arguments, parsed in _grid(flags, methods, where=where):
             runs.setdefault(repr((arguments[0], parsed)), arguments)
             if not datasets:
                 needs |= dict.fromkeys(_filled(commands["needs"], arguments[0], parsed, chosen, f"{where}: needs"))
@@ -153,6 +158,16 @@ def _find_preset(presets: object, asked: str | None, path: Path) -> tuple[str | 
     elif not presets:
         raise HyalineError(f"{path}: has no presets; leave out --preset")
     return (None, {}) if asked is None else (asked, _of_preset(presets[choose("preset", asked, presets)], asked))
+
+
+def _methods_of(size: dict[str, object], path: Path) -> dict[str, dict[str, object]] | None:
+    """Takes the flags of each method from a preset; None if it leaves all methods."""
+    methods = size.pop("methods", None)
+    if methods is None:
+        return None
+    if not (isinstance(methods, dict) and all(isinstance(flags, dict) for flags in methods.values())):
+        raise HyalineError(f"{path}: methods is {shown(methods)}; expected a table of each method's flags")
+    return methods
 
 
 def _of_preset(block: dict[str, object], preset: str | None, only: object = None) -> dict[str, object]:
@@ -214,11 +229,21 @@ def _flat(record: object) -> dict[str, object]:
     return values
 
 
-def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, ...], Asked]]:
-    """The arguments of each run of a block, raw and parsed."""
+def _grid(
+    block: Mapping[str, object], of_methods: Mapping[str, Mapping[str, object]] | None, *, where: str
+) -> list[tuple[tuple[str, ...], Asked]]:
+    """The arguments of each run of a block, raw and parsed.
+
+    Args:
+        of_methods: the methods that are left, and further flags of each; None for all methods.
+    """
     if "method" not in block:
         raise HyalineError(f'{where}: key "method" is missing; expected the name of one, such as method = "paper"')
     methods = [choose(f"{where}: method", str(method), METHODS.names()) for method in _values(block, "method", where)]
+    methods = [method for method in methods if of_methods is None or method in of_methods]
+    if not methods:
+        return []
+    further = {method: _further_flags(method, of_methods, where) for method in methods}
     axes: list[list[tuple[str, ...]]] = []
     for key in block:
         if key == "method":
@@ -231,9 +256,16 @@ def _grid(block: Mapping[str, object], *, where: str) -> list[tuple[tuple[str, .
     for combination in itertools.product(*axes):
         by_key = dict(zip(block, combination, strict=True))
         (method,), dataset = by_key.pop("method"), by_key.pop("dataset", ())
-        words = (*dataset, *itertools.chain(*by_key.values()))
+        words = (*dataset, *itertools.chain(*by_key.values()), *further[method])
         runs.append(((method, *words), parse_train(method, words)))
     return runs
+
+
+def _further_flags(method: str, of_methods: Mapping[str, Mapping[str, object]] | None, where: str) -> tuple[str, ...]:
+    flags = {} if of_methods is None else of_methods[method]
+    for key in flags:
+        _check_key(key, method, where)
+    return tuple(itertools.chain(*(_flag(key, value, method, where) for key, value in flags.items())))
 
 
 def _count_runs(block: Mapping[str, object]) -> int:

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from datagen.disk.errors import HyalineError
+from eval.bench.track_pages import track_rows
 from eval.tables.grids import MISSING
 from eval.tables.pages import results_index, results_page
 
@@ -56,7 +57,10 @@ def test_the_pages_of_results_are_what_the_command_writes(monkeypatch: pytest.Mo
     assert files and sorted(Path("docs/results").glob("*.md")) == [file.with_suffix(".md") for file in files]
     for file in files:
         assert file.with_suffix(".md").read_text() == results_page(file), "write it with `make results`"
-    assert Path("RESULTS.md").read_text() == results_index(files), "write it with `make results`"
+    tracks = track_rows(Path("docs/results/bench"))
+    pages = {file.as_posix(): file.read_text() for file in Path("docs/results/bench").glob("*.md")}
+    assert {row[0].split("(")[1][:-1]: text for row, text in tracks.items()} == pages, "write them with `make results`"
+    assert Path("RESULTS.md").read_text() == results_index(files, tracks), "write it with `make results`"
 
 
 def test_the_list_of_pages_begins_with_the_shortest(tmp_path: Path) -> None:

@@ -36,6 +36,7 @@ from eval.score.runs import open_run
 
 SUBMISSION = Path("bench/tiny/submissions/nearest-view.tar")
 SCORES = Path("bench/tiny/scores/nearest-view.json")
+MEAN = Path("bench/tiny/scores/mean-picture.json")
 
 
 @pytest.fixture
@@ -98,6 +99,12 @@ def test_floors_are_submitted_scored_and_shown(packed: Path, small_protocol: Pro
     assert f">{summary.mean:.2f}<" in page and page.count('class="compare"') == 4
     assert page.count('class="sortable"') == 3  # The track, and each submission's scenes.
     assert "default-src 'none'; img-src data:" in page and "http:" not in page and "https:" not in page
+    printed = call("hyaline-bench leaderboard --preset tiny --track pictures").out
+    assert printed.startswith("# hyaline-bench 1, tiny: pictures\n")
+    assert f"| synthetic | {read_scored(MEAN).scenes['synthetic'].psnr_db(ALL):.2f} | " in printed
+    assert f"| synthetic | {open_dataset(Path('data/synthetic-tiny')).seal[:12]} | " in printed
+    answer = call("hyaline-bench leaderboard --preset tiny --track shapes")
+    assert answer.status == 1 and "shapes: the track has no submission" in answer.error
     before = tree(packed)
     for command in ("floors", "submit", "score", "leaderboard"):
         run(f"hyaline-bench {command} --preset tiny")

@@ -69,7 +69,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('[[runs]]\nmethod = "paper"\nextrinsic = "sh"', r"runs\[0\]: unknown key 'extrinsic'; did you mean 'ext"),
         ('[[runs]]\nmethod = "paper"\n[[runs]]\nmethod = "paper"\nzero_layer = true', "unknown key 'zero_layer'"),
         ('[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"', "`model train light-path` without its"),
-        ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about, presets and runs"),
+        ('[[run]]\nmethod = "paper"', "unknown key 'run'; known are about, datasets, presets and runs"),
         ('[[runs]]\nmethod = "paper"\nsteps = [10, "many"]', "steps is 'many', which `model train` does not take"),
         ('[[runs]]\nmethod = "paper"\nextrinsics = "all"', "extrinsics is 'all', which `model train` does not take"),
         ('[[runs]]\nmethod = "paper"\nzero-layer = "yes"', "zero-layer is 'yes'; expected true or false"),
@@ -122,6 +122,31 @@ def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> N
         read_experiment(path, preset="huge")
     with pytest.raises(HyalineError, match="has no presets; leave out --preset"):
         read_experiment("headline", preset="tiny")
+
+
+def test_a_preset_may_leave_methods_out_and_give_each_flags_of_its_own(tmp_path: Path) -> None:
+    text = """
+        datasets = ["one", "two"]
+        [presets.all]
+        [presets.few]
+        methods.paper.steps = 7
+        methods.light-path = {}
+        [[runs]]
+        method = ["paper", "dnr", "light-path"]
+        [[runs]]
+        dataset = "three"
+        method = "dnr"
+    """
+    path = write(tmp_path, text)
+    assert [run[0] for run in read_experiment(path).runs] == ["paper", "dnr", "light-path"] * 2 + ["dnr"]
+    few = [" ".join(run) for run in read_experiment(path, preset="few").runs]
+    assert few == ["paper one --steps 7", "light-path one", "paper two --steps 7", "light-path two"]
+    unknown = write(tmp_path, text.replace("paper.steps", "paper.step"))
+    with pytest.raises(HyalineError, match="unknown key 'step'; did you mean 'steps'"):
+        read_experiment(unknown, preset="few")
+    no_table = write(tmp_path, text.replace("methods.light-path = {}", "methods.light-path = 3"))
+    with pytest.raises(HyalineError, match="expected a table of each method's flags"):
+        read_experiment(no_table, preset="few")
 
 
 def test_commands_before_and_after_are_filled_in_and_given_once(

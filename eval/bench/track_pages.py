@@ -1,0 +1,93 @@
+"""Pages of RESULTS: a track's tables in Markdown, from stored files of `hyaline-bench score`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError
+from eval.bench.leaderboard import NOTES, check_comparable, scene_grid, track_grid
+from eval.bench.protocol import ALL, Protocol, load_protocol
+from eval.bench.score import Scored, read_scored
+from eval.tables.grids import TABLE_WIDTH, Column, Grid, format_number
+from eval.tables.looks import grid_text, markdown_escaped
+from eval.tables.pages import Row
+
+TRACKS = "bench"
+"""Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
+
+
+def read_scores(folder: Path) -> list[Scored]:
+    """The scored submissions in a folder."""
+    return [read_scored(path) for path in sorted(folder.glob("*.json"))]
+
+
+def track_rows(folder: Path) -> dict[Row, str]:
+    """For the list of pages: a row for each track that has submissions, and the page's text."""
+    found, protocol = read_scores(folder), load_protocol()
+    rows: dict[Row, str] = {}
+    for track in protocol.tracks:
+        inside = [scored for scored in found if scored.track == track]
+        if not inside:
+            continue
+        scenes = max(len(scored.scenes) for scored in inside)
+        seeds = {scene.seed for scored in inside for scene in scored.scenes.values() if scene.seed is not None}
+        rows[
+            (
+                f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
+                f"{scenes} datasets",
+                f"{len(inside)} methods",
+                str(len(seeds)),
+                ", ".join(sorted({scored.packed_by for scored in inside})),
+            )
+        ] = track_page(track, found, protocol)
+    return rows
+
+
+def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
+    """The page of one track, with every score's dataset, seed and processor time."""
+    check_comparable(found, protocol)
+    inside = [scored for scored in found if scored.track == track]
+    if not inside:
+        raise HyalineError(f"{track}: the track has no submission")
+    preset = inside[0].preset
+    grids = [
+        track_grid("all scenes", inside, protocol),
+        _methods_grid(inside, protocol),
+        *(scene_grid(scored, protocol) for scored in inside),
+    ]
+    return "\n".join(
+        [
+            f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
+            f"A method may use: {markdown_escaped(protocol.tracks[track])}\n",
+            f"```\nmodel sweep bench --preset {preset}\nhyaline-bench leaderboard --preset {preset}\n```\n",
+            *(f"{markdown_escaped(note)}\n" for note in NOTES),
+            *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in grids),
+        ]
+    )
+
+
+def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
+    """Scenes by methods."""
+    scenes = [scene for scene in protocol.all_scenes(found[0].preset) if any(scene in each.scenes for each in found)]
+    values = [[_psnr_db(scored, scene) for scored in found] for scene in scenes]
+    return Grid(
+        title="PSNR of each scene, dB",
+        columns=(Column(group="scene", is_number=False), *(Column(group=scored.name) for scored in found)),
+        rows=tuple(
+            (scene, *(format_number(value, 2) for value in row)) for scene, row in zip(scenes, values, strict=True)
+        ),
+        best=_best(values),
+    )
+
+
+def _psnr_db(scored: Scored, scene: str) -> float | None:
+    return scored.scenes[scene].psnr_db(ALL) if scene in scored.scenes else None
+
+
+def _best(values: Sequence[Sequence[float | None]]) -> frozenset[tuple[int, int]]:
+    """Places of the highest value of each row, after a first column of names."""
+    best = set()
+    for place, row in enumerate(values):
+        known: Mapping[int, float] = {column: value for column, value in enumerate(row) if value is not None}
+        if len(known) > 1:
+            best.add((place, 1 + max(known, key=lambda column: known[column])))
+    return frozenset(best)
