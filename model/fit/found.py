@@ -18,6 +18,7 @@ from model.fit.handles import Attached, Handled
 from model.fit.hull import HullShape
 from model.fit.intervals import intervals
 from model.fit.lathe import Axis
+from model.fit.polyhedra import Polyhedron
 from model.fit.search import NUMBERS, Found
 from model.fit.section import Section
 from model.fit.shapes import Glass, Revolution
@@ -71,7 +72,7 @@ class FoundGlass:
         )
 
 
-KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Revolution, Section)
+KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Polyhedron, Revolution, Section)
 """The records that a state may hold."""
 
 

@@ -64,8 +64,6 @@ class HullShape(Glass):
     """Solid glass of any shape."""
 
     surface: Mesh
-    unexplained: float = 1.0
-    """Share of the rays at the mask's edge that meet the surface and should miss it, or the other way round."""
 
     @property
     def kind(self) -> str:
@@ -75,31 +73,43 @@ class HullShape(Glass):
         return self.surface
 
 
-def carve(
-    sightings: Sightings,
-    object_id: int,
-    up: Float[np.ndarray, "3"],
-    support: float | None = None,
-    scales: Sequence[float] = SMOOTH,
-) -> HullShape:
-    """The smoothed visual hull of one object.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Carved:
+    """The visual hull of one object, with stair steps."""
+
+    positions: Float64[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    rays: NearRays
+    up: Float[np.ndarray, "3"]
+    support: float | None
+
+    def smoothed(self, scales: Sequence[float] = SMOOTH) -> HullShape:
+        """The same without steps.
+
+        Args:
+            scales: of bumps that may be smoothed away, in pixels, of which masks choose one.
+        """
+
+        def smoothed(some: NearRays, scale: float) -> Mesh:
+            moved = _smoothed(self.positions, self.faces, some, scale, up=self.up, support=self.support)
+            return _mesh(moved, self.faces)
+
+        mesh = smoothed(self.rays, _scale_of_bumps(self.rays, smoothed, scales))
+        return HullShape(surface=unwrap(mesh, where="a visual hull"))
+
+
+def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], support: float | None = None) -> Carved:
+    """Carves an object's visual hull.
 
     Args:
         support: height along `up` of the known surface below it; the hull ends there.
-        scales: of bumps that may be smoothed away, in pixels, of which masks choose one.
 
     Raises:
         HyalineError: no point is inside all masks, or no ray passes beside them.
     """
     rays = rays_near(sightings, object_id)
     positions, faces = _carved(sightings, object_id, rays, up, support)
-
-    def smoothed(some: NearRays, scale: float) -> Mesh:
-        return _mesh(_smoothed(positions, faces, some, scale, up=up, support=support), faces)
-
-    mesh = smoothed(rays, _scale_of_bumps(rays, smoothed, scales))
-    surface = unwrap(mesh, where=f"the hull of object {object_id}")
-    return HullShape(surface=surface, unexplained=unexplained(surface, rays))
+    return Carved(positions=positions, faces=faces, rays=rays, up=up, support=support)
 
 
 def _mesh(positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mesh:

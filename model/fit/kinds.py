@@ -1,6 +1,7 @@
 """Which kind of shape an object has: the one whose silhouettes differ least from its masks."""
 
 import dataclasses
+import functools
 from collections.abc import Callable, Iterator
 
 import numpy as np
@@ -12,10 +13,11 @@ from model.fit.boxes import Box, fit_box, outline_of
 from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
-from model.fit.hull import SMOOTH, HullShape, carve
+from model.fit.hull import SMOOTH, Carved, HullShape, carve
 from model.fit.lathe import Axis, perpendicular
 from model.fit.outlines import NOISES, find_ball, find_outside, find_solid
-from model.fit.outside import Hull, find_hull, find_section, hull_about
+from model.fit.outside import Hull, find_center, find_hull, find_section, hull_about
+from model.fit.polyhedra import fit_polyhedron
 from model.fit.section import guess_section
 from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import unexplained
@@ -53,7 +55,8 @@ GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
 
 BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
-"""Complexity of a ball, of a box or an outline about an axis, and of a hull."""
+"""Complexity of a ball, of a box or an outline about an axis, and of a hull or a polyhedron: round bodies are none,
+since facets explain their masks less well."""
 
 CLOSER = 0.5
 """By how much more complex a solid is that follows masks more closely."""
@@ -108,12 +111,14 @@ def choose_outside(
     """
     rays = rays_near(sightings, object_id)
     hull = find_hull(rays, up, order=mask_errors)
-    evidence = _Evidence(rays=rays, up=up, support=_support(hull, stands_on), mask_errors=mask_errors)
+    support = _support(hull, stands_on)
+    evidence = _Evidence(rays=rays, up=up, support=support, mask_errors=mask_errors, stands_on=stands_on)
+    carved = functools.cache(lambda: carve(sightings, object_id, up, support))
     found = [_judged(rays, *each) for each in _round(evidence, hull)]
     found += [cut for each in found for cut in _with_facets(evidence, hull, each)]
     good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
     if min((each.unexplained for each in found), default=1.0) > good:
-        for kind in _others(evidence, hull, lambda: carve(sightings, object_id, up, evidence.support, SMOOTH[:1])):
+        for kind in _others(evidence, hull, carved):
             judged = [_judged(rays, *each) for each in kind]
             found += judged
             if any(each.complexity < HULL and each.unexplained < good for each in judged):
@@ -122,7 +127,7 @@ def choose_outside(
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     best = min(found, key=lambda each: each.cost)
     if isinstance(best.glass, HullShape):
-        return _judged(rays, HULL, carve(sightings, object_id, up, evidence.support))
+        return _judged(rays, HULL, carved().smoothed())
     return _with_opening(evidence, best, best.glass) if isinstance(best.glass, Box) else best
 
 
@@ -139,6 +144,15 @@ class _Evidence:
     support: float | None
     """Height along `up` of the known surface below it, if there is one."""
     mask_errors: int
+    stands_on: StandsOn
+
+    def bottom(self) -> float | None:
+        """Height along `up` where it ends: at its support, or else above the known surface below its middle."""
+        if self.support is not None:
+            return self.support
+        middle, radius = find_center(self.rays)
+        height = self.stands_on(middle - radius * self.up, radius)
+        return None if height is None else height + GAP * radius
 
     def along(self, axis: Axis) -> float | None:
         """The support's height along an axis; None about one that lies."""
@@ -168,13 +182,13 @@ def _smoothest(evidence: _Evidence, hull: Hull) -> tuple[float, Revolution] | No
     return min(found, key=lambda each: _judged(evidence.rays, *each).cost, default=None)
 
 
-def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], HullShape]) -> Iterator[list[tuple[float, Glass]]]:
-    """Box, hull of any shape, outlines about other sections and axes, and vessel with handles."""
-    box = fit_box(evidence.rays, evidence.up, evidence.support)
+def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], Carved]) -> Iterator[list[tuple[float, Glass]]]:
+    """Box, hull of any shape, outlines about other sections and axes, vessel with handles, and polyhedron."""
+    box = fit_box(evidence.rays, evidence.up, evidence.bottom())
     if box is not None:
         yield [(OUTLINE, box)]
     try:
-        shape = carved()
+        shape = carved().smoothed(SMOOTH[:1])
     except HyalineError:
         return  # Nothing is inside all masks.
     yield [(HULL, shape)]
@@ -186,6 +200,9 @@ def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], HullShape]) ->
     vessel = _vessel_with_handles(evidence, hull, shape)
     if vessel is not None:
         yield [(OUTLINE, vessel)]
+    polyhedron = fit_polyhedron(evidence.rays, shape.surface, evidence.up, evidence.bottom())
+    if polyhedron is not None:
+        yield [(HULL, polyhedron)]
 
 
 def _with_opening(evidence: _Evidence, best: Outside, box: Box) -> Outside:

@@ -27,8 +27,8 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hull, "COARSE", 24)
 
 
-def found(meets: Meets, wrong: float = 0.0) -> HullShape:
-    return carve(sightings_of(meets, wrong=wrong), 1, UP, 0.0, SMOOTH[:1])
+def found(meets: Meets) -> HullShape:
+    return carve(sightings_of(meets), 1, UP, 0.0).smoothed(SMOOTH[:1])
 
 
 @pytest.mark.parametrize(
@@ -37,11 +37,12 @@ def found(meets: Meets, wrong: float = 0.0) -> HullShape:
 def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_places(
     wrong: float, mean: float, most: float
 ) -> None:
-    shape = found(ball((0, 0, 0.05), 0.04), wrong)
+    masks = sightings_of(ball((0, 0, 0.05), 0.04), wrong=wrong)
+    shape = carve(masks, 1, UP, 0.0).smoothed(SMOOTH[:1])
     away = np.abs(np.linalg.norm(shape.surface.vertices - [0, 0, 0.05], axis=1) - 0.04)
     assert away.mean() < mean  # A pixel is 6 mm wide.
     assert np.quantile(away, 0.99) < most
-    assert shape.unexplained < 0.01 + 2 * wrong
+    assert unexplained(shape.surface, rays_near(masks, 1)) < 0.01 + 2 * wrong
 
 
 @pytest.mark.parametrize(
@@ -49,8 +50,8 @@ def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_plac
 )
 def test_a_round_body_is_smoothed_further_than_edges_allow(meets: Meets, scale: float) -> None:
     masks = sightings_of(meets, views=20, size=48)
-    expected = carve(masks, 1, UP, None, [scale]).surface.vertices
-    assert np.array_equal(carve(masks, 1, UP, None, (0.7, 1.5)).surface.vertices, expected)
+    expected = carve(masks, 1, UP, None).smoothed([scale]).surface.vertices
+    assert np.array_equal(carve(masks, 1, UP, None).smoothed((0.7, 1.5)).surface.vertices, expected)
 
 
 def test_a_handle_is_found_on_its_side_in_a_closed_mesh_with_texels_of_its_own_everywhere() -> None:
@@ -69,7 +70,7 @@ def test_a_place_that_another_object_hides_stays() -> None:
     behind = seen.first.copy()
     # In a third of the views, something unknown covers the ball's right half.
     behind[::3, :, 32:] = 2
-    shape = carve(dataclasses.replace(seen, first=behind, unknown=(1, 2)), 1, UP, 0.0)
+    shape = carve(dataclasses.replace(seen, first=behind, unknown=(1, 2)), 1, UP, 0.0).smoothed()
     away = np.abs(np.linalg.norm(shape.surface.vertices - [0, 0, 0.05], axis=1) - 0.04)
     assert away.mean() < 0.0006
 
