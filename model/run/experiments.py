@@ -119,8 +119,8 @@ def read_experiment(
         raise HyalineError(f"{path}: about is {shown(about)}; expected text")
     if not (isinstance(blocks, list) and blocks and all(isinstance(block, dict) for block in blocks)):
         raise HyalineError(f"{path}: has no runs; expected at least one [[runs]] block")
-    if "datasets" in content:
-        blocks = [{"dataset": content["datasets"]} | block for block in blocks]
+    if datasets_of_file := _texts(content, "datasets", str(path)):
+        blocks = [{"dataset": datasets_of_file} | block for block in blocks]
     chosen, size = _find_preset(content.get("presets", {}), preset, path)
     only, methods = size.pop("only", None), _methods_of(size, path)
     replaced = size | {key: list(values) for key, values in (("dataset", datasets), ("seed", seeds)) if values}
@@ -167,7 +167,7 @@ def _methods_of(size: dict[str, object], path: Path) -> dict[str, dict[str, obje
         return None
     if not (isinstance(methods, dict) and all(isinstance(flags, dict) for flags in methods.values())):
         raise HyalineError(f"{path}: methods is {shown(methods)}; expected a table of each method's flags")
-    return methods
+    return {choose(f"{path}: methods", method, METHODS.names()): flags for method, flags in methods.items()}
 
 
 def _of_preset(block: dict[str, object], preset: str | None, only: object = None) -> dict[str, object]:
@@ -243,7 +243,8 @@ def _grid(
     methods = [method for method in methods if of_methods is None or method in of_methods]
     if not methods:
         return []
-    further = {method: _further_flags(method, of_methods, where) for method in methods}
+    own = {method: (of_methods or {}).get(method, {}) for method in methods}
+    further = {method: _further_flags(method, flags, where) for method, flags in own.items()}
     axes: list[list[tuple[str, ...]]] = []
     for key in block:
         if key == "method":
@@ -256,13 +257,13 @@ def _grid(
     for combination in itertools.product(*axes):
         by_key = dict(zip(block, combination, strict=True))
         (method,), dataset = by_key.pop("method"), by_key.pop("dataset", ())
-        words = (*dataset, *itertools.chain(*by_key.values()), *further[method])
+        for_all = (words for key, words in by_key.items() if key not in own[method])
+        words = (*dataset, *itertools.chain(*for_all), *further[method])
         runs.append(((method, *words), parse_train(method, words)))
     return runs
 
 
-def _further_flags(method: str, of_methods: Mapping[str, Mapping[str, object]] | None, where: str) -> tuple[str, ...]:
-    flags = {} if of_methods is None else of_methods[method]
+def _further_flags(method: str, flags: Mapping[str, object], where: str) -> tuple[str, ...]:
     for key in flags:
         _check_key(key, method, where)
     return tuple(itertools.chain(*(_flag(key, value, method, where) for key, value in flags.items())))

@@ -129,6 +129,7 @@ def test_a_preset_may_leave_methods_out_and_give_each_flags_of_its_own(tmp_path:
         datasets = ["one", "two"]
         [presets.all]
         [presets.few]
+        steps = 9
         methods.paper.steps = 7
         methods.light-path = {}
         [[runs]]
@@ -140,10 +141,16 @@ def test_a_preset_may_leave_methods_out_and_give_each_flags_of_its_own(tmp_path:
     path = write(tmp_path, text)
     assert [run[0] for run in read_experiment(path).runs] == ["paper", "dnr", "light-path"] * 2 + ["dnr"]
     few = [" ".join(run) for run in read_experiment(path, preset="few").runs]
-    assert few == ["paper one --steps 7", "light-path one", "paper two --steps 7", "light-path two"]
+    assert few == ["paper one --steps 7", "light-path one --steps 9", "paper two --steps 7", "light-path two --steps 9"]
     unknown = write(tmp_path, text.replace("paper.steps", "paper.step"))
     with pytest.raises(HyalineError, match="unknown key 'step'; did you mean 'steps'"):
         read_experiment(unknown, preset="few")
+    misspelt = write(tmp_path, text.replace("methods.paper.", "methods.papr."))
+    with pytest.raises(HyalineError, match="methods 'papr': there is none of that name; did you mean 'paper'"):
+        read_experiment(misspelt, preset="few")
+    no_list = write(tmp_path, text.replace('["one", "two"]', '"one"'))
+    with pytest.raises(HyalineError, match="datasets is 'one'; expected a list of texts"):
+        read_experiment(no_list)
     no_table = write(tmp_path, text.replace("methods.light-path = {}", "methods.light-path = 3"))
     with pytest.raises(HyalineError, match="expected a table of each method's flags"):
         read_experiment(no_table, preset="few")
