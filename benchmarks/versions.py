@@ -11,6 +11,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from benchmarks.harness import describe_machine
@@ -132,12 +133,16 @@ def measure_first_line(version: Version) -> Values:
     return {"first line": max(version.watch("first-line", *words)["first line"][0] for words in commands.values())}
 
 
-def measure_demo(version: Version) -> Values:
-    """Each command of `make demo`, from the beginning."""
+def measure_demo(place: int, version: Version) -> Values:
+    """One command of `make demo`, by its place; the first begins anew."""
     demo = dataclasses.replace(version, folder=version.folder / "demo")
-    shutil.rmtree(demo.folder, ignore_errors=True)
-    demo.folder.mkdir()
-    return {" ".join(words): demo.call("-m", *words) for words in demo_commands(version.tree / "Makefile")}
+    commands = demo_commands(version.tree / "Makefile")
+    if place >= len(commands):
+        raise HyalineError(f"its demo has {len(commands)} commands alone")
+    if place == 0:
+        shutil.rmtree(demo.folder, ignore_errors=True)
+        demo.folder.mkdir()
+    return {" ".join(commands[place]): demo.call("-m", *commands[place])}
 
 
 def demo_commands(makefile: Path) -> list[list[str]]:
@@ -158,12 +163,11 @@ MEASURES: dict[str, Measure] = {
     "512²": lambda version: {"512²": version.steps("light-path", "--texture-size", "512")},
     "paper-best": lambda version: {"paper-best": version.steps("paper-best")},
     "paths": lambda version: {"plain": version.paths(PLAIN), "dispersive": version.paths(DISPERSIVE)},
-    "demo": measure_demo,
 }
 """What is measured together; one that fails takes no other with it."""
 
-ONCE = ("demo",)
-"""Measures that take up to an hour: once, and only if asked for."""
+ONCE: dict[str, Measure] = {f"demo, command {place + 1}": partial(measure_demo, place) for place in range(7)}
+"""The commands of `make demo`, which take an hour: once, in turns, and only if asked for."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,9 +210,11 @@ ROWS = (
     Row(title="finished `datagen build`, CPU s", needs=("datagen",), value=of("build")),
     Row(title="finished `model train light-path`, CPU s", needs=("light-path",), value=of("train")),
     Row(title="first line of output, slowest of four commands, CPU s", needs=("first line",), value=of("first line")),
-    Row(title="`make demo` after set-up, CPU s", needs=("demo",), value=lambda values: sum(values.values()), digits=0),
-    Row(title="`datagen build` in it, CPU s", needs=("demo",), value=of_demo("datagen build"), digits=0),
-    Row(title="`light-path` in it, CPU s", needs=("demo",), value=of_demo("model train light-path"), digits=0),
+    Row(
+        title="`make demo` after set-up, CPU s", needs=tuple(ONCE), value=lambda values: sum(values.values()), digits=0
+    ),
+    Row(title="`datagen build` in it, CPU s", needs=tuple(ONCE), value=of_demo("datagen build"), digits=0),
+    Row(title="`light-path` in it, CPU s", needs=tuple(ONCE), value=of_demo("model train light-path"), digits=0),
 )
 
 
@@ -234,7 +240,7 @@ class Comparison:
             return
         say(f"round {turn + 1}: {name}, {self.commits[place]}")
         try:
-            values = MEASURES[name](self.versions[place])
+            values = (MEASURES | ONCE)[name](self.versions[place])
         except HyalineError as error:
             self.reasons[name, place] = str(error)
             say(f"failed: {error}")
@@ -251,7 +257,7 @@ class Comparison:
                 version.call("-m", *version.build("scene", DISPERSIVE, SMALL))
             except HyalineError as error:
                 say(f"{self.commits[place]}: no dataset: {error}")
-                self.reasons |= {(name, place): f"no dataset: {error}" for name in MEASURES}
+                self.reasons |= {(name, place): f"no dataset: {error}" for name in (*MEASURES, *ONCE)}
 
 
 def find_version(folder: Path, commit: str, python: Path) -> Version:
@@ -323,9 +329,7 @@ def compare_versions(name: str, *, rounds: int, python: Path, demo: bool = False
     say(f"{folder}: keeps what is measured; the same command continues")
     comparison.prepare()
     for turn in range(rounds):
-        for name in MEASURES:
-            if name in ONCE and not (demo and turn == 0):
-                continue
+        for name in (*MEASURES, *(ONCE if demo and turn == 0 else ())):
             for place in (0, 1) if turn % 2 == 0 else (1, 0):
                 comparison.measure(turn, name, place)
     return versions_table(comparison, rounds=rounds)

@@ -8,13 +8,12 @@ import pytest
 from support.synthetic import write_synthetic_dataset
 
 from benchmarks import versions
-from benchmarks.versions import MEASURES, ONCE, Values, Version, compare_versions, demo_commands
+from benchmarks.versions import MEASURES, Values, Version, compare_versions, demo_commands
 from datagen.disk.errors import HyalineError
 
 ROOT = Path(__file__).parents[2]
 BEFORE, NOW = "1111111", "2222222"
 DEMO = "`make demo` after set-up, CPU s"
-EACH_ROUND = [name for name in MEASURES if name not in ONCE]
 
 
 @pytest.fixture
@@ -62,23 +61,28 @@ def test_the_table_has_medians_and_ratios_with_their_range(calls: list[tuple[str
     assert rows["`light-path` step, CPU ms"] == ["2,000", "1,000", "0.50 (0.50 to 0.50)"]
     assert rows["the same, relative to 128²"] == ["4.00", "4.00", "1.00 (1.00 to 1.00)"]
     assert calls[:4] == [("datagen", BEFORE), ("datagen", NOW), ("light-path", BEFORE), ("light-path", NOW)]
-    second = calls[2 * len(EACH_ROUND) :]
+    second = calls[2 * len(MEASURES) :]
     assert second[:2] == [("datagen", NOW), ("datagen", BEFORE)]  # Each version is first in every second round.
 
 
 def test_a_later_call_measures_only_what_is_missing(calls: list[tuple[str, str]]) -> None:
     first = compare_versions("v1", rounds=1, python=Path(sys.executable))
     assert compare_versions("v1", rounds=1, python=Path(sys.executable)) == first
-    assert len(calls) == 2 * len(EACH_ROUND)
+    assert len(calls) == 2 * len(MEASURES)
     compare_versions("v1", rounds=2, python=Path(sys.executable))
-    assert len(calls) == 4 * len(EACH_ROUND)
+    assert len(calls) == 4 * len(MEASURES)
 
 
 def test_the_demo_is_measured_once_and_only_if_asked_for(
     calls: list[tuple[str, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(versions.MEASURES, "demo", versions.measure_demo)
-    monkeypatch.setattr(Version, "call", lambda _, *words: 3.0 if "light-path" in words else 1.0)
+    called = []
+
+    def call(version: Version, *words: str) -> float:
+        called.append((version.folder.parent.name, words[1]))
+        return 3.0 if "light-path" in words else 1.0
+
+    monkeypatch.setattr(Version, "call", call)
     commands = demo_commands(ROOT / "Makefile")
     (folder := versions.ROOT / "build" / "compare" / f"{BEFORE}-{NOW}").mkdir(parents=True)
     (folder / "Makefile").write_text((ROOT / "Makefile").read_text())
@@ -86,6 +90,8 @@ def test_the_demo_is_measured_once_and_only_if_asked_for(
     rows = rows_of(compare_versions("v1", rounds=2, python=Path(sys.executable), demo=True))
     assert rows[DEMO] == [str(len(commands) + 2)] * 2 + ["1.00 (1.00 to 1.00)"]
     assert rows["`light-path` in it, CPU s"][0] == "3" and rows["`datagen build` in it, CPU s"][0] == "1"
+    assert called[:4] == [(BEFORE, "datagen"), (NOW, "datagen"), (BEFORE, "proxies"), (NOW, "proxies")]
+    assert len(called) == 2 * len(commands) == 2 * len(versions.ONCE)
     assert commands[0] == ["datagen", "build", "--scene", "glass_table"] and commands[-1] == ["eval", "report"]
     assert all(words[0] in ("datagen", "proxies", "model", "eval") for words in commands)
 
