@@ -60,8 +60,8 @@ reliability: setup
 # RESULTS.md, docs/results/*.md and the tables of README.md and docs/{index,paper}.md, from the stored results.json files.
 results: setup
 	for file in docs/results/*.json; do $(BIN)/report --results $$file > $${file%.json}.md || exit 1; done
-	for track in pictures masks proxies shapes materials; do \
-	  $(BIN)/hyaline-bench leaderboard docs/results/bench --track $$track > docs/results/bench/$$track.md || exit 1; \
+	for file in docs/results/bench/*.md; do \
+	  $(BIN)/hyaline-bench leaderboard docs/results/bench --track $$(basename $$file .md) > $$file || exit 1; \
 	done
 	$(BIN)/report --results docs/results > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
 	$(BIN)/python docs/tables.py

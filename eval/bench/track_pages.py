@@ -34,7 +34,7 @@ def track_rows(folder: Path) -> dict[Row, str]:
             (
                 f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
                 f"{scenes} datasets",
-                f"{len(inside)} methods",
+                "scores",
                 str(len(seeds)),
                 ", ".join(sorted({scored.packed_by for scored in inside})),
             )
@@ -57,12 +57,20 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
     return "\n".join(
         [
             f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
-            f"A method may use: {markdown_escaped(protocol.tracks[track])}\n",
+            "A method may be told:\n",
+            *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
+            "",
             f"```\nmodel sweep bench --preset {preset}\nhyaline-bench leaderboard --preset {preset}\n```\n",
             *(f"{markdown_escaped(note)}\n" for note in NOTES),
             *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in grids),
         ]
     )
+
+
+def _told(track: str, protocol: Protocol) -> list[str]:
+    """What the track allows, and the tracks before it."""
+    names = list(protocol.tracks)
+    return [protocol.tracks[name] for name in names[: names.index(track) + 1]]
 
 
 def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
