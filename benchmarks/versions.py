@@ -134,11 +134,11 @@ def measure_first_line(version: Version) -> Values:
 
 
 def measure_demo(place: int, version: Version) -> Values:
-    """One command of `make demo`, by its place; the first begins anew."""
+    """One command of `make demo`, given its index; index 0 starts from an empty folder."""
     demo = dataclasses.replace(version, folder=version.folder / "demo")
     commands = demo_commands(version.tree / "Makefile")
     if place >= len(commands):
-        raise HyalineError(f"its demo has {len(commands)} commands alone")
+        raise HyalineError(f"its demo has only {len(commands)} commands")
     if place == 0:
         shutil.rmtree(demo.folder, ignore_errors=True)
         demo.folder.mkdir()

@@ -329,6 +329,14 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
 
 
+def convex_hull(points: Points, *, crease_deg: float) -> Mesh:
+    """The convex hull of points, `shaded`."""
+    import trimesh
+
+    found = trimesh.convex.convex_hull(points)
+    return shaded(np.asarray(found.vertices, np.float64), np.asarray(found.faces), crease_deg=crease_deg)
+
+
 def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh:
     return Mesh(
         vertices=np.ascontiguousarray(positions, np.float32),

@@ -17,7 +17,7 @@ from model.fit.lathe import Axis, perpendicular, spread
 from model.fit.outside import WORTH_A_TILT, find_center
 from model.fit.section import SHARP, Section
 from model.fit.shapes import OUTSIDE, Glass, Revolution
-from model.fit.silhouettes import errors, misfit, pull
+from model.fit.silhouettes import descend, errors, misfit, pull
 from model.fit.views import NearRays
 
 SEGMENTS = 4
@@ -41,9 +41,6 @@ COARSE_RAYS, RAYS = 2500, 20_000
 
 STEPS = 30
 """Largest number of steps in a round."""
-
-LEAST_DAMPING = 1e-6
-"""Share of the curvature that is added to itself; where rays do not tell two numbers apart, it is singular without."""
 
 ENOUGH = 3e-4
 """A round ends when a step gains less, relative to the misfit."""
@@ -235,27 +232,17 @@ def _fitted(
         softness: in pixels.
     """
     width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
-    damping, (loss, passes) = 1e-3, _misfit(box, rays, width)
-    for _ in range(STEPS):
+
+    def judge(box: Box) -> tuple[float, _Passes]:
+        passes = _passes(box, rays)
+        return misfit(passes.distance, rays.hits, width), passes
+
+    def step(box: Box, passes: _Passes, damping: float) -> Box:
         gradient, curvature = _slopes(box, rays, passes, turn, width)
-        step = -np.linalg.solve(curvature + damping * np.diag(curvature.diagonal() + 1e-9), gradient)
-        tried = _moved(box, step, turn, support)
-        new, new_passes = _misfit(tried, rays, width)
-        if new < loss:
-            gain, box, loss, passes = loss - new, tried, new, new_passes
-            damping = max(damping / 4, LEAST_DAMPING)
-            if gain < ENOUGH * loss:
-                break
-        elif damping > 1e3:
-            break
-        else:
-            damping *= 8
-    return box
+        way = -np.linalg.solve(curvature + damping * np.diag(curvature.diagonal() + 1e-9), gradient)
+        return _moved(box, way, turn, support)
 
-
-def _misfit(box: Box, rays: NearRays, width: float) -> tuple[float, _Passes]:
-    passes = _passes(box, rays)
-    return misfit(passes.distance, rays.hits, width), passes
+    return descend(box, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
 
 
 def _slopes(

@@ -11,13 +11,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
+from scipy import sparse
+from scipy.spatial import ConvexHull
 
 from datagen.data.meshes import Mesh
 from datagen.scene.atlas import unwrap
-from datagen.scene.modelling import shaded
+from datagen.scene.modelling import convex_hull
 from model.fit.lathe import perpendicular
 from model.fit.shapes import Glass
-from model.fit.silhouettes import misfit, pull
+from model.fit.silhouettes import descend, misfit, pull
 from model.fit.views import NearRays
 
 CONVEX = 0.9
@@ -169,28 +171,19 @@ def _fitted(
 ) -> tuple[Float64[np.ndarray, "kept 3"], float]:
     """The corners after damped Newton steps, without those that are inside, and the masks' misfit."""
 
-    def passes_of(corners: np.ndarray) -> tuple[_Passes, float]:
+    def judge(corners: np.ndarray) -> tuple[float, _Passes]:
         passes = _all_passes(corners, pictures, pixel)
-        return passes, misfit(passes.distance, passes.hits, softness)
+        return misfit(passes.distance, passes.hits, softness), passes
 
-    damping, (passes, loss) = 1e-2, passes_of(corners)
-    for _ in range(steps):
+    def step(corners: np.ndarray, passes: _Passes, damping: float) -> np.ndarray:
         gradient, curvature = _slopes(passes, len(corners), softness)
         diagonal = curvature.diagonal()
         # A corner that no outline shows stays where it is.
-        step = np.linalg.solve(curvature + np.diag(damping * diagonal + 1e-3 * diagonal.mean() + 1e-12), gradient)
-        tried = corners - step.reshape(-1, 3)
-        if support is not None:
-            tried = tried + np.maximum(support - tried @ up, 0)[:, None] * up
-        new_passes, new = passes_of(tried)
-        if new < loss:
-            gain, corners, passes, loss, damping = loss - new, tried, new_passes, new, damping / 4
-            if gain < ENOUGH * loss:
-                break
-        elif damping > 1e3:
-            break
-        else:
-            damping *= 8
+        way = np.linalg.solve(curvature + np.diag(damping * diagonal + 1e-3 * diagonal.mean() + 1e-12), gradient)
+        tried = corners - way.reshape(-1, 3)
+        return tried if support is None else tried + np.maximum(support - tried @ up, 0)[:, None] * up
+
+    corners, loss = descend(corners, judge, step, damping=1e-2, steps=steps, enough=ENOUGH)
     return corners[_outermost(corners)], loss
 
 
@@ -202,8 +195,6 @@ def _all_passes(corners: np.ndarray, pictures: Sequence[_Picture], pixel: float)
 
 def _passes(corners: Float64[np.ndarray, "corner 3"], picture: _Picture, pixel: float) -> _Passes:
     """How the rays of one view pass the outline."""
-    from scipy.spatial import ConvexHull
-
     at = (corners - picture.origin) @ picture.axes.T
     places = at[:, :2] / at[:, 2:]
     outline = ConvexHull(places).vertices  # Counter-clockwise.
@@ -240,8 +231,6 @@ def _slopes(
     passes: _Passes, count: int, softness: float
 ) -> tuple[Float64[np.ndarray, " number"], Float64[np.ndarray, "number number"]]:
     """Gradient of the misfit and an approximate Hessian, by the places of the corners."""
-    from scipy import sparse
-
     pulls, rays = pull(passes.distance, passes.hits, softness), len(passes.distance)
     columns = (3 * passes.corners[..., None] + np.arange(3)).reshape(rays, 6)
     row = np.repeat(np.arange(rays), 6)
@@ -251,15 +240,11 @@ def _slopes(
 
 
 def _outermost(points: Float64[np.ndarray, "point 3"]) -> Int[np.ndarray, " corner"]:
-    from scipy.spatial import ConvexHull
-
     return np.sort(ConvexHull(points).vertices)
 
 
 def _without_flattest(corners: Float64[np.ndarray, "corner 3"], count: int) -> Float64[np.ndarray, "kept 3"]:
     """The corners without those that stand out least of the hull of all others."""
-    from scipy.spatial import ConvexHull
-
     heights = []
     for place, corner in enumerate(corners):
         planes = ConvexHull(np.delete(corners, place, axis=0)).equations
@@ -268,8 +253,4 @@ def _without_flattest(corners: Float64[np.ndarray, "corner 3"], count: int) -> F
 
 
 def _mesh_of(corners: Float64[np.ndarray, "corner 3"]) -> Mesh:
-    import trimesh
-
-    solid = trimesh.convex.convex_hull(corners)
-    mesh = shaded(np.asarray(solid.vertices, np.float64), np.asarray(solid.faces), crease_deg=CREASE_DEG)
-    return unwrap(mesh, where="a polyhedron")
+    return unwrap(convex_hull(corners, crease_deg=CREASE_DEG), where="a polyhedron")

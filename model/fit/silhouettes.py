@@ -1,6 +1,8 @@
 """How well a shape agrees with masks: each ray at a mask's edge is one sample of a logistic regression."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -11,6 +13,10 @@ from model.fit.views import NearRays
 
 WRONG = 0.01
 """Expected share of wrong pixels at a mask's edge; pixels that a shape cannot explain have little say."""
+
+
+LEAST_DAMPING = 1e-6
+"""Share of the curvature that is added to itself; where rays do not tell two numbers apart, it is singular without."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,6 +60,44 @@ def pull(
     trust = (1 - WRONG) * (1 - wrong) / (WRONG + (1 - 2 * WRONG) * (1 - wrong))
     bound = np.where(error > 1e-3, (wrong - 0.5) / np.maximum(error, 1e-3), wrong * (1 - wrong))
     return Pull(slope=np.where(hits, 1, -1) * trust * wrong / width, curvature=trust * bound / width**2)
+
+
+Shape = TypeVar("Shape")
+Passes = TypeVar("Passes")
+
+
+def descend(
+    shape: Shape,
+    judge: Callable[[Shape], tuple[float, Passes]],
+    step: Callable[[Shape, Passes, float], Shape],
+    *,
+    damping: float,
+    steps: int,
+    enough: float,
+) -> tuple[Shape, float]:
+    """The shape after damped Newton steps, and its misfit.
+
+    Args:
+        judge: the misfit of a shape, and how rays pass it.
+        step: the shape after one step, from how rays pass it and the damping.
+        damping: the first one.
+        steps: the largest number of steps.
+        enough: the steps end when one gains less, relative to the misfit.
+    """
+    loss, passes = judge(shape)
+    for _ in range(steps):
+        tried = step(shape, passes, damping)
+        new, new_passes = judge(tried)
+        if new < loss:
+            gain, shape, loss, passes = loss - new, tried, new, new_passes
+            damping = max(damping / 4, LEAST_DAMPING)
+            if gain < enough * loss:
+                break
+        elif damping > 1e3:
+            break
+        else:
+            damping *= 8
+    return shape, loss
 
 
 def contradictions(mesh: Mesh, rays: NearRays) -> Bool[np.ndarray, " edge"]:

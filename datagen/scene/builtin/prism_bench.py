@@ -11,6 +11,7 @@ from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftE
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
 from datagen.scene.modelling import (
     ball,
+    convex_hull,
     cylinder,
     filleted,
     knot,
@@ -143,7 +144,7 @@ def prism(side: float, height: float) -> Mesh:
     """An upright column over an equilateral triangle centred on the origin."""
     angles = np.radians([90, 210, 330])
     corners = side / np.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return _hull([(x, y, z) for x, y in corners for z in (0.0, height)])
+    return convex_hull(np.array([(x, y, z) for x, y in corners for z in (0.0, height)]), crease_deg=2)
 
 
 def _lying(side: float, length: float) -> Mesh:
@@ -181,16 +182,8 @@ def brilliant() -> Mesh:
         # Stars and halves: the corners between the facets of crown and pavilion.
         points.append((*_around(0.775, angle + half), (1 - 0.775 * np.cos(half)) * np.tan(crown)))
         points.append((*_around(0.24, angle + half), -girdle - (1 - 0.24 * np.cos(half) ** 0.5) * np.tan(pavilion)))
-    return turned(_hull(points), (1, 0, 0), 180)
+    return turned(convex_hull(np.array(points, np.float64), crease_deg=2), (1, 0, 0), 180)
 
 
 def _around(radius: float, angle: float) -> tuple[float, float]:
     return float(radius * np.cos(angle)), float(radius * np.sin(angle))
-
-
-def _hull(points: list[tuple[float, float, float]]) -> Mesh:
-    """The convex solid with these corners, its edges sharp."""
-    import trimesh
-
-    hull = trimesh.convex.convex_hull(np.array(points, np.float64))
-    return shaded(np.asarray(hull.vertices), np.asarray(hull.faces), crease_deg=2)
