@@ -15,9 +15,10 @@ from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
 from model.fit.hull import SMOOTH, Carved, HullShape, carve
 from model.fit.lathe import Axis, perpendicular
-from model.fit.outlines import NOISES, find_ball, find_outside, find_solid
+from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_center, find_hull, find_section, hull_about
 from model.fit.polyhedra import fit_polyhedron
+from model.fit.profiles import between_rays
 from model.fit.section import guess_section
 from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import unexplained
@@ -57,9 +58,6 @@ GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
 """Complexity of a ball, of a box or an outline about an axis, and of a hull or a polyhedron: round bodies are none,
 since facets explain their masks less well."""
-
-CLOSER = 0.5
-"""By how much more complex a solid is that follows masks more closely."""
 
 CUT = 0.25
 """By how much more complex an outline is that has facets around it: on round glass, facets explained 0.0007 of the edge
@@ -166,20 +164,13 @@ def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
     """Ball and outlines about one axis, with their complexity."""
     ball = find_ball(hull) if hull.around is None else None
     found: list[tuple[float, Glass]] = [] if ball is None else [(BALL, ball)]
-    outside, solid = find_outside(hull, evidence.along(hull.axis)), _smoothest(evidence, hull)
-    if solid is not None and (outside is None or not solid[1].has_flat_top):
-        return [*found, solid]
+    fitted, support = between_rays(hull, evidence.rays), evidence.along(hull.axis)
+    outside, solid = find_outside(fitted, support), find_solid(fitted, support)
+    if solid is not None and (outside is None or not solid.has_flat_top):
+        return [*found, (OUTLINE, solid)]
     if outside is not None and solid is not None:
-        return [*found, (solid[0], dataclasses.replace(outside, solid=solid[1].solid, dish=solid[1].dish))]
+        return [*found, (OUTLINE, dataclasses.replace(outside, solid=solid.solid, dish=solid.dish))]
     return [*found, (OUTLINE, outside)] if outside is not None else found
-
-
-def _smoothest(evidence: _Evidence, hull: Hull) -> tuple[float, Revolution] | None:
-    """The solid that explains masks best among those that follow the hull more or less closely."""
-    support = evidence.along(hull.axis)
-    tried = [(OUTLINE + place * CLOSER, find_solid(hull, support, noise)) for place, noise in enumerate(NOISES)]
-    found = [(complexity, glass) for complexity, glass in tried if glass is not None]
-    return min(found, key=lambda each: _judged(evidence.rays, *each).cost, default=None)
 
 
 def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], Carved]) -> Iterator[list[tuple[float, Glass]]]:
@@ -267,7 +258,9 @@ def _vessel_with_handles(evidence: _Evidence, hull: Hull, shape: HullShape) -> R
     beside = without_handles(evidence.rays, outside.hollowed(0.08, 0.1, 0.3), shape)
     if not (~beside.hits).any() or not beside.hits.any():
         return None
-    bare = find_outside(hull_about(beside, hull.axis, hull.heights, order=0), evidence.along(hull.axis))
+    bare = find_outside(
+        between_rays(hull_about(beside, hull.axis, hull.heights, order=0), beside), evidence.along(hull.axis)
+    )
     return None if bare is None or bare.is_closed else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
 
 

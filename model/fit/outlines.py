@@ -3,12 +3,11 @@
 import dataclasses
 
 import numpy as np
-from jaxtyping import Float64
 from scipy import interpolate
 
 from model.fit.lathe import Cut, Outline, evenly, spread
 from model.fit.outside import Hull
-from model.fit.shapes import OUTSIDE, POINTS, Revolution, find_shelf
+from model.fit.shapes import OUTSIDE, POINTS, Revolution
 
 ROUND = 0.015
 """By which the hull of a ball may differ from a sphere (root mean square). This and what follows in parts of the
@@ -38,28 +37,8 @@ ROUNDS = 5
 LEAST_HEIGHTS = 8
 """Fewer do not show an outline."""
 
-NOISES = (0.003, 0.001, 0.0005)
-"""Assumed standard deviations of a solid's radii: the first for smooth sides, the others for sides with creases."""
-
-ABOVE = 0.05
-"""Weight of radii that are larger than the outline: between two rays that touch it, exact masks leave the hull too
-wide, never too narrow."""
-
-FIRST_STIFFNESS = 1e-6
-"""Weight of an outline's bends."""
-
-STIFF = 0.3
-"""The same in parts of the square of the mean distance between the hull and the outline with that weight."""
-
-MOST_STIFFNESS = 1e-5
-"""Beyond it, an outline with many creases is straightened away."""
-
-BEND = 0.03
-"""Curvature, over the largest radius, below which bends count by their squares, beyond it by their size: an outline has
-few creases, and they may be sharp."""
-
-REWEIGHTED = 15
-"""Iterations that find which radii are larger, and where it bends."""
+NOISE = 0.0003
+"""Assumed standard deviation of a solid's radii."""
 
 END = 10
 """Points of a flat end of a solid."""
@@ -81,12 +60,7 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
     if kept.sum() < LEAST_HEIGHTS:
         return None
-    smooth = radii[kept].copy()
-    # Its scallops would bend the edge of a thin foot away.
-    foot = find_shelf(np.stack([smooth, heights[kept]], axis=1))
-    beyond = slice(0 if foot is None else foot.stop - 1, None)
-    above = ABOVE if hull.is_exact else 1.0
-    smooth[beyond] = size * _without_scallops(heights[kept][beyond] / size, smooth[beyond] / size, above)
+    smooth = radii[kept]
     high = heights[kept][-1]
     slope = float(np.diff(np.interp([high - 1.5 * rim, high], heights[kept], smooth))[0]) / (1.5 * rim)
     along = np.linspace(bottom, heights[-1], 400)
@@ -96,34 +70,7 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     return _about(hull, outside)
 
 
-def _without_scallops(
-    heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"], above: float
-) -> Float64[np.ndarray, " height"]:
-    """The line under a hull's radii that bends least: it halves the distance from true sides, and errors of normals.
-
-    Args:
-        heights: evenly spaced, like the radii in parts of the largest radius.
-        above: weight of radii that are larger than the line.
-    """
-    first = _least_bent(heights, radii, above, FIRST_STIFFNESS)
-    stiffness = STIFF * float(np.abs(first - radii).mean()) ** 2
-    return _least_bent(heights, radii, above, min(stiffness, MOST_STIFFNESS))
-
-
-def _least_bent(
-    heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"], above: float, stiffness: float
-) -> Float64[np.ndarray, " height"]:
-    """Least squares, reweighted so that bends count by their size."""
-    bends = np.diff(np.eye(len(heights)), 2, axis=0) / (heights[1] - heights[0]) ** 2
-    line, weight, stiff = radii, np.ones(len(radii)), np.full(len(bends), stiffness)
-    for _ in range(REWEIGHTED):
-        line = np.linalg.solve(np.diag(weight) + (bends.T * stiff) @ bends, weight * radii)
-        weight = np.where(line > radii, 1.0, above)
-        stiff = stiffness / (np.abs(bends @ line) + BEND)
-    return line
-
-
-def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> Revolution | None:
+def find_solid(hull: Hull, support: float | None) -> Revolution | None:
     """Extracts a solid from its hull, which it follows to its ends, where it closes over the axis or is flat.
 
     Near a pole the squared radius is linear in the height, so a spline of that is continued to 0 beyond the heights
@@ -131,7 +78,6 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
 
     Args:
         support: as for `find_outside`.
-        noise: assumed standard deviation of the hull's radii, in parts of the largest one.
     """
     inside = hull.radii > 0
     heights, radii = hull.heights[inside], hull.radii[inside]
@@ -141,7 +87,7 @@ def find_solid(hull: Hull, support: float | None, noise: float = NOISES[0]) -> R
     kept = (heights > heights[0] + END_LEFT_OUT * size) & (heights < heights[-1] - END_LEFT_OUT * size)
     if kept.sum() < LEAST_HEIGHTS:
         return None
-    weights = 1 / (2 * radii[kept] * noise * size)
+    weights = 1 / (2 * radii[kept] * NOISE * size)
     spline = interpolate.UnivariateSpline(heights[kept], radii[kept] ** 2, w=weights, s=kept.sum())
     first, last = heights[kept][[0, -1]]
     at_first, at_last = np.asarray(spline([first, last])).tolist()
