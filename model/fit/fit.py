@@ -133,10 +133,13 @@ def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_
     """
     shown = find_shown(sightings, mask_errors)
     hidden = [dataset.objects[each - 1].name for each in sightings.unknown if each not in shown]
-    if not shown or (hidden and must_be_all):
+    names, needs = ", ".join(hidden), f"{LEAST_VIEWS} training pictures must show an object first, and one its edge"
+    if not shown:
+        raise HyalineError(f"{dataset.root}: nothing to fit: pictures do not show the outside of {names}; {needs}")
+    if hidden and must_be_all:
         raise HyalineError(
-            f"{dataset.root}: fewer than {LEAST_VIEWS} training pictures show {hidden[0]} first, or none shows its "
-            f"edge, so it cannot be fitted; name the others with --unknown, and {hidden[0]} is taken as known"
+            f"{dataset.root}: pictures do not show the outside of {names}; {needs}. Left out of --unknown, it is taken "
+            "as known"
         )
     if hidden:
         say(f"taken as known, because pictures do not show their outside: {', '.join(hidden)}")

@@ -25,6 +25,9 @@ by the rays through the middles of pixels, of which some touch the glass within 
 NEAR, NEAR_FOR_WRONG_MASKS = 0.5, 1.0
 """Pixels from the hull beyond which rays say nothing of its surface."""
 
+RAYS = 40_000
+"""Largest number of rays that are looked at."""
+
 STEPS, ENOUGH = 10, 1e-4
 """Largest number of Newton steps in a round; a round ends when one gains less, relative to what is left."""
 
@@ -90,7 +93,7 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
     if is_free.sum() < LEAST_PLACES:
         return hull
     profile = _Profile(axis=hull.axis, squares=radii**2)
-    edge = rays.at_edges()
+    edge = rays.at_edges().thinned(RAYS)
     passes = _passes(edge, profile, heights, hull.around)
     near = NEAR if hull.is_exact else NEAR_FOR_WRONG_MASKS
     edge = edge.only(np.abs(passes.distance) < near * rays.pixel_angle * passes.t)
@@ -143,6 +146,8 @@ def _descended(
     def judge(profile: _Profile) -> tuple[float, _Passes]:
         passes = _passes(rays, profile, heights, around)
         is_told = is_free[passes.place] & is_free[passes.place + 1]
+        if not is_told.any():
+            return np.inf, passes
         wrong = misfit(passes.distance[is_told], rays.hits[is_told], width(passes)[is_told]) * is_told.sum()
         return float(wrong + _price(jumps @ profile.squares).sum()), passes
 

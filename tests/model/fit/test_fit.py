@@ -97,6 +97,8 @@ def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset
     assert answer.status == 0, answer.err
     assert "taken as known, because pictures do not show their outside: slab" in answer.err + answer.out
     assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
+    alone = call(f"model fit {dataset.root} {skipped}-b --unknown slab --masks {masks} --out {tmp_path / 'alone'}")
+    assert alone.status == 1 and "nothing to fit: pictures do not show the outside of slab" in alone.error
 
 
 def test_glass_seen_through_other_glass_alone_is_taken_as_known(tmp_path: Path) -> None:

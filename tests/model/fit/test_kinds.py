@@ -15,13 +15,8 @@ from model.fit.kinds import choose_outside
 from model.fit.shapes import Revolution
 
 use_mitsuba()
+pytestmark = pytest.mark.usefixtures("coarse_hulls")
 UP = np.array([0.0, 0.0, 1.0])
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.fit.hull.FACES", 3000)
-    monkeypatch.setattr("model.fit.hull.COARSE", 24)
 
 
 def on_the_table(point: np.ndarray, reach: float) -> float | None:

@@ -17,13 +17,8 @@ from model.fit.silhouettes import unexplained
 from model.fit.views import rays_near
 
 use_mitsuba()
+pytestmark = pytest.mark.usefixtures("coarse_hulls")
 UP = np.array([0.0, 0.0, 1.0])
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.fit.hull.FACES", 3000)
-    monkeypatch.setattr("model.fit.hull.COARSE", 24)
 
 
 def stone(corners: int) -> np.ndarray:
