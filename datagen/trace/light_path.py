@@ -302,13 +302,11 @@ class LightPathTracer:
         import mitsuba as mi
 
         count = len(directions)
-        if facets is not None:
-            rows = to_columns(facets)
-        elif count in self._spread:
-            rows = self._spread[count]
-        else:
-            rows = [mi.Float(column) for column in np.ascontiguousarray(_spread_evenly(count).T)]
-            self._spread[count] = rows
+        if count == 0:  # Dr.Jit would end the process.
+            raise ValueError("expected at least one ray")
+        if facets is None and count not in self._spread:
+            self._spread[count] = [mi.Float(column) for column in np.ascontiguousarray(_spread_evenly(count).T)]
+        rows = self._spread[count] if facets is None else to_columns(facets)
 
         with no_collection():
             outputs = self._trace(

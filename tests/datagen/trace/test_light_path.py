@@ -220,6 +220,13 @@ def test_water_and_the_glass_around_it_share_one_surface() -> None:
     assert paths.end_direction[0, 0] == pytest.approx(direction, abs=2e-3)
 
 
+def test_no_rays_are_refused() -> None:
+    """Dr.Jit would end the process."""
+    ball = mesh_of(trimesh.creation.icosphere(1, 0.5))
+    with pytest.raises(ValueError, match="at least one ray"):
+        traced((ball, Dielectric(ior=1.5)), origins=np.zeros(3), directions=np.zeros((0, 3)))
+
+
 def test_with_enough_branches_no_light_is_lost_and_each_adds_some() -> None:
     """In a white furnace all that a ray brings is 1: refracted, mirrored, and every reflection inside."""
     ball = mesh_of(trimesh.creation.icosphere(4, 0.5))

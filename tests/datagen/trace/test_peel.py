@@ -145,6 +145,15 @@ def test_fewer_layers_are_the_first_ones_and_the_rest_is_reported() -> None:
         assert np.array_equal(getattr(few, name), getattr(many, name)[:3])
 
 
+def test_no_rays_have_no_hits() -> None:
+    """A view may show nothing of an object; Dr.Jit ends the process where it is asked for no rays."""
+    peeler = Peeler(random_meshes(np.random.default_rng(3), 2))
+    hits = peeler.trace(np.zeros(3, np.float32), np.zeros((0, 3), np.float32), 2)
+    assert hits.shape.shape == hits.prim.shape == hits.t.shape == (2, 0)
+    assert hits.barycentric.shape == (2, 0, 2)
+    assert hits.has_more.shape == (0,)
+
+
 def test_permuted_objects_permute_ids_and_nothing_else() -> None:
     cameras = make_cameras(RIG, config(views=3))["train"]
     meshes = random_meshes(np.random.default_rng(4), 6)
