@@ -138,8 +138,8 @@ def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_
         raise HyalineError(f"{dataset.root}: nothing to fit: pictures do not show the outside of {names}; {needs}")
     if hidden and must_be_all:
         raise HyalineError(
-            f"{dataset.root}: pictures do not show the outside of {names}; {needs}. Left out of --unknown, it is taken "
-            "as known"
+            f"{dataset.root}: pictures do not show the outside of {names}; {needs}. Objects left out of "
+            "--unknown are taken as known"
         )
     if hidden:
         say(f"taken as known, because pictures do not show their outside: {', '.join(hidden)}")

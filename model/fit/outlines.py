@@ -60,11 +60,11 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     kept = (heights > bottom + FOOT_LEFT_OUT * size) & (heights < heights[-1] - rim)
     if kept.sum() < LEAST_HEIGHTS:
         return None
-    smooth = radii[kept]
+    shown = radii[kept]
     high = heights[kept][-1]
-    slope = float(np.diff(np.interp([high - 1.5 * rim, high], heights[kept], smooth))[0]) / (1.5 * rim)
+    slope = float(np.diff(np.interp([high - 1.5 * rim, high], heights[kept], shown))[0]) / (1.5 * rim)
     along = np.linspace(bottom, heights[-1], 400)
-    side = np.interp(along, heights[kept], smooth) + slope * np.maximum(along - high, 0)
+    side = np.interp(along, heights[kept], shown) + slope * np.maximum(along - high, 0)
     line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
     outside = spread(np.concatenate([[(0, bottom)], line]), OUTSIDE)
     return _about(hull, outside)

@@ -220,8 +220,8 @@ def crossings(
     Args:
         around: distances are the radii of outlines about it, so that radii bound them as about a circle.
     """
-    along_o, across_o = _along_and_across(rays.origins - axis.point, axis)
-    along_d, across_d = _along_and_across(rays.directions, axis)
+    along_o, across_o = along_and_across(rays.origins - axis.point, axis)
+    along_d, across_d = along_and_across(rays.directions, axis)
     t = (heights - along_o[:, None]) / np.where(np.abs(along_d) < SLOW, SLOW, along_d)[:, None]
     # |a + t b|^2 by its three dot products, instead of a vector for each ray and height.
     aa, ab, bb = (
@@ -233,7 +233,7 @@ def crossings(
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
-def _along_and_across(
+def along_and_across(
     vectors: Float64[np.ndarray, "ray 3"], axis: Axis
 ) -> tuple[Float64[np.ndarray, " ray"], Float64[np.ndarray, "ray 3"]]:
     """The component of vectors along an axis, and the rest."""
@@ -273,8 +273,8 @@ def _closest(
 
     A flat ray may pass through the object between two heights.
     """
-    along_o, across_o = _along_and_across(rays.origins[rays.hits] - axis.point, axis)
-    along_d, across_d = _along_and_across(rays.directions[rays.hits], axis)
+    along_o, across_o = along_and_across(rays.origins[rays.hits] - axis.point, axis)
+    along_d, across_d = along_and_across(rays.directions[rays.hits], axis)
     place, least = np.zeros(len(along_o), int), np.full(len(along_o), np.inf)
     for middle in np.zeros((1, 2)) if around is None else around.middles():
         towards = middle @ perpendicular(axis.direction) - across_o

@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
-from scipy import sparse
+from scipy import ndimage, sparse
 
 from model.fit.lathe import Axis, perpendicular
-from model.fit.outside import Around, Hull
+from model.fit.outside import Around, Hull, along_and_across
 from model.fit.shapes import find_shelf
 from model.fit.silhouettes import descend, misfit, pull
 from model.fit.views import NearRays
 
 SOFTNESS, SOFTNESS_FOR_WRONG_MASKS = (0.25, 0.12, 0.06, 0.03, 0.015), (0.5, 0.25, 0.12)
-"""Pixels over which a ray turns from meeting the glass to missing it, in one round after the other. Exact masks decide
-by the rays through the middles of pixels, of which some touch the glass within a hundredth of a pixel."""
+"""Pixels over which a ray turns from meeting the glass to missing it, in one round after the other. Exact masks say
+what the ray through each pixel's center does, and some of these rays graze the glass within a hundredth of a pixel."""
 
 NEAR, NEAR_FOR_WRONG_MASKS = 0.5, 1.0
 """Pixels from the hull beyond which rays say nothing of its surface."""
@@ -62,7 +62,11 @@ STEP = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Profile:
+    """A body about an axis, by its squared radii at evenly spaced heights."""
+
     axis: Axis
+    around: Around | None
+    heights: Float64[np.ndarray, " height"]
     squares: Float64[np.ndarray, " height"]
     """Squared radii, in square metres."""
 
@@ -92,15 +96,15 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
     is_free = _is_free(heights, radii)
     if is_free.sum() < LEAST_PLACES:
         return hull
-    profile = _Profile(axis=hull.axis, squares=radii**2)
+    profile = _Profile(axis=hull.axis, around=hull.around, heights=heights, squares=radii**2)
     edge = rays.at_edges().thinned(RAYS)
-    passes = _passes(edge, profile, heights, hull.around)
+    passes = _passes(edge, profile)
     near = NEAR if hull.is_exact else NEAR_FOR_WRONG_MASKS
     edge = edge.only(np.abs(passes.distance) < near * rays.pixel_angle * passes.t)
     if not edge.hits.any() or edge.hits.all():
         return hull
     for softness in SOFTNESS if hull.is_exact else SOFTNESS_FOR_WRONG_MASKS:
-        profile = _descended(edge, profile, heights, hull.around, is_free, softness)
+        profile = _descended(edge, profile, is_free, softness)
     changed = np.zeros_like(hull.radii)
     changed[inside] = _without_threads(np.sqrt(profile.squares))
     return dataclasses.replace(hull, axis=profile.axis, radii=changed)
@@ -108,12 +112,9 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
 
 def _without_threads(radii: Float64[np.ndarray, " height"]) -> Float64[np.ndarray, " height"]:
     """The radii, 0 beyond the heights at which the glass closes over its axis."""
-    is_thin = radii < THREAD * radii.max()
-    widest = int(radii.argmax())
-    first = len(radii[:widest]) - int(np.argmax(is_thin[:widest][::-1])) if is_thin[:widest].any() else 0
-    last = widest + int(np.argmax(is_thin[widest:])) if is_thin[widest:].any() else len(radii)
-    place = np.arange(len(radii))
-    return np.where((place >= first) & (place < last), radii, 0)
+    part = np.zeros(len(radii), np.int32)
+    ndimage.label(radii >= THREAD * radii.max(), output=part)
+    return np.where(part == part[radii.argmax()], radii, 0)
 
 
 def _is_free(heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"]) -> Bool[np.ndarray, "_"]:
@@ -126,39 +127,34 @@ def _is_free(heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray,
     return is_free
 
 
-def _descended(
-    rays: NearRays,
-    profile: _Profile,
-    heights: Float64[np.ndarray, " height"],
-    around: Around | None,
-    is_free: Bool[np.ndarray, " height"],
-    softness: float,
-) -> _Profile:
+def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " height"], softness: float) -> _Profile:
     """The profile after damped Newton steps."""
-    size = float(np.sqrt(profile.squares.max()))
+    heights, size = profile.heights, float(np.sqrt(profile.squares.max()))
     bends = np.diff(np.eye(len(heights)), 2, axis=0) * (size / (heights[1] - heights[0])) ** 2
     jumps = np.diff(bends, axis=0)[is_free[:-3] & is_free[3:]] / size**2
     moves = np.append(is_free, [True, True])
 
-    def width(passes: _Passes) -> Float64[np.ndarray, " ray"]:
-        return softness * rays.pixel_angle * passes.t
+    def told(passes: _Passes) -> tuple[NearRays, _Passes, Float64[np.ndarray, " ray"]]:
+        """The rays that pass where radii are fitted, and the widths over which they turn."""
+        is_told = is_free[passes.place] & is_free[passes.place + 1]
+        return rays.only(is_told), _only(passes, is_told), softness * rays.pixel_angle * passes.t[is_told]
 
     def judge(profile: _Profile) -> tuple[float, _Passes]:
-        passes = _passes(rays, profile, heights, around)
-        is_told = is_free[passes.place] & is_free[passes.place + 1]
-        if not is_told.any():
+        passes = _passes(rays, profile)
+        some, near, width = told(passes)
+        if not len(width):
             return np.inf, passes
-        wrong = misfit(passes.distance[is_told], rays.hits[is_told], width(passes)[is_told]) * is_told.sum()
+        wrong = misfit(near.distance, some.hits, width) * len(width)
         return float(wrong + _price(jumps @ profile.squares).sum()), passes
 
     def step(profile: _Profile, passes: _Passes, damping: float) -> _Profile:
-        is_told = is_free[passes.place] & is_free[passes.place + 1]
-        pulls = pull(passes.distance[is_told], rays.hits[is_told], width(passes)[is_told])
-        slopes = _slopes(rays.only(is_told), _only(passes, is_told), profile, heights, around)
+        some, near, width = told(passes)
+        pulls = pull(near.distance, some.hits, width)
+        slopes = _slopes(some, near, profile)
         # Newton's unknowns: squares in parts of the size's, and the axis in parts of the size.
         slopes = slopes @ sparse.diags_array(np.append(np.full(len(heights), size**2), [size, size]))
-        told = (slopes.T @ sparse.diags_array(pulls.curvature) @ slopes).toarray()
-        curvature = told + np.diag(damping * told.diagonal() + 1e-9 * told.diagonal().mean() + 1e-12)
+        seen = (slopes.T @ sparse.diags_array(pulls.curvature) @ slopes).toarray()
+        curvature = seen + np.diag(damping * seen.diagonal() + 1e-9 * seen.diagonal().mean() + 1e-12)
         leaps = jumps @ profile.squares
         stiff = (jumps.T * _stiffness(leaps)) @ jumps * size**4
         curvature[:-2, :-2] += stiff
@@ -167,7 +163,8 @@ def _descended(
         way = np.zeros(len(gradient))
         way[moves] = np.linalg.solve(curvature[np.ix_(moves, moves)], gradient[moves])
         squares = np.maximum(profile.squares - size**2 * way[:-2], 1e-12)
-        return _Profile(axis=profile.axis.moved(np.zeros(2), -size * way[-2:]), squares=squares)
+        axis = profile.axis.moved(np.zeros(2), -size * way[-2:])
+        return dataclasses.replace(profile, axis=axis, squares=squares)
 
     return descend(profile, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
 
@@ -183,39 +180,30 @@ def _stiffness(leaps: Float64[np.ndarray, " jump"]) -> Float64[np.ndarray, " jum
     return PRICE / (size * (1 + size / JUMP))
 
 
-def _passes(
-    rays: NearRays, profile: _Profile, heights: Float64[np.ndarray, " height"], around: Around | None
-) -> _Passes:
+def _passes(rays: NearRays, profile: _Profile) -> _Passes:
     """How rays pass a surface, up to the first known one where they miss it."""
-    axis = profile.axis
-    from_axis = rays.origins - axis.point
-    across = rays.directions - (rays.directions @ axis.direction)[:, None] * axis.direction
+    _, from_axis = along_and_across(rays.origins - profile.axis.point, profile.axis)
+    _, across = along_and_across(rays.directions, profile.axis)
     flat = np.maximum(np.einsum("rc,rc->r", across, across), 1e-12)
     middle = -np.einsum("rc,rc->r", from_axis, across) / flat
-    off = from_axis + middle[:, None] * rays.directions
-    off -= (off @ axis.direction)[:, None] * axis.direction
+    off = from_axis + middle[:, None] * across
     reach = WINDOW * np.sqrt(profile.squares.max())
     half = np.sqrt(np.maximum(reach**2 - np.einsum("rc,rc->r", off, off), (0.1 * reach) ** 2) / flat)
     last = np.where(rays.hits, np.inf, rays.reach)
     low, high = np.minimum(np.maximum(middle - half, 0), last), np.minimum(middle + half, last)
     row, t = np.arange(len(low)), np.linspace(low, high, ALONG, axis=1)
     for _ in range(ZOOMS):
-        best = _at(rays, t, profile, heights, around).distance.argmin(axis=1)
+        best = _at(rays, t, profile).distance.argmin(axis=1)
         low, high = t[row, np.maximum(best - 1, 0)], t[row, np.minimum(best + 1, t.shape[1] - 1)]
         t = np.linspace(low, high, FINER, axis=1)
-    places = _at(rays, t, profile, heights, around)
+    places = _at(rays, t, profile)
     return _only(places, (row, places.distance.argmin(axis=1)))
 
 
-def _at(
-    rays: NearRays,
-    t: Float64[np.ndarray, "ray place"],
-    profile: _Profile,
-    heights: Float64[np.ndarray, " height"],
-    around: Around | None,
-) -> _Passes:
+def _at(rays: NearRays, t: Float64[np.ndarray, "ray place"], profile: _Profile) -> _Passes:
     """How far from the surface places along rays are; infinitely beyond its ends."""
-    axis, squares, step = profile.axis, profile.squares, heights[1] - heights[0]
+    axis, around, heights, squares = profile.axis, profile.around, profile.heights, profile.squares
+    step = heights[1] - heights[0]
     ways = np.stack([*perpendicular(axis.direction), axis.direction], axis=1)
     starts, directions = (rays.origins - axis.point) @ ways, rays.directions @ ways
     x, y, height = (starts[:, [each]] + t * directions[:, [each]] for each in range(3))
@@ -230,22 +218,16 @@ def _at(
     return _Passes(distance=distance, t=t, place=place, share=share, steepness=steepness)
 
 
-def _slopes(
-    rays: NearRays,
-    passes: _Passes,
-    profile: _Profile,
-    heights: Float64[np.ndarray, " height"],
-    around: Around | None,
-) -> sparse.csr_array:
+def _slopes(rays: NearRays, passes: _Passes, profile: _Profile) -> sparse.csr_array:
     """Derivatives of the distances by the squared radii, and by the axis's place across it."""
     count, row = len(passes.t), np.repeat(np.arange(len(passes.t)), 2)
     columns = np.stack([passes.place, passes.place + 1], axis=1).ravel()
     shares = -np.stack([1 - passes.share, passes.share], axis=1) / passes.steepness[:, None]
-    by_squares = sparse.csr_array((shares.ravel(), (row, columns)), shape=(count, len(heights)))
+    by_squares = sparse.csr_array((shares.ravel(), (row, columns)), shape=(count, len(profile.heights)))
     by_axis = []
     for shift in STEP * np.eye(2):
         moved = dataclasses.replace(profile, axis=profile.axis.moved(np.zeros(2), shift))
-        distance = _at(rays, passes.t[:, None], moved, heights, around).distance[:, 0]
+        distance = _at(rays, passes.t[:, None], moved).distance[:, 0]
         by_axis.append((distance - passes.distance) / STEP)
     return sparse.csr_array(sparse.hstack([by_squares, sparse.csr_array(np.stack(by_axis, axis=1))]))
 
