@@ -7,7 +7,7 @@ import platform
 import subprocess
 from dataclasses import asdict, dataclass
 
-from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu
+from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu, torch_cuda_problem
 from datagen.machine.llvm import advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processes import ROOT
@@ -75,6 +75,9 @@ def _torch() -> Finding:
     version = _version("torch")
     if version is None:
         return _missing("torch", "model", "training, and rendering with trained runs, need it")
+    if has_gpu():
+        problem = torch_cuda_problem()
+        version += ", computes on the GPU" if problem is None else f", does not compute on the GPU: {problem}"
     return Finding(what="torch", found=version, remedy=None)
 
 

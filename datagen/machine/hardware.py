@@ -93,6 +93,19 @@ def cuda_problem(*, again: bool = False) -> str | None:
     return problem
 
 
+def torch_cuda_problem() -> str | None:
+    """Why torch does not compute on the GPU, or None if it does; a child process asks it."""
+    code = "import torch; print(torch.version.cuda, torch.cuda.is_available())"
+    try:
+        status, out, _ = _ask([sys.executable, "-P", "-c", code], PROBE_LIMIT_S)
+    except subprocess.TimeoutExpired:
+        return f"importing it took more than {PROBE_LIMIT_S} s"
+    version, _, is_available = out.partition(" ")
+    if status != 0 or is_available.strip() == "True":
+        return None if status == 0 else "it cannot be imported"
+    return "it is a build for CPUs" if version == "None" else f"its CUDA {version} finds no GPU that it can use"
+
+
 def _asked_about() -> tuple[object, ...]:
     """Everything that the answer depends on."""
     import importlib.metadata

@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Int32
 
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, face_areas
@@ -83,6 +83,28 @@ def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
 
     shapes = {shape_name(index): _load_mesh(mesh, mi.Properties()) for index, mesh in enumerate(meshes)}
     return _load({"type": "scene", **shapes}, len(meshes))
+
+
+def id_of_shape(hit: "mi.PreliminaryIntersection3f") -> "mi.UInt32":
+    """Dr.Jit's number of the shape that each ray hits, 0 where it hits none.
+
+    Mitsuba's own `shape_index` is 0 for every shape on CUDA (3.9).
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    return cast("mi.UInt32", dr.reinterpret_array(mi.UInt32, hit.shape))
+
+
+def shapes_by_id(scene: "mi.Scene") -> Int32[np.ndarray, " id"]:
+    """Index of each shape in its scene by the number that `id_of_shape` gives; -1 for all other numbers."""
+    import drjit as dr
+    import mitsuba as mi
+
+    ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+    shapes = np.full(ids.max(initial=0) + 1, -1, np.int32)
+    shapes[ids] = np.arange(len(ids), dtype=np.int32)
+    return shapes
 
 
 def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":

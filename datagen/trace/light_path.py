@@ -158,7 +158,7 @@ class LightPathTracer:
         self._meshes, self._materials = list(meshes), list(kept_materials)
         self._media = find_media(kept_materials, meshes)
         self._tints = kept_tints = tuple(None if tints is None else tints[index] for index in kept)
-        self._tables = make_tables(meshes, kept_materials, self._media, kept_tints)
+        self._tables = make_tables(self._scene, meshes, kept_materials, self._media, kept_tints)
         self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as tracing 8,192 rays, so it is done once per number of rays and limits.
@@ -189,7 +189,7 @@ class LightPathTracer:
         # What kernels were recorded for stays, `self._media` too; what they look up changes.
         meshes, materials = tuple(self._meshes), tuple(self._materials)
         media = find_media(materials, meshes, is_nested=self._media.is_nested)
-        self._tables = make_tables(meshes, materials, media, self._tints)
+        self._tables = make_tables(self._scene, meshes, materials, media, self._tints)
         self._iors = [mi.Float(np.ascontiguousarray(media.iors[:, channel])) for channel in range(3)]
 
     def trace(

@@ -22,7 +22,7 @@ from datagen.data.layers import UV_SCALE, Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
-from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, to_columns
+from datagen.render.mitsuba_scene import id_of_shape, is_scalar, load_geometry_mitsuba, shapes_by_id, to_columns
 
 if TYPE_CHECKING:
     from builtins import range as prange  # numba's prange splits the loop among threads.
@@ -71,6 +71,7 @@ class Peeler:
         if not is_scalar():
             import drjit as dr
 
+            self._shape_of = shapes_by_id(self._scene)
             self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
         # uv of the corners of all faces of all meshes, looked up by (shape, face) in one gather.
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
@@ -100,7 +101,7 @@ class Peeler:
         shapes, prims, b1s, b2s, ts, num_hits = (np.array(values) for values in outputs)
         shape = (num_layers, count)
         return Hits(
-            shape=shapes.reshape(shape),
+            shape=self._shape_of[shapes].reshape(shape),
             prim=prims.reshape(shape),
             barycentric=np.stack([b1s, b2s], axis=-1).reshape(*shape, 2),
             t=ts.reshape(shape),
@@ -225,12 +226,12 @@ def _to_layers(
 
 
 def _trace(scene, o, d, count, num_layers, is_coherent):
-    """One kernel for all layers; returns meshes, faces, both barycentric weights, distances, and each ray's hits."""
+    """One kernel for all layers; returns ids of meshes, faces, barycentric weights, distances, and each ray's hits."""
     import drjit as dr
     import mitsuba as mi
 
     size = num_layers * count
-    shapes, prims = dr.full(mi.Int32, -1, size), dr.zeros(mi.Int32, size)
+    shapes, prims = dr.zeros(mi.UInt32, size), dr.zeros(mi.Int32, size)
     b1s, b2s, ts = (dr.zeros(mi.Float, size) for _ in range(3))
     ray_index = dr.arange(mi.UInt32, count)
 
@@ -241,7 +242,7 @@ def _trace(scene, o, d, count, num_layers, is_coherent):
         ray = mi.Ray3f(dr.fma(d, t, o), d)
         pi = scene.ray_intersect_preliminary(ray, coherent=is_coherent, active=active)
         active &= pi.is_valid()
-        shape, prim = mi.Int32(pi.shape_index), mi.Int32(pi.prim_index)
+        shape, prim = id_of_shape(pi), mi.Int32(pi.prim_index)
         t_hit = t + pi.t
         is_new = active & ~((shape == last_shape) & (prim == last_prim))
         target = layer * count + ray_index
@@ -262,7 +263,7 @@ def _trace(scene, o, d, count, num_layers, is_coherent):
         dr.zeros(mi.Float, count),
         dr.zeros(mi.UInt32, count),
         dr.zeros(mi.UInt32, count),
-        dr.full(mi.Int32, -1, count),
+        dr.zeros(mi.UInt32, count),
         dr.full(mi.Int32, -1, count),
         dr.full(mi.Bool, True, count),
     )

@@ -7,6 +7,7 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
+from datagen.render.mitsuba_scene import id_of_shape
 from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
 from datagen.trace.surface_tables import (
     COATED,
@@ -100,7 +101,7 @@ def meet(kernel: Kernel, o, d, last_face, active) -> Hit:
     tables = kernel.tables
     pi = kernel.scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=False, active=active)
     found = active & pi.is_valid()
-    shape = mi.UInt32(pi.shape_index)
+    shape = dr.gather(mi.UInt32, tables.shape, id_of_shape(pi), found)
     face = mi.Int32(dr.gather(mi.UInt32, tables.first_face, shape, found) + pi.prim_index)
     counts = found & (face != last_face)
 

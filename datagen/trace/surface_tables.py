@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from datagen.data.meshes import Mesh, is_there
-from datagen.render.mitsuba_scene import linear_texels
+from datagen.render.mitsuba_scene import linear_texels, shapes_by_id
 from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.scene.description import Scene
 from datagen.scene.materials import Material
@@ -62,6 +62,8 @@ NO_SURFACE = Surface(event="passes", ior=1.0)
 class SurfaceTables(NamedTuple):
     """Lookup tables of the kernel: optics by object; positions, normals and uv of corners by face."""
 
+    shape: "mi.UInt32"
+    """Index of an object by the number that `id_of_shape` gives."""
     kind: "mi.UInt32"
     coat_ior: "mi.Float"
     roughness: "mi.Float"
@@ -86,9 +88,9 @@ class SurfaceTables(NamedTuple):
 
 
 def make_tables(
-    meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media, tints: Tints
+    scene: "mi.Scene", meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media, tints: Tints
 ) -> SurfaceTables:
-    """The tables of a scene's objects; a surface without material is a pane of air."""
+    """The tables of a scene's objects, of which `scene` has the meshes; a surface without material is a pane of air."""
     import mitsuba as mi
 
     def array(values: list[float]) -> "mi.Float":
@@ -101,6 +103,7 @@ def make_tables(
     surfaces = [NO_SURFACE if material is None else material.surface() for material in materials]
     first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
     return SurfaceTables(
+        shape=mi.UInt32(shapes_by_id(scene).astype(np.uint32)),
         kind=mi.UInt32(np.array([EVENTS[surface.event] for surface in surfaces], np.uint32)),
         coat_ior=array([surface.ior for surface in surfaces]),
         roughness=array([surface.roughness for surface in surfaces]),

@@ -25,8 +25,8 @@ class NearestView(Renderer[Views]):
         self.register_buffer("centers", torch.from_numpy(training.cameras.world_from_camera[:, :3, 3]).float())
 
     def forward(self, views: ViewBatch, *, rng: np.random.Generator | None = None) -> Tensor:
-        centers = torch.stack([torch.from_numpy(camera.world_from_camera[:3, 3]).float() for camera in views.cameras])
-        distance = torch.cdist(centers, self.get_buffer("centers"))
+        centers = torch.from_numpy(np.stack([camera.world_from_camera[:3, 3] for camera in views.cameras]))
+        distance = torch.cdist(centers.to(self.sharpness), self.get_buffer("centers"))
         if rng is not None:  # While training, a view must not be its own nearest.
             distance = distance.masked_fill(distance < 1e-4, 1e3)
         weight = torch.softmax(-self.sharpness * distance, dim=1)
@@ -36,7 +36,7 @@ class NearestView(Renderer[Views]):
         views = rng.integers(training.num_views, size=batch).tolist()
         drawn = self(ViewBatch(cameras=tuple(training.cameras[view] for view in views)), rng=rng)
         true = torch.cat([training.image(view).flatten(2)[0].T for view in views])
-        return (drawn - true).abs().mean()
+        return (drawn - true.to(drawn)).abs().mean()
 
 
 @dataclass(frozen=True, kw_only=True)

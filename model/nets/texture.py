@@ -200,11 +200,18 @@ def sample_by_bags(
     texels, weights = bilinear_taps(torch.where(is_hit, uv, 0), object_id, *layouts)
     scale = constant_on(tuple(scale for scale in scales for _ in range(4)), torch.float32, uv.device)
     table = tables[0] if len(tables) == 1 else torch.cat(list(tables))
-    return _WeightedTexels.apply(table, texels, torch.where(is_hit, weights * scale, 0))
+    return sum_texels(table, texels, torch.where(is_hit, weights * scale, 0))
+
+
+def sum_texels(
+    table: Float32[Tensor, "texel c"], texels: Int32[Tensor, "slot tap"], weights: Float32[Tensor, "slot tap"]
+) -> Float32[Tensor, "slot c"]:
+    """The sum of some weighted rows of a table for each slot, by torch's operations on any device."""
+    return _WeightedTexels.apply(table, texels, weights)
 
 
 class _WeightedTexels(torch.autograd.Function):
-    """Sums some weighted rows of a table for each slot.
+    """`sum_texels`.
 
     The forward pass is `embedding_bag`; its own backward pass in torch 2.13 sorts the texels and takes twice as long as
     this one.

@@ -1,4 +1,5 @@
-"""What a run needs before its first step: renderer, record, training views, optimiser, a warning about textures."""
+"""What a run needs before its first step: settings of the process, renderer, record, training views, optimiser, a
+warning about textures."""
 
 import contextlib
 import dataclasses
@@ -30,7 +31,9 @@ from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.lazy_adam import LazyAdam, check_states
 from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
+from model.settings.optimisation import PixelOptimisation
 from model.settings.run_flags import Memory
+from model.settings.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
 
 
 def check_inpainting(config: TrainConfig) -> None:
@@ -40,6 +43,15 @@ def check_inpainting(config: TrainConfig) -> None:
             "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "
             "another method that reads straight layers"
         )
+
+
+def prepare_processor(config: TrainConfig, device: torch.device) -> None:
+    """Settings of this process for training."""
+    keep_freed_memory()
+    if device.type == "cuda":
+        sum_in_order_on_gpus()
+    if isinstance(config.net.optimisation(), PixelOptimisation):
+        use_few_threads(config.batch // config.updates)
 
 
 def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:

@@ -39,12 +39,12 @@ from model.run.preparation import (
     describe_run,
     load_training,
     make_optimizer,
+    prepare_processor,
     told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings.optimisation import PixelOptimisation, decay
+from model.settings.optimisation import decay
 from model.settings.run_flags import Memory
-from model.settings.runtime import keep_freed_memory, use_few_threads
 from model.settings.state import State
 
 CHECKPOINT_EVERY_S = 60.0
@@ -127,12 +127,6 @@ def train(
     )
     say_all(told_fine_patterns(dataset, config.geometry, renderer))
     take_steps(run, progress, overwrite=overwrite)
-
-
-def prepare_processor(config: TrainConfig, device: torch.device) -> None:
-    keep_freed_memory()
-    if device.type == "cpu" and isinstance(config.net.optimisation(), PixelOptimisation):
-        use_few_threads(config.batch // config.updates)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

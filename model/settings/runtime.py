@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import warnings
 from typing import TYPE_CHECKING
 
 from datagen.disk.errors import HyalineError
@@ -35,6 +36,20 @@ def wait_briefly() -> None:
     """
     if not os.environ.keys() & {"OMP_WAIT_POLICY", "GOMP_SPINCOUNT"}:
         os.environ |= {"OMP_WAIT_POLICY": "PASSIVE", "GOMP_SPINCOUNT": "5000"}
+
+
+def sum_in_order_on_gpus() -> None:
+    """Makes torch choose, where it has them, CUDA algorithms that repeat bit by bit; call it before CUDA is used.
+
+    By default gradients of texels are summed in the order in which a GPU's threads come by. What has no algorithm that
+    repeats (the reflected borders of DeepVoxels) goes on without a warning.
+    """
+    import torch
+
+    os.environ.setdefault("CUBLAS_WORKSPACE_CONFIG", ":4096:8")  # cuBLAS asks for it.
+    warnings.filterwarnings("ignore", message=".*does not have a deterministic implementation")
+    torch.use_deterministic_algorithms(True, warn_only=True)
+    torch.utils.deterministic.fill_uninitialized_memory = False  # It costs a launch for each `empty`.
 
 
 def start_numba_threads() -> None:

@@ -39,7 +39,7 @@ STEPS = {
     "dnr": Budget(254, 1, 33),
     "dnr-authors": Budget(169, 1, 33),
     "authors-code": Budget(203, 1, 2.3),
-    "light-path": Budget(1278, 4, 168),
+    "light-path": Budget(1194, 4, 168),
     "deepvoxels": Budget(5751, 44, 2.4),
 }
 """A training step on 256 pixels; `light-path` makes four updates in it."""

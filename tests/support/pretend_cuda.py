@@ -250,3 +250,4 @@ def pretended_cuda() -> Iterator[Counts]:
     finally:
         torch.__future__.set_overwrite_module_params_on_conversion(False)
         torch._C._InferenceMode, torch.random.fork_rng, ThreadPoolExecutor.submit = kept
+        torch.use_deterministic_algorithms(False)  # Training on a GPU asks for them.

@@ -71,7 +71,7 @@ def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch
 
 def test_nvidia_smi_is_found_where_windows_puts_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     nvidia_smi(tmp_path, "echo 'RTX 4090, 566.2'", monkeypatch)
-    monkeypatch.setenv("PATH", "/usr/bin:/bin")
+    monkeypatch.setenv("PATH", str(tmp_path / "no programs"))
     monkeypatch.setattr(hardware, "WSL_PROGRAMS", str(tmp_path / "bin"))
     assert hardware.describe_gpus() == "RTX 4090, 566.2"
 

@@ -333,6 +333,7 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
 def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = read_experiment(write(tmp_path, f'[[runs]]\nmethod = "paper"\nseed = {list(range(4))}'))
     monkeypatch.setattr(sweep, "num_cores", lambda: 5)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
     met = threading.Barrier(2, timeout=120)
     environments: list[dict[str, str]] = []
 
