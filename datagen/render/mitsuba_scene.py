@@ -101,7 +101,7 @@ def shapes_by_id(scene: "mi.Scene") -> Int32[np.ndarray, " id"]:
     import drjit as dr
     import mitsuba as mi
 
-    ids = dr.reinterpret_array(mi.UInt32, scene.shapes_dr()).numpy()
+    ids = np.array(dr.reinterpret_array(mi.UInt32, cast("mi.ShapePtr", scene.shapes_dr())))
     shapes = np.full(ids.max(initial=0) + 1, -1, np.int32)
     shapes[ids] = np.arange(len(ids), dtype=np.int32)
     return shapes

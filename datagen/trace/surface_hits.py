@@ -203,7 +203,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     reflectance, cos_t, _, eta_ti = mi.fresnel(cos_i, eta)
     cos_t = dr.abs(cos_t)
     reflectance = dr.select(sides.is_thin, 2 * reflectance / (1 + reflectance), reflectance)
-    total = borders & (reflectance >= 1)
+    total = borders & _is_total(reflectance, cos_t)
     mirrored = dr.normalize(d + 2 * cos_i * facing)
     refracted = dr.normalize(d * eta_ti + facing * (cos_i * eta_ti - cos_t))
 
@@ -230,7 +230,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     )
     if not tables.has_rough_glass:
         return bounce
-    total = facet_reflectance >= 1
+    total = _is_total(facet_reflectance, facet_cos_t)
     refracted, passed = refracted_by(facet, dr.abs(facet_cos_t), eta_ti)
     by_facet = Bounce(
         mirrored=facet_d,
@@ -242,6 +242,11 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     )
     is_rough = borders & (alpha > 0)
     return Bounce(*(dr.select(is_rough, rough, smooth) for rough, smooth in zip(by_facet, bounce, strict=True)))
+
+
+def _is_total(reflectance, cos_t):
+    """Whether all light is reflected. Rounding may leave a reflectance below 1 then, and does on CUDA."""
+    return (reflectance >= 1) | (cos_t == 0)
 
 
 def _random_point(kernel: Kernel, step):

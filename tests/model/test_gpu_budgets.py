@@ -33,13 +33,13 @@ class Budget(NamedTuple):
 
 
 STEPS = {
-    "paper": Budget(204, 1, 2.3),
-    "paper-best": Budget(209, 2, 91),
-    "mlp-first": Budget(204, 1, 2.3),
-    "dnr": Budget(254, 1, 33),
+    "paper": Budget(202, 1, 2.3),
+    "paper-best": Budget(207, 2, 91),
+    "mlp-first": Budget(202, 1, 2.3),
+    "dnr": Budget(252, 1, 33),
     "dnr-authors": Budget(169, 1, 33),
-    "authors-code": Budget(203, 1, 2.3),
-    "light-path": Budget(1194, 4, 168),
+    "authors-code": Budget(201, 1, 2.3),
+    "light-path": Budget(1178, 4, 170),
     "deepvoxels": Budget(5751, 44, 2.4),
 }
 """A training step on 256 pixels; `light-path` makes four updates in it."""
@@ -51,7 +51,7 @@ VIEWS = {
     "dnr": Budget(142, 2, 13),
     "dnr-authors": Budget(120, 2, 13),
     "authors-code": Budget(132, 3, 275),
-    "light-path": Budget(277, 5, 13800),
+    "light-path": Budget(261, 5, 13900),
     "deepvoxels": Budget(272, 7, 13),
 }
 """A view of 64 x 64 pixels."""
