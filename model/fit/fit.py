@@ -38,7 +38,8 @@ from model.fit.boxes import Box
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, settled, states, summary, write_geometry
 from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
-from model.fit.search import alternatives, count_searches, find_absorption, grid_row, guess, guesses, refine
+from model.fit.materials import find_absorption
+from model.fit.search import alternatives, count_searches, grid_row, guess, guesses, refine
 from model.fit.shapes import Revolution
 from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels

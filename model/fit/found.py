@@ -18,8 +18,9 @@ from model.fit.handles import Attached, Handled
 from model.fit.hull import HullShape
 from model.fit.intervals import intervals
 from model.fit.lathe import Axis
+from model.fit.materials import Found
 from model.fit.polyhedra import Polyhedron
-from model.fit.search import NUMBERS, Found
+from model.fit.search import NUMBERS
 from model.fit.section import Section
 from model.fit.shapes import Glass, Revolution
 from model.run.checkpoint import fingerprint

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from model.fit.search import ABSORPTIONS, LAST, NUMBERS, STEPS, TINT_REACH, WORTH_IT, Found, reach_of
+from model.fit.materials import ABSORPTIONS, STEPS, TINT_REACH, WORTH_IT, Found
+from model.fit.search import LAST, NUMBERS, reach_of
 
 WALL_ERROR, FLOOR_ERROR = 0.07, 0.75
 """In pixels at the object's distance. Masks show an outside to such a share of a pixel, and a hollow is found from
@@ -12,6 +13,9 @@ there; a floor is seen at a slant, through the wall."""
 
 NORMALS_ERROR = 0.03
 """GGX alpha of smooth glass whose normals are 1 to 2 degrees off."""
+
+FROSTED_INDEX_ERROR = 0.1
+"""Of the index of frosted solids: less frost with a higher index spreads light as far."""
 
 WELL = 0.02
 """Mean penalty of the pixels of glass whose shape is right. More of it means that the shape is wrong, and biases all
@@ -28,6 +32,8 @@ def intervals(numbers: Mapping[str, Found], pixel: float) -> dict[str, tuple[flo
         pixel: width in metres of a pixel at the object's distance.
     """
     least = {"wall": WALL_ERROR * pixel, "floor": FLOOR_ERROR * pixel, "roughness": NORMALS_ERROR}
+    if "roughness" in numbers and "wall" not in numbers:
+        least["ior"] = FROSTED_INDEX_ERROR
     found = {name: _interval(name, number, least.get(name, 0.0)) for name, number in numbers.items()}
     if "wall" in found and "ior" in found:
         index, wall = numbers["ior"].value, numbers["wall"].value

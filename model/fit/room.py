@@ -20,7 +20,8 @@ from datagen.terminal.command import track
 from datagen.trace.surface_tables import LIMITS, Limits
 from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.batches.traced_layers import SubpixelRays
-from model.fit.search import Misses, penalty
+from model.fit.materials import Misses
+from model.fit.search import penalty
 from model.fit.shapes import Glass
 from model.fit.visits import Visits, count_visits
 from model.methods.light_path.config import LightPathConfig

@@ -6,7 +6,7 @@ the index is found better by a parabola over a wide bracket.
 
 import dataclasses
 import itertools
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,20 @@ from jaxtyping import Bool, Float
 
 from datagen.scene.values import as_vector
 from datagen.terminal.command import track
-from model.fit.shapes import USUAL_WALL, Glass, Revolution
+from model.fit.materials import (
+    INDICES,
+    LEAST_ROUGHNESS,
+    STEPS,
+    Found,
+    Misses,
+    best_of,
+    curve_of,
+    find_absorption,
+    find_material,
+    smoothed,
+    vertex,
+)
+from model.fit.shapes import USUAL_WALL, Glass, Revolution, hollow_of
 
 SOFTNESS = 0.05
 """sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
@@ -33,28 +46,6 @@ DISHES = (0.0, 0.12, 0.24)
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
 
-ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
-"""1/m."""
-
-TINT_REACH = 0.6
-"""Half the bracket of the logarithm of an absorption that was found before."""
-
-WORTH_IT = 0.02
-"""Share of the penalty of clear, smooth glass that tint or frost has to take away; a tint, of a channel's."""
-
-AS_BLACK = 0.001
-"""Share of a channel's penalty within which tints count as equal. Beyond some tint no light gets through, and noise
-alone would darken a drink from round to round."""
-
-ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
-"""GGX alpha."""
-
-INDICES = (1.33, 1.4, 1.45, 1.5, 1.55, 1.6, 1.65, 1.7, 1.75, 1.8, 1.9, 2.0, 2.2, 2.4)
-"""First guesses for solid glass; the search then moves by less than 0.1 in each round."""
-
-STEPS = 7
-"""Values that are tried of a number."""
-
 LAST = 5
 """Number of the last round."""
 
@@ -65,9 +56,6 @@ SHRINKS = 0.55
 """Factor by which brackets shrink from round to round."""
 
 CHANNELS = ("red", "green", "blue")
-
-Misses = Callable[[Glass], Float[np.ndarray, "pixel 3"]]
-"""Loss of an object's pixels, by colour channel, as a function of the glass that replaces it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +81,7 @@ NUMBERS: dict[str, Number] = {
     "dish": Number(low=0.0, high=0.9, reach=0.08, least=0.02, is_factor=False),
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
-    "roughness": Number(low=0.005, high=0.8, reach=0.5, least=0.25),
+    "roughness": Number(low=LEAST_ROUGHNESS, high=0.8, reach=0.5, least=0.25),
     "cut_turn": Number(low=-10.0, high=10.0, reach=0.12, least=0.03, is_factor=False),
     "cut_depth": Number(low=-0.3, high=0.6, reach=0.03, least=0.01, is_factor=False),
     "cut_low": Number(low=1e-5, high=10.0, reach=0.4, least=0.1),
@@ -102,20 +90,6 @@ NUMBERS: dict[str, Number] = {
     "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
 """Search ranges, in search order."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Found:
-    """One number of a glass."""
-
-    value: float
-    even: float
-    """Estimate from the even views alone."""
-    odd: float
-    before: float | None = None
-    """The value that the round before found; in the last stage, with other textures."""
-    curve: tuple[tuple[float, float], ...] = ()
-    """The values that were tried, each with its mean penalty."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,9 +123,9 @@ def guess(
     if len(cells) == 1 or not (any(glass.absorption) or glass.roughness is not None):
         return cells, glass
     apart = [cell.glass for cell in _best_by_wall(cells)]
-    likes = [_best([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
+    likes = [best_of([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
     if glass.roughness is not None:
-        likes.insert(0, _best([find_material(each, misses, is_even) for each in apart], misses))
+        likes.insert(0, best_of([find_material(each, misses, is_even) for each in apart], misses))
     return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
 
 
@@ -161,10 +135,6 @@ def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
     for cell in sorted(cells, key=lambda cell: cell.loss):
         best.setdefault(getattr(cell.glass, "wall", None), cell)
     return list(best.values())
-
-
-def _best(glasses: Sequence[Glass], misses: Misses) -> Glass:
-    return min(glasses, key=lambda each: float(misses(each).mean()))
 
 
 def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
@@ -218,90 +188,6 @@ def _with_grooves(outside: Revolution) -> list[Revolution]:
     return [outside, dataclasses.replace(outside, cut_depth=GROOVES)]
 
 
-def find_absorption(
-    glass: Glass, name: str, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
-) -> tuple[Glass, tuple[Found, Found, Found]]:
-    """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures.
-
-    Args:
-        name: `absorption`, or `drink_absorption` of what a vessel holds.
-    """
-    now = np.array(getattr(glass, name))
-    tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-TINT_REACH, TINT_REACH, STEPS)))
-    values = np.array(tried)[:, None] * (1 if not now.any() else np.where(now > 0, now, now.max()))
-    values = np.broadcast_to(values, (len(tried), 3))
-    drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
-
-    def means(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "value 3"]:
-        return np.stack([miss[pixels].mean(axis=0) for miss in drawn])
-
-    def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
-        return np.array([_lowest_positive(*each) for each in zip(values.T, means(pixels).T, strict=True)])
-
-    best, even, odd = lowest(slice(None)), lowest(is_even), lowest(~is_even)
-    if not _explains_more(drawn):
-        best = even = odd = np.zeros(3)
-    curves = map(_curve, values.T, means(slice(None)).T)
-    found = [
-        Found(value=float(v), even=float(e), odd=float(o), curve=curve)
-        for v, e, o, curve in zip(best, even, odd, curves, strict=True)
-    ]
-    return dataclasses.replace(glass, **{name: as_vector(best)}), (found[0], found[1], found[2])
-
-
-def _explains_more(drawn: list[Float[np.ndarray, "pixel 3"]]) -> bool:
-    """Whether absorption explains more than clear glass, which was drawn first: a little of it hides other errors."""
-    losses = np.stack([miss.mean(axis=0) for miss in drawn])
-    return bool((losses.min(axis=0) < (1 - WORTH_IT) * losses[0]).any())
-
-
-def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
-    """0 where that is best; else where a parabola through the least of the losses and its neighbours is lowest.
-
-    If the last value is best, the first that is as good replaces it.
-    """
-    place = int(losses.argmin())
-    if place == len(losses) - 1:
-        place = int(np.argmax(losses <= (1 + AS_BLACK) * losses[place]))
-    if place == 0:
-        return 0.0
-    near = slice(max(place - 1, 1), place + 2)
-    return float(np.exp(vertex(np.log(values[near]), losses[near]))) if place > 1 else float(values[place])
-
-
-def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
-    """First guesses of tint, index and roughness. Tint and index of a solid are found in turns."""
-    glass, _ = find_absorption(glass, "absorption", misses, is_even)
-    found = find_index(glass, misses)
-    if found.ior != glass.ior:
-        found, _ = find_absorption(found, "absorption", misses, is_even)
-    return find_roughness(found, misses)
-
-
-def find_index(glass: Glass, misses: Misses) -> Glass:
-    """The best of the first guesses of its index; a vessel keeps the one it has.
-
-    As long as a wall is only roughly known, another index makes up for its errors: the wall of a bottle of index 1.52
-    was found a fifth too thin, with an index of 1.94.
-    """
-    if hollow_of(glass) is not None:
-        return glass
-    return _best([dataclasses.replace(glass, ior=value) for value in INDICES], misses)
-
-
-def find_roughness(glass: Glass, misses: Misses) -> Glass:
-    """Frosted, if that explains more than smooth glass does: a little of it hides other errors."""
-    tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
-    return _smoothed(_best(tried, misses), misses)
-
-
-def _smoothed(frosted: Glass, misses: Misses) -> Glass:
-    """Smooth, unless frost explains more than hardly any, which is drawn by as many rays."""
-    hardly = dataclasses.replace(frosted, roughness=NUMBERS["roughness"].low)
-    is_worth_it = misses(frosted).mean() < (1 - WORTH_IT) * misses(hardly).mean()
-    return frosted if is_worth_it else dataclasses.replace(frosted, roughness=None)
-
-
 def refine(
     glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, number: int
 ) -> Iterator[tuple[Glass, str, Found]]:
@@ -315,7 +201,7 @@ def refine(
         The glass after each search, the name of the number, and what was found.
     """
     if glass.roughness is not None:
-        glass = _smoothed(glass, misses)
+        glass = smoothed(glass, misses)
     for name in _absorptions(glass):
         glass, channels = find_absorption(glass, name, misses, is_even)
         for channel, found in zip(CHANNELS, channels, strict=True):
@@ -363,34 +249,13 @@ def find_number(
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
     halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    found = Found(value=value, even=halves[0], odd=halves[1], curve=_curve(values, losses.mean(axis=1)))
+    found = Found(value=value, even=halves[0], odd=halves[1], curve=curve_of(values, losses.mean(axis=1)))
     return dataclasses.replace(glass, **{name: value}), found
-
-
-def _curve(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> tuple[tuple[float, float], ...]:
-    return tuple(zip(values.tolist(), losses.tolist(), strict=True))
-
-
-def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
-    """Where a parabola through losses is lowest, within the bracket; the place of the least where it is not convex."""
-    if len(np.unique(places)) < 3:
-        return float(places[losses.argmin()])
-    a, b, _ = np.polyfit(places - places.mean(), losses, 2)
-    if a <= 0:
-        return float(places[losses.argmin()])
-    return float(np.clip(places.mean() - b / (2 * a), places.min(), places.max()))
 
 
 def grid_row(cell: Cell) -> tuple[float, ...]:
     """Wall, floor, corner and loss of a cell; 0 where it is solid."""
     return (*(float(getattr(cell.glass, name, None) or 0) for name in ("wall", "floor", "corner")), cell.loss)
-
-
-def hollow_of(glass: Glass) -> tuple[float, float] | None:
-    """Wall and floor in metres; None: solid."""
-    if not isinstance(glass, Revolution) or glass.wall is None or glass.floor is None:
-        return None
-    return glass.wall, glass.floor
 
 
 def alternatives(cells: Sequence[Cell]) -> tuple[Cell, Cell]:

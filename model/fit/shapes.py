@@ -376,3 +376,10 @@ def _cut(line: Outline, height: float) -> Outline:
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
     return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
+
+
+def hollow_of(glass: Glass) -> tuple[float, float] | None:
+    """Wall and floor in metres; None: solid."""
+    if not isinstance(glass, Revolution) or glass.wall is None or glass.floor is None:
+        return None
+    return glass.wall, glass.floor

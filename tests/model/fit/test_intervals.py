@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from model.fit.intervals import FLOOR_ERROR, WALL_ERROR, WELL, intervals
-from model.fit.search import WORTH_IT, Found
+from model.fit.materials import WORTH_IT, Found
 
 SURE = Found(value=10.0, even=10.0, odd=10.0, before=10.0)
 INDEX = Found(value=1.5, even=1.501, odd=1.499, before=1.5)
@@ -63,3 +63,8 @@ def test_the_index_of_a_vessel_is_as_uncertain_as_its_wall() -> None:
     alone, beside = intervals({"ior": INDEX}, 0.0)["ior"], intervals({"ior": INDEX, "wall": wall}, 0.0)["ior"]
     assert alone[1] - 1.5 < 0.03
     assert beside == pytest.approx((1.5 - 0.075, 1.5 + 0.075))
+
+
+def test_the_index_of_a_frosted_solid_is_uncertain() -> None:
+    frost = Found(value=0.15, even=0.15, odd=0.15, before=0.15)
+    assert intervals({"ior": INDEX, "roughness": frost}, 0.0)["ior"] == pytest.approx((1.4, 1.6))

@@ -1,60 +1,15 @@
 """Tests the searches on losses whose lowest place is known."""
 
 import dataclasses
-from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 from model.fit.intervals import intervals
-from model.fit.lathe import Axis, evenly
-from model.fit.search import (
-    INDEX_HELD,
-    alternatives,
-    count_searches,
-    find_absorption,
-    find_index,
-    find_material,
-    find_roughness,
-    guess,
-    penalty,
-    refine,
-    scan,
-    vertex,
-)
-from model.fit.shapes import OUTSIDE, Revolution
-
-PIXELS = 400
-IS_EVEN = np.arange(PIXELS) % 2 == 0
-OUTSIDE_OF = Revolution(
-    axis=Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0])),
-    outside=evenly(np.array([(0, 0), (0.05, 0), (0.05, 0.1)]), OUTSIDE),
-)
-TRUTH = dataclasses.replace(
-    OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), ior=1.53, taper=0.9, absorption=(6.0, 0.0, 20.0), foot=0.003
-)
-
-
-def misses_of(truth: Revolution) -> Callable[[Revolution], np.ndarray]:
-    """Pixels that differ as much as the numbers of a glass do, each in its own way, over noise."""
-    rng = np.random.default_rng(0)
-    weights = rng.normal(size=(6, PIXELS, 1)) * np.reshape([1, 1, 0.2, 0.1, 4, 0.5], (6, 1, 1))
-    noise = rng.normal(size=(PIXELS, 3)) * 0.01
-    lengths = np.abs(rng.normal(size=(PIXELS, 1))) * 0.01
-
-    def numbers(glass: Revolution) -> np.ndarray:
-        if glass.wall is None:
-            return np.array([2.0, 2.0, 0, 0, glass.ior, 0])
-        names = ("wall", "floor", "corner", "foot")
-        logs = [np.log(getattr(glass, name)) for name in names]
-        return np.array([*logs, glass.ior, np.log(glass.taper)])
-
-    def miss(glass: Revolution) -> np.ndarray:
-        shift = numbers(glass) - numbers(truth)
-        tint = np.exp(-np.array(glass.absorption) * lengths) - np.exp(-np.array(truth.absorption) * lengths)
-        return penalty(0.1 * np.einsum("n,npc->pc", shift, weights) + tint + noise)
-
-    return miss
+from model.fit.materials import find_absorption
+from model.fit.search import INDEX_HELD, alternatives, count_searches, guess, refine, scan
+from model.fit.shapes import Revolution
 
 
 def test_the_grid_tells_a_vessel_from_a_solid_and_the_cells_next_to_the_truth() -> None:
@@ -99,13 +54,6 @@ def test_a_solid_whose_ends_are_sunk_is_not_taken_for_frosted_glass_of_a_low_ind
         *_, (found, _, _) = refine(found, misses, IS_EVEN, number=number)
     assert found.dish == pytest.approx(0.2, abs=0.01)
     assert all(cell.glass.dish is None for cell in cells if cell.glass.wall is not None)
-
-
-def test_the_first_guess_of_an_index_may_be_far_away() -> None:
-    sapphire = dataclasses.replace(OUTSIDE_OF, ior=1.78)
-    assert find_index(OUTSIDE_OF, misses_of(sapphire)).ior in (1.75, 1.8)
-    vessel = OUTSIDE_OF.hollowed(0.07, 0.13, 0.45)
-    assert find_index(vessel, misses_of(dataclasses.replace(vessel, ior=1.78))) == vessel
 
 
 def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
@@ -170,21 +118,6 @@ def test_each_wall_gets_a_tint_of_its_own_before_one_is_chosen() -> None:
     assert found.absorption == pytest.approx(tint, rel=0.05)
 
 
-def test_a_solid_is_tinted_after_its_index_was_found() -> None:
-    truth = dataclasses.replace(OUTSIDE_OF, ior=1.8, absorption=(8.0, 0.0, 20.0))
-    found = find_material(OUTSIDE_OF, misses_of(truth), IS_EVEN)
-    assert found.ior == 1.8 and found.roughness is None
-    assert found.absorption == pytest.approx(truth.absorption, rel=0.25, abs=0.3)
-
-
-@pytest.mark.parametrize(("gain", "found"), [(0.01, None), (0.03, 0.06)])
-def test_glass_is_frosted_only_if_that_explains_enough(gain: float, found: float | None) -> None:
-    def misses(glass: Revolution) -> np.ndarray:
-        return np.full((PIXELS, 3), 1.0 - gain * (glass.roughness == 0.06))
-
-    assert find_roughness(OUTSIDE_OF, misses).roughness == found
-
-
 @pytest.mark.parametrize(("gain", "is_kept"), [(0.01, False), (0.03, True)])
 def test_tint_and_frost_are_given_up_once_they_explain_too_little(gain: float, is_kept: bool) -> None:
     shaded = dataclasses.replace(OUTSIDE_OF, absorption=(4.0, 8.0, 2.0), roughness=0.06)
@@ -234,34 +167,3 @@ def test_a_floor_stays_below_what_stands_on_it() -> None:
             assert found.floor <= most
             glass = found
     assert glass.floor > 0.85 * most
-
-
-def test_channels_are_searched_apart_and_clear_glass_stays_clear() -> None:
-    clear = dataclasses.replace(TRUTH, absorption=(0.0, 0.0, 0.0))
-    glass, _ = find_absorption(clear, "absorption", misses_of(clear), IS_EVEN)
-    assert glass.absorption == (0.0, 0.0, 0.0)
-    glass, found = find_absorption(clear, "absorption", misses_of(TRUTH), IS_EVEN)
-    assert glass.absorption[1] == 0.0
-    assert found[0].value == pytest.approx(6, rel=0.3)
-    assert found[2].value == pytest.approx(20, rel=0.3)
-
-
-def test_glass_that_lets_no_light_through_does_not_darken_from_round_to_round() -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.normal(size=(PIXELS, 3)) * 0.02
-    lengths = rng.uniform(0.02, 0.2, (PIXELS, 1))
-
-    def miss(glass: Revolution) -> np.ndarray:
-        return penalty(np.exp(-np.array(glass.absorption) * lengths) + noise)
-
-    glass = TRUTH
-    for _ in range(10):
-        glass, _ = find_absorption(glass, "absorption", miss, IS_EVEN)
-    assert max(glass.absorption) * lengths.min() < 10
-
-
-def test_a_parabola_stays_in_its_bracket_and_falls_back_to_the_least() -> None:
-    places = np.linspace(1.4, 1.6, 7)
-    assert vertex(places, (places - 1.47) ** 2) == pytest.approx(1.47)
-    assert vertex(places, (places - 3.0) ** 2) == pytest.approx(1.6)
-    assert vertex(places, -((places - 1.45) ** 2)) == pytest.approx(1.6)

@@ -1,0 +1,42 @@
+"""A vessel, and losses by its numbers as if it were drawn, for tests of searches."""
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from model.fit.lathe import Axis, evenly
+from model.fit.search import penalty
+from model.fit.shapes import OUTSIDE, Revolution
+
+PIXELS = 400
+IS_EVEN = np.arange(PIXELS) % 2 == 0
+OUTSIDE_OF = Revolution(
+    axis=Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0])),
+    outside=evenly(np.array([(0, 0), (0.05, 0), (0.05, 0.1)]), OUTSIDE),
+)
+TRUTH = dataclasses.replace(
+    OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), ior=1.53, taper=0.9, absorption=(6.0, 0.0, 20.0), foot=0.003
+)
+
+
+def misses_of(truth: Revolution) -> Callable[[Revolution], np.ndarray]:
+    """Pixels that differ as much as the numbers of a glass do, each in its own way, over noise."""
+    rng = np.random.default_rng(0)
+    weights = rng.normal(size=(6, PIXELS, 1)) * np.reshape([1, 1, 0.2, 0.1, 4, 0.5], (6, 1, 1))
+    noise = rng.normal(size=(PIXELS, 3)) * 0.01
+    lengths = np.abs(rng.normal(size=(PIXELS, 1))) * 0.01
+
+    def numbers(glass: Revolution) -> np.ndarray:
+        if glass.wall is None:
+            return np.array([2.0, 2.0, 0, 0, glass.ior, 0])
+        names = ("wall", "floor", "corner", "foot")
+        logs = [np.log(getattr(glass, name)) for name in names]
+        return np.array([*logs, glass.ior, np.log(glass.taper)])
+
+    def miss(glass: Revolution) -> np.ndarray:
+        shift = numbers(glass) - numbers(truth)
+        tint = np.exp(-np.array(glass.absorption) * lengths) - np.exp(-np.array(truth.absorption) * lengths)
+        return penalty(0.1 * np.einsum("n,npc->pc", shift, weights) + tint + noise)
+
+    return miss
