@@ -82,3 +82,19 @@ def test_a_gpu_that_renders_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(hardware, "_render_test_scene", lambda: "asked again")
     hardware.cuda_problem.cache_clear()
     assert hardware.cuda_problem() is None
+
+
+@pytest.mark.parametrize(
+    ("status", "out", "problem"),
+    [
+        (0, "13.0 True\n", None),
+        (0, "None False\n", "it is a build for CPUs"),
+        (0, "13.0 False\n", "its CUDA 13.0 finds no GPU that it can use"),
+        (1, "", "it cannot be imported"),
+    ],
+)
+def test_doctor_says_why_torch_does_not_compute_on_the_gpu(
+    monkeypatch: pytest.MonkeyPatch, status: int, out: str, problem: str | None
+) -> None:
+    monkeypatch.setattr(hardware, "_ask", lambda *_: (status, out, ""))
+    assert hardware.torch_cuda_problem() == problem
