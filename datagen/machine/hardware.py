@@ -100,9 +100,11 @@ def torch_cuda_problem() -> str | None:
         status, out, _ = _ask([sys.executable, "-P", "-c", code], PROBE_LIMIT_S)
     except subprocess.TimeoutExpired:
         return f"importing it took more than {PROBE_LIMIT_S} s"
-    version, _, is_available = out.partition(" ")
-    if status != 0 or is_available.strip() == "True":
-        return None if status == 0 else "it cannot be imported"
+    if status != 0:
+        return "it cannot be imported"
+    version, is_available = out.split()
+    if is_available == "True":
+        return None
     return "it is a build for CPUs" if version == "None" else f"its CUDA {version} finds no GPU that it can use"
 
 

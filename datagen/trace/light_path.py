@@ -27,7 +27,7 @@ from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
-from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, to_columns
+from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, shapes_by_id, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branch_outputs import EXIT, Kept
@@ -158,7 +158,8 @@ class LightPathTracer:
         self._meshes, self._materials = list(meshes), list(kept_materials)
         self._media = find_media(kept_materials, meshes)
         self._tints = kept_tints = tuple(None if tints is None else tints[index] for index in kept)
-        self._tables = make_tables(self._scene, meshes, kept_materials, self._media, kept_tints)
+        self._shapes = mi.UInt32(shapes_by_id(self._scene).astype(np.uint32))
+        self._tables = make_tables(self._shapes, meshes, kept_materials, self._media, kept_tints)
         self._iors = [mi.Float(np.ascontiguousarray(self._media.iors[:, channel])) for channel in range(3)]
         self._spread: dict[int, list[mi.Float]] = {}
         # Recording a kernel takes as long as tracing 8,192 rays, so it is done once per number of rays and limits.
@@ -189,7 +190,7 @@ class LightPathTracer:
         # What kernels were recorded for stays, `self._media` too; what they look up changes.
         meshes, materials = tuple(self._meshes), tuple(self._materials)
         media = find_media(materials, meshes, is_nested=self._media.is_nested)
-        self._tables = make_tables(self._scene, meshes, materials, media, self._tints)
+        self._tables = make_tables(self._shapes, meshes, materials, media, self._tints)
         self._iors = [mi.Float(np.ascontiguousarray(media.iors[:, channel])) for channel in range(3)]
 
     def trace(

@@ -83,7 +83,7 @@ class Peeler:
         directions: Float32[np.ndarray, "ray 3"],
         num_layers: int,
     ) -> Hits:
-        """The first `num_layers` hits of rays (of none, too) from one origin, or one each, along unit directions."""
+        """The first `num_layers` hits of any number of rays from one origin, or one each, along unit directions."""
         count = len(directions)
         if count == 0:  # Dr.Jit would end the process.
             return _no_hits(num_layers)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from datagen.data.meshes import Mesh, is_there
-from datagen.render.mitsuba_scene import linear_texels, shapes_by_id
+from datagen.render.mitsuba_scene import linear_texels
 from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.scene.description import Scene
 from datagen.scene.materials import Material
@@ -88,9 +88,17 @@ class SurfaceTables(NamedTuple):
 
 
 def make_tables(
-    scene: "mi.Scene", meshes: tuple[Mesh, ...], materials: tuple[Material | None, ...], media: Media, tints: Tints
+    shapes: "mi.UInt32",
+    meshes: tuple[Mesh, ...],
+    materials: tuple[Material | None, ...],
+    media: Media,
+    tints: Tints,
 ) -> SurfaceTables:
-    """The tables of a scene's objects, of which `scene` has the meshes; a surface without material is a pane of air."""
+    """The tables of a scene's objects; a surface without material is a pane of air.
+
+    Args:
+        shapes: `SurfaceTables.shape`.
+    """
     import mitsuba as mi
 
     def array(values: list[float]) -> "mi.Float":
@@ -103,7 +111,7 @@ def make_tables(
     surfaces = [NO_SURFACE if material is None else material.surface() for material in materials]
     first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
     return SurfaceTables(
-        shape=mi.UInt32(shapes_by_id(scene).astype(np.uint32)),
+        shape=shapes,
         kind=mi.UInt32(np.array([EVENTS[surface.event] for surface in surfaces], np.uint32)),
         coat_ior=array([surface.ior for surface in surfaces]),
         roughness=array([surface.roughness for surface in surfaces]),

@@ -89,11 +89,9 @@ def find_roughness(glass: Glass, misses: Misses) -> Glass:
         return found
     pairs = itertools.product(INDICES, ROUGHNESSES)
     tried = [dataclasses.replace(glass, ior=ior, roughness=roughness) for ior, roughness in pairs]
-    losses = np.array([float(misses(each).mean()) for each in tried])
-    as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * losses.min()]
-    nearest = min(abs(each.ior - USUAL_INDEX) for each, _ in as_good)
-    usual = [(each, loss) for each, loss in as_good if abs(each.ior - USUAL_INDEX) == nearest]
-    return min(usual, key=lambda each: each[1])[0]
+    losses = [float(misses(each).mean()) for each in tried]
+    as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * min(losses)]
+    return min(as_good, key=lambda each: (abs(each[0].ior - USUAL_INDEX), each[1]))[0]
 
 
 def smoothed(frosted: Glass, misses: Misses) -> Glass:

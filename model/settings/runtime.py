@@ -39,10 +39,10 @@ def wait_briefly() -> None:
 
 
 def sum_in_order_on_gpus() -> None:
-    """Makes torch choose, where it has them, CUDA algorithms that repeat bit by bit; call it before CUDA is used.
+    """Makes torch use CUDA algorithms that repeat bit by bit, where it has them; call it before CUDA is used.
 
-    By default gradients of texels are summed in the order in which a GPU's threads come by. What has no algorithm that
-    repeats (the reflected borders of DeepVoxels) goes on without a warning.
+    By default gradients of texels are summed in whatever order a GPU's threads finish. Where no algorithm
+    repeats (for the reflected borders of DeepVoxels), the usual one is used without a warning.
     """
     import torch
 

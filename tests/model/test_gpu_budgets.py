@@ -39,7 +39,7 @@ STEPS = {
     "dnr": Budget(252, 1, 33),
     "dnr-authors": Budget(169, 1, 33),
     "authors-code": Budget(201, 1, 2.3),
-    "light-path": Budget(1178, 4, 170),
+    "light-path": Budget(1178, 4, 168.5),
     "deepvoxels": Budget(5751, 44, 2.4),
 }
 """A training step on 256 pixels; `light-path` makes four updates in it."""
@@ -51,7 +51,7 @@ VIEWS = {
     "dnr": Budget(142, 2, 13),
     "dnr-authors": Budget(120, 2, 13),
     "authors-code": Budget(132, 3, 275),
-    "light-path": Budget(261, 5, 13900),
+    "light-path": Budget(261, 5, 13825),
     "deepvoxels": Budget(272, 7, 13),
 }
 """A view of 64 x 64 pixels."""

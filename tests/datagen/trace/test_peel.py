@@ -16,7 +16,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.rig import make_cameras
 
-use_mitsuba(quiet=True)
+VARIANT = use_mitsuba(quiet=True)
 
 
 from datagen.trace.peel import Peeler  # noqa: E402
@@ -120,7 +120,9 @@ def test_every_ray_enters_and_leaves_closed_meshes_and_convex_ones_once() -> Non
     counts = np.stack([(hits.shape == index).sum(axis=0) for index in range(len(meshes))])
     assert (counts % 2 == 0).mean() > 0.9999  # All but rays along an edge.
     convex = [index for index in range(len(meshes)) if index % 4 != 2]
-    assert (np.isin(counts[convex], (0, 2))).mean() > 0.9999
+    once = ~np.isin(counts[convex], (0, 2))
+    # OptiX rounds hits along an edge in another way than Embree.
+    assert once.mean() < 1e-4 if VARIANT == "cuda_ad_rgb" else not once.any()
 
 
 def test_layers_come_in_order_and_are_empty_only_at_the_end() -> None:
