@@ -5,7 +5,7 @@
 
 Both methods are nerfstudio's. It needs older libraries than hyaline, so it is installed into an environment of its own
 (8 GB). It gets training pictures and cameras, as `datagen export --format nerfstudio` writes them, and draws the test
-views into runs/SCENE/METHOD/predictions, where `report` finds them.
+views, those by angle included, into runs/SCENE/METHOD, where `report` and `hyaline-bench` find them.
 
 We have trained nerfacto only. splatfacto needs CUDA, which we do not have: its command was never run.
 """
@@ -78,6 +78,7 @@ def main() -> None:
     pictures = Path("exports") / f"{scene}-nerfstudio"
     words = ("export", dataset, "--format", "nerfstudio", "--out", pictures)
     subprocess.run([sys.executable, "-m", "datagen", *words], check=True, stdout=sys.stderr)
+    add_angles(dataset, pictures)
     work = Path("exports") / f"{scene}-{choices.method}"
     seconds = train(python, pictures, work, choices)
     draw(python, work, choices.method)
@@ -113,6 +114,22 @@ def install(environment: Path) -> Path:
         venv.create(environment, with_pip=True)
         subprocess.run([python, "-m", "pip", "install", NERFSTUDIO, *CONSTRAINTS], check=True)
     return python
+
+
+def add_angles(dataset: Path, pictures: Path) -> None:
+    """Adds the views by angle of `datagen add DATASET --angles` to the exported test views, if the dataset has them."""
+    path = pictures / "transforms.json"
+    transforms = json.loads(path.read_text())
+    for cameras in sorted((dataset / "variants" / "angles").glob("transforms_*.json")):
+        split = cameras.stem.removeprefix("transforms_")
+        for number, frame in enumerate(json.loads(cameras.read_text())["frames"]):
+            name = f"images/{split}_{number:04d}.png"
+            shutil.copyfile(cameras.parent / "images" / split / f"{number:04d}.png", pictures / name)
+            transforms["frames"].append({"file_path": name, "transform_matrix": frame["transform_matrix"]})
+            transforms["test_filenames"].append(name)
+    for frame in transforms["frames"]:
+        frame.pop("depth_file_path", None)  # nerfstudio expects it of all frames or of none.
+    path.write_text(json.dumps(transforms))
 
 
 def train(python: Path, pictures: Path, work: Path, choices: argparse.Namespace) -> float:
@@ -160,7 +177,8 @@ def keep(work: Path, folder: Path, choices: argparse.Namespace, seconds: float) 
     """Copies the pictures to where `report` expects them, with what its tables print beside the scores."""
     for picture in sorted((work / "test" / "rgb").glob("*.png")):
         split, number = picture.stem.split("_")
-        place = folder / "predictions" / split / f"{number}.png"
+        home = folder / "variants" / "angles" if split.endswith("deg") else folder
+        place = home / "predictions" / split / f"{number}.png"
         place.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(picture, place)
     run = {

@@ -64,10 +64,15 @@ class HullShape(Glass):
     """Solid glass of any shape."""
 
     surface: Mesh
+    """Without texels before it is unwrapped."""
 
     @property
     def kind(self) -> str:
         return "hull"
+
+    def unwrapped(self) -> "HullShape":
+        """With texels of its own everywhere."""
+        return HullShape(surface=unwrap(self.surface, where="a visual hull"))
 
     def mesh(self) -> Mesh:
         return self.surface
@@ -84,7 +89,7 @@ class Carved:
     support: float | None
 
     def smoothed(self, scales: Sequence[float] = SMOOTH) -> HullShape:
-        """The same without steps.
+        """The same without steps, not unwrapped yet: that takes longer, and most hulls are only tried.
 
         Args:
             scales: of bumps that may be smoothed away, in pixels, of which masks choose one.
@@ -94,8 +99,7 @@ class Carved:
             moved = _smoothed(self.positions, self.faces, some, scale, up=self.up, support=self.support)
             return _mesh(moved, self.faces)
 
-        mesh = smoothed(self.rays, _scale_of_bumps(self.rays, smoothed, scales))
-        return HullShape(surface=unwrap(mesh, where="a visual hull"))
+        return HullShape(surface=smoothed(self.rays, _scale_of_bumps(self.rays, smoothed, scales)))
 
 
 def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], support: float | None = None) -> Carved:

@@ -125,7 +125,7 @@ def choose_outside(
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     best = min(found, key=lambda each: each.cost)
     if isinstance(best.glass, HullShape):
-        return _judged(rays, HULL, carved().smoothed())
+        return _judged(rays, HULL, carved().smoothed().unwrapped())
     return _with_opening(evidence, best, best.glass) if isinstance(best.glass, Box) else best
 
 
@@ -261,7 +261,7 @@ def _vessel_with_handles(evidence: _Evidence, hull: Hull, shape: HullShape) -> R
     bare = find_outside(
         between_rays(hull_about(beside, hull.axis, hull.heights, order=0), beside), evidence.along(hull.axis)
     )
-    return None if bare is None or bare.is_closed else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape)
+    return None if bare is None or bare.is_closed else with_handles(bare.hollowed(0.08, 0.1, 0.3), shape.unwrapped())
 
 
 def _support(hull: Hull, stands_on: StandsOn) -> float | None:

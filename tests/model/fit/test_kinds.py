@@ -36,7 +36,7 @@ LYING = moved(turned(turned(cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35)
             block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "oblong", marks=pytest.mark.full
         ),
         pytest.param(block((0.0, 0.0, 0.004), (0.04, 0.03, 0.003), np.eye(3)), "box", marks=pytest.mark.full),
-        (traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided"),
+        pytest.param(traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided", marks=pytest.mark.full),
         pytest.param(traced(LYING), "revolution", marks=pytest.mark.full),
     ],
     ids=["ball", "box", "slab", "square", "lying cylinder"],

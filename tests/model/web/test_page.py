@@ -171,6 +171,7 @@ def test_glass_that_parts_colours_is_drawn_as_by_python(
     assert psnr(drawn, flat) < 42  # Colours that went one way would not be found out above 45.
 
 
+@pytest.mark.full
 def test_the_stack_network_of_a_page_that_follows_one_branch_is_told_of_two_as_in_python(
     browser: "Browser", dataset: Dataset, tmp_path: Path
 ) -> None:
@@ -185,11 +186,11 @@ def test_a_small_page_is_close_to_python(
     data = scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL)
     assert data == scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL)
     (tmp_path / "small.html").write_bytes(data)
-    with watched_page(browser, width=120, height=90) as page:
+    with watched_page(browser, width=60, height=45) as page:
         open_file(page, tmp_path / "small.html")
         assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 42
         page.evaluate("async () => (await hyaline).frames.still(2)")
-        assert re.match(r"120 .+, 2 rays a pixel", page.page.inner_text("#status"))
+        assert re.match(r"60 .+, 2 rays a pixel", page.page.inner_text("#status"))
         assert page.page.get_attribute("#status", "aria-live") == "off"  # Else each frame would be read aloud.
         page.evaluate("async () => (await hyaline).show('A message.')")
         assert page.page.get_attribute("#status", "aria-live") == "polite"
@@ -498,6 +499,7 @@ def test_straight_layers_shells_and_relief_are_drawn_as_by_python(
 # Firefox
 
 
+@pytest.mark.full
 def test_firefox_draws_what_python_draws(renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path) -> None:
     require(find_firefox)
     file = tmp_path / "page.html"

@@ -106,7 +106,7 @@ def drawn_by_python(renderer: PaperRenderer, config: PaperConfig, dataset: Datas
     ("change", "quality", "samples", "least"),
     [
         pytest.param({}, "exact", 1, 45, marks=pytest.mark.full),
-        ({"norm": "none", "texture_levels": 3, "finer_counts": 0.5}, "small", 16, 42),
+        ({"norm": "none", "texture_levels": 3, "finer_counts": 0.5}, "small", 4, 42),
         ({"extrinsics": "sh", "zero_layer": True, "textures": "scene", "texture_size": 40}, "exact", 1, 45),
         pytest.param({"extrinsics": "none", "width": 20, "blocks": 1}, "small", 1, 42, marks=pytest.mark.full),
     ],
