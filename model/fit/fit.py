@@ -84,15 +84,15 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     check_has_meshes(dataset)
     scene = load_scene(dataset.root / "scene", is_sealed=True)
     unknown = _find_unknown(dataset, scene, choices.unknown)
+    meshes = read_meshes(dataset, TRUTH)
+    is_exact = choices.mask_errors == 0
+    sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
+    shown = _shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
+    if shown != unknown:
+        sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
+    known = known_meshes(meshes, sightings.unknown)
     root = geometry_root(dataset.root, geometry)
     with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
-        meshes = read_meshes(dataset, TRUTH)
-        is_exact = choices.mask_errors == 0
-        sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
-        shown = _shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
-        if shown != unknown:
-            sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
-        known = known_meshes(meshes, sightings.unknown)
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)
         work = _Work(

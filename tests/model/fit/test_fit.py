@@ -14,6 +14,7 @@ from support.traced_dataset import BALL, write_traced_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
+from datagen.data.paths import geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
@@ -99,6 +100,7 @@ def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset
     assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
     alone = call(f"model fit {dataset.root} {skipped}-b --unknown slab --masks {masks} --out {tmp_path / 'alone'}")
     assert alone.status == 1 and "nothing to fit: pictures do not show the outside of slab" in alone.error
+    assert not (tmp_path / "alone").exists() and not geometry_root(dataset.root, "fitted-all-b").exists()
 
 
 def test_glass_seen_through_other_glass_alone_is_taken_as_known(tmp_path: Path) -> None:
