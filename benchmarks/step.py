@@ -38,8 +38,8 @@ from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels
 from model.methods.paper.renderer import PaperRenderer
+from model.run.optimizer import make_optimizer
 from model.run.predict import predict_colors, predict_pixels
-from model.run.preparation import make_optimizer
 from model.settings.runtime import keep_freed_memory, start_numba_threads, use_few_threads
 
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
@@ -172,7 +172,9 @@ def light_path_step(seed: int = 0) -> Callable[[], None]:
     renderer = LightPathRenderer(config)
     size = optimisation.batch // optimisation.updates
     groups = renderer.groups(optimisation)
-    optimizer = make_optimizer(groups, beta1=optimisation.beta1, renderer=renderer, pixels=size)
+    optimizer = make_optimizer(
+        groups, beta1=optimisation.beta1, kind=optimisation.optimizer, renderer=renderer, pixels=size
+    )
     steps = itertools.count()
 
     def step() -> None:

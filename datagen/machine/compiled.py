@@ -16,9 +16,11 @@ def compiled(
 
     def decorate(function: Function) -> Function:
         try:
-            made = numba.njit(function, cache=True, parallel=parallel, nogil=nogil, boundscheck=boundscheck)
+            made = numba.njit(
+                function, cache=True, parallel=parallel, nogil=nogil, boundscheck=boundscheck, error_model="numpy"
+            )
         except RuntimeError:
-            made = numba.njit(function, parallel=parallel, nogil=nogil, boundscheck=boundscheck)
+            made = numba.njit(function, parallel=parallel, nogil=nogil, boundscheck=boundscheck, error_model="numpy")
         return cast(Function, made)
 
     return decorate

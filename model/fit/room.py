@@ -28,7 +28,7 @@ from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.method import sky_height
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
-from model.run.preparation import make_optimizer
+from model.run.optimizer import make_optimizer
 from model.settings.optimisation import decay
 from model.settings.state import State
 

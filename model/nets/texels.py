@@ -71,13 +71,13 @@ def _list_hits(block, uv, object_id, places):
 
 
 @intrinsic
-def _fetch(typing_context: Any, table: Any, row: Any) -> Any:  # noqa: ARG001
+def fetch(typing_context: Any, table: Any, row: Any) -> Any:  # noqa: ARG001
     """Asks the processor for the beginning of a row of a table, and does not wait: LLVM's `prefetch`."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         array = context.make_array(signature.args[0])(context, builder, arguments[0])
         index = context.cast(builder, arguments[1], signature.args[1], types.intp)
-        place = [index, context.get_constant(types.intp, 0)]
+        place = [index, *(context.get_constant(types.intp, 0) for _ in range(signature.args[0].ndim - 1))]
         start = cgutils.get_item_pointer(context, builder, signature.args[0], array, place, wraparound=False)
         address, number = ir.IntType(8).as_pointer(), ir.IntType(32)
         prefetch = cgutils.get_or_insert_function(
@@ -95,7 +95,7 @@ def _fetch_ahead(table, rows, hit, count):
     """Begins to fetch the four texels of the hit that is `AHEAD` further on in a block's list."""
     if hit + AHEAD < count:
         for tap in range(4):
-            _fetch(table, rows[hit + AHEAD, tap])
+            fetch(table, rows[hit + AHEAD, tap])
 
 
 @compiled(parallel=True, boundscheck=False)
@@ -129,7 +129,6 @@ def add_look_ups(
                 result[slot, c] += w0 * table[r0, c] + w1 * table[r1, c] + w2 * table[r2, c] + w3 * table[r3, c]
 
 
-@compiled(parallel=True, boundscheck=False)
 def add_gradient(
     gradient: Float32[np.ndarray, "texel c"],
     upstream: Float32[np.ndarray, "slot c"],
@@ -142,9 +141,47 @@ def add_gradient(
     """Adds the gradient of `add_look_ups` with respect to its table.
 
     Args:
-        parts: threads that share the work. Each reads all slots and adds to its own stripes of texels, so that every
-            texel's sum is taken in slot order: the same bits for any number of threads, without locks.
+        parts: threads that share the work; each texel's sum is taken in slot order, so it has the same bits for any
+            number of them.
     """
+    if parts == 1:
+        _add_gradient(gradient, upstream, uv, object_id, places, scale)
+    else:
+        _add_stripes(gradient, upstream, uv, object_id, places, scale, parts)
+
+
+@compiled(boundscheck=False)
+def _add_gradient(
+    gradient: Float32[np.ndarray, "texel c"],
+    upstream: Float32[np.ndarray, "slot c"],
+    uv: Float32[np.ndarray, "slot 2"],
+    object_id: UInt8[np.ndarray, " slot"],
+    places: Int32[np.ndarray, "3 object"],
+    scale: np.float32,
+) -> None:
+    num_slots, channels = upstream.shape
+    for block in range((num_slots + BLOCK - 1) // BLOCK):
+        slots, rows, weights, count = _list_hits(block, uv, object_id, places)
+        for hit in range(count):
+            _fetch_ahead(gradient, rows, hit, count)
+            slot = slots[hit]
+            for tap in range(4):
+                row, share = rows[hit, tap], weights[hit, tap] * scale
+                for c in range(channels):
+                    gradient[row, c] += share * upstream[slot, c]
+
+
+@compiled(parallel=True, boundscheck=False)
+def _add_stripes(
+    gradient: Float32[np.ndarray, "texel c"],
+    upstream: Float32[np.ndarray, "slot c"],
+    uv: Float32[np.ndarray, "slot 2"],
+    object_id: UInt8[np.ndarray, " slot"],
+    places: Int32[np.ndarray, "3 object"],
+    scale: np.float32,
+    parts: int,
+) -> None:
+    """Each part reads all slots and adds to its own stripes of texels, so no locks are needed."""
     num_slots, channels = upstream.shape
     for part in numba.prange(parts):
         # The texels of its stripes in a block of slots.
@@ -160,7 +197,7 @@ def add_gradient(
                         own += 1
             for place in range(own):
                 if place + 4 * AHEAD < own:
-                    _fetch(gradient, texels[place + 4 * AHEAD, 0])
+                    fetch(gradient, texels[place + 4 * AHEAD, 0])
                 row, slot, share = texels[place, 0], texels[place, 1], shares[place]
                 for c in range(channels):
                     gradient[row, c] += share * upstream[slot, c]

@@ -175,6 +175,10 @@ class _CompiledSample(torch.autograd.Function):
             if uv_gradient is not None:
                 texels = table.detach().contiguous().numpy()
                 add_uv_gradient(uv_gradient.numpy(), above, texels, *slots, places, scale)
+        total = upstream[0].sum().item() if any(lazy) else 0.0
+        for owner in lazy:
+            if owner is not None:
+                owner.added += total
         kept = [gradient if owner is None else None for gradient, owner in zip(gradients, lazy, strict=True)]
         return uv_gradient, None, None, None, None, *kept
 

@@ -3,10 +3,7 @@ warning about textures."""
 
 import contextlib
 import dataclasses
-import inspect
 import math
-from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
@@ -28,7 +25,6 @@ from model.batches.pixel_cache import choose_memory
 from model.batches.rays import PixelSource
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.lazy_adam import LazyAdam, check_states
 from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
 from model.settings.optimisation import PixelOptimisation
@@ -140,82 +136,6 @@ def _completed_beside(net: MethodConfig, usual: MethodConfig, inputs: Inputs) ->
             if dataclasses.replace(usual, **others).complete(inputs) == net:
                 unusual = others
     return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
-
-
-class Adam(torch.optim.Adam):
-    """torch's Adam, bit for bit, without `import torch._dynamo`, which takes 3 s of CPU time.
-
-    torch wraps its optimizers' methods so that `torch.compile` leaves them alone, and each wrapper imports the compiler
-    for that. `step` here is the method inside the wrapper; the others get the attribute that torch 2.13 caches it in.
-    A torch that caches it elsewhere imports its compiler as before.
-
-    Large textures have a `LazyAdam` each, which moves the texels that an update reads.
-    """
-
-    lazy: Sequence[LazyAdam] = ()
-    """Optimizers of the large tables in the group of textures."""
-    lazy_group = 0
-    """Index of that parameter group."""
-
-    @torch.no_grad()
-    def step(self, closure: None = None) -> None:
-        """Moves every parameter by its gradient."""
-        inspect.unwrap(torch.optim.Adam.step)(self, closure)
-        for owner in self.lazy:
-            owner.step(self.param_groups[self.lazy_group]["lr"])
-
-    def state_dict(self) -> dict[str, Any]:
-        return {**super().state_dict(), "lazy": [owner.state() for owner in self.lazy]}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        others = dict(state_dict)
-        states = check_states(others.pop("lazy", []), len(self.lazy))
-        super().load_state_dict(others)
-        for owner, state in zip(self.lazy, states, strict=True):
-            owner.load_state(state)
-
-    def catch_up(self) -> None:
-        """Moves the texels that no recent update has read to where they are now."""
-        for owner in self.lazy:
-            owner.catch_up()
-
-
-for _name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
-    _method = inspect.unwrap(getattr(torch.optim.Optimizer, _name))
-    _method.__dict__.setdefault("__dynamo_disable", _method)
-
-
-TEXELS_A_PIXEL = 128
-"""Texels for each pixel of an update from which on a texture is moved lazily. A pixel of `light-path` reads some 100,
-many of them again; one of `paper` 20 to 50, of `paper-best` with its four rays 80 to 200. The finest level of the
-demo's `paper-best` has 72 for each pixel: moved lazily, it makes a step 1.15 times as long."""
-
-
-def make_optimizer(
-    groups: list[ParameterGroup], *, beta1: float, renderer: nn.Module | None = None, pixels: int = 0
-) -> Adam:
-    """Dense Adam, as in the paper: texels keep moving by their momentum after the step that touched them.
-
-    Args:
-        renderer: its large textures are moved lazily, on a CPU; None: no texture is.
-        pixels: of an update.
-    """
-    optimizer = Adam(
-        [{"params": group.parameters, "lr": group.lr, "weight_decay": group.weight_decay} for group in groups],
-        betas=(beta1, 0.999),
-        fused=True,
-    )
-    for part in () if renderer is None else renderer.modules():
-        if not isinstance(part, NeuralTextures) or part.table.device.type != "cpu":
-            continue
-        if part.layout.num_texels <= TEXELS_A_PIXEL * pixels:
-            continue
-        part.lazy = LazyAdam(part.table, beta1=beta1)
-        optimizer.lazy = [*optimizer.lazy, part.lazy]
-        (optimizer.lazy_group,) = (
-            index for index, group in enumerate(groups) if any(value is part.table for value in group.parameters)
-        )
-    return optimizer
 
 
 TEXELS = 2.0

@@ -31,14 +31,13 @@ from model.nets.texture import NeuralTextures
 from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import LogChoices, Logs
+from model.run.optimizer import Optimizer, make_optimizer
 from model.run.preparation import (
-    Adam,
     build_renderer,
     check_inpainting,
     count_parameters,
     describe_run,
     load_training,
-    make_optimizer,
     prepare_processor,
     told_fine_patterns,
 )
@@ -104,7 +103,7 @@ def train(
     # Processes average whole tables of gradients, so several move no texture lazily.
     lazy_in = renderer if processes.count == 1 else None
     size = config.batch // config.updates
-    optimizer = make_optimizer(groups, beta1=config.beta1, renderer=lazy_in, pixels=size)
+    optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=lazy_in, pixels=size)
     run = Run(
         config=config,
         inputs=inputs,
@@ -139,7 +138,7 @@ class Run:
     processes: Processes
     renderer: Renderer
     groups: list[ParameterGroup]
-    optimizer: Adam
+    optimizer: Optimizer
     losses: Losses
     training: PixelSource
     draws: DrawSchedule
@@ -372,20 +371,20 @@ def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> f
     A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. The same holds for a norm, which
     takes 4 ms, but a GPU computes those of all gradients in one launch. It is waited for once.
     """
-    gradients = {name: value.grad for name, value in renderer.named_parameters() if value.grad is not None}
-    if loss.is_cuda:
-        sums = torch._foreach_norm(list(gradients.values()), 1)  # pyright: ignore[reportPrivateImportUsage]
-    else:
-        sums = [gradient.sum() for gradient in gradients.values()]
+    learned = [value for value in renderer.parameters() if value.grad is not None]
+    gradients = [cast(Tensor, value.grad) for value in learned]
+    norms = torch._foreach_norm  # pyright: ignore[reportPrivateImportUsage]
+    sums = norms(gradients, 1) if loss.is_cuda else [gradient.sum() for gradient in gradients]
     value, *totals = torch.stack([loss, *sums]).tolist()
-    bad = [name for name, total in zip(gradients, totals, strict=True) if not math.isfinite(total)]
+    bad = [each for each, total in zip(learned, totals, strict=True) if not math.isfinite(total)]
     bad += [
-        f"{name}.table"
-        for name, part in renderer.named_modules()
+        part.table
+        for part in renderer.modules()
         if isinstance(part, NeuralTextures) and part.lazy is not None and not part.lazy.is_finite()
     ]
     if not math.isfinite(value) or bad:
-        what = f"the loss is {value}" if not math.isfinite(value) else f"the gradient of {bad[0]} is not finite"
+        names = [name for name, each in renderer.named_parameters() if any(each is other for other in bad)]
+        what = f"the loss is {value}" if not math.isfinite(value) else f"the gradient of {names[0]} is not finite"
         raise NumericsError(
             f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
             f"start over with --overwrite and a lower --lr"

@@ -9,12 +9,13 @@ from model.settings.flags import AMOUNT, COUNT, check_limits, choice, unflagged
 from model.settings.losses import LossConfig
 
 LrDecay = Literal["none", "linear", "cosine"]
+OptimizerKind = Literal["adam", "muon"]
 DrawKind = Literal["uniform", "error"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Optimisation:
-    """Adam, its batches and its learning rates, for methods whose loss is their own."""
+    """The optimizer, its batches and its learning rates, for methods whose loss is their own."""
 
     batch: int = choice(8192, "batch{}", limits=COUNT)
     """Random pixels per step, drawn from all training images; for U-Nets about as many in crops, for deepvoxels images.
@@ -24,8 +25,10 @@ class Optimisation:
     """Weight updates per step, each from an equal part of its batch. For the same number of rays, more updates fit
     better: light-path gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with
     four."""
+    optimizer: OptimizerKind = choice("adam", "{}")
+    """What moves the weights: adam (section 4.4), or muon for the matrices of the network and Adam for all else."""
     lr: float = choice(0.001, "lr{}")
-    """Learning rate of Adam (section 4.4)."""
+    """Learning rate (section 4.4)."""
     texture_lr: float | None = choice(None, "texture-lr{}")
     """Learning rate of the textures; None: that of the network, as in the paper."""
     lr_decay: LrDecay = choice("linear", {"none": "no-decay", "": "{}-decay"})
@@ -34,7 +37,8 @@ class Optimisation:
     beta1: float = unflagged(0.9)
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = unflagged(0.0, limits=AMOUNT)
-    """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code."""
+    """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code. Not with
+    Muon."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
     """Optimiser steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR
     flattens out by 2500."""
@@ -48,6 +52,8 @@ class Optimisation:
             )
         for name in ("lr", "texture_lr"):
             check_rate(name, getattr(self, name))
+        if self.optimizer == "muon" and self.weight_decay:
+            raise HyalineError("optimizer: is muon, which has no weight decay here; use adam")
         if not 0 <= self.beta1 < 1:
             raise HyalineError(f"beta1: is {self.beta1}; expected at least 0 and below 1")
 

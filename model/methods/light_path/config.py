@@ -144,7 +144,9 @@ class LightPathConfig(MethodConfig):
     def optimisation(self) -> PixelOptimisation:
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
         return PixelOptimisation(
+            steps=1750,
             batch=2048,
+            optimizer="muon",
             lr=0.002,
             texture_lr=0.04,
             lr_decay="cosine",

@@ -9,7 +9,7 @@ import torch
 from datagen.disk.errors import HyalineError
 from model.methods.renderer import ParameterGroup
 from model.nets.texture import NeuralTextures, object_layout
-from model.run.preparation import Adam, make_optimizer
+from model.run.optimizer import Optimizer, make_optimizer
 
 UPDATES = 600
 
@@ -27,7 +27,7 @@ def points(update: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(uv), torch.from_numpy(rng.integers(0, 3, (6, 1)).astype(np.uint8))
 
 
-def learner(*, is_lazy: bool, beta1: float) -> tuple[NeuralTextures, Adam]:
+def learner(*, is_lazy: bool, beta1: float) -> tuple[NeuralTextures, Optimizer]:
     textures = NeuralTextures(object_layout((24, 16)), 4)
     groups = [ParameterGroup(parameters=[textures.table], lr=0.04)]
     optimizer = make_optimizer(groups, beta1=beta1, renderer=textures if is_lazy else None, pixels=1)
@@ -35,7 +35,7 @@ def learner(*, is_lazy: bool, beta1: float) -> tuple[NeuralTextures, Adam]:
     return textures, optimizer
 
 
-def learn(textures: NeuralTextures, optimizer: Adam, updates: range) -> list[float]:
+def learn(textures: NeuralTextures, optimizer: Optimizer, updates: range) -> list[float]:
     losses = []
     for update in updates:
         uv, object_id = points(update)

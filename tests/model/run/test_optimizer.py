@@ -6,13 +6,13 @@ import sys
 import torch
 
 from model.methods.renderer import ParameterGroup
-from model.run.preparation import make_optimizer
+from model.run.optimizer import make_optimizer
 
 STEP_WITHOUT_COMPILER = """
 import sys
 import torch
 from model.methods.renderer import ParameterGroup
-from model.run.preparation import make_optimizer
+from model.run.optimizer import make_optimizer
 
 weight = torch.ones(3, requires_grad=True)
 optimizer = make_optimizer([ParameterGroup(parameters=[weight], lr=0.1)], beta1=0.9)
