@@ -73,8 +73,8 @@ for _name in ("add_param_group", "zero_grad", "state_dict", "load_state_dict"):
 
 TEXELS_A_PIXEL = 64
 """Texels for each pixel of an update from which on a texture is moved lazily. A pixel of `light-path` reads some 100,
-many of them again; one of `paper` 20 to 50, of `paper-best` with its four rays 80 to 200. The second level of the demo's
-`paper-best` has 72 for each pixel: moved lazily, it makes a step 0.87 times as long (two pairs in turns)."""
+many of them again; one of `paper` 20 to 50, of `paper-best` with its four rays 80 to 200. The second level of the
+demo's `paper-best` has 72 for each pixel: moved lazily, it makes a step 0.87 times as long (two pairs in turns)."""
 
 
 def make_optimizer(

@@ -143,10 +143,11 @@ class LightPathConfig(MethodConfig):
 
     def optimisation(self) -> PixelOptimisation:
         # A quarter of the pixels with four rays each: as many rays a step as `paper`.
+        by_muon = not self.straight_layers  # On proxies not tried.
         return PixelOptimisation(
-            steps=1750,
+            steps=1750 if by_muon else 2500,
             batch=2048,
-            optimizer="muon",
+            optimizer="muon" if by_muon else "adam",
             lr=0.002,
             texture_lr=0.04,
             lr_decay="cosine",
