@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
 
+from model.nets.lazy_adam import check_states
 from model.settings.state import State
 
 MOMENTUM = 0.95
@@ -59,8 +60,8 @@ class Muon:
         return cast(State, list(self._momentum))
 
     def load_state(self, state: State) -> None:
-        for momentum, found in zip(self._momentum, cast(list[Tensor], state), strict=True):
-            momentum.copy_(found)
+        for momentum, found in zip(self._momentum, check_states(state, len(self._momentum)), strict=True):
+            momentum.copy_(cast(Tensor, found))
 
 
 def orthogonalized(matrices: Sequence[Float32[Tensor, "_ _"]]) -> list[Float32[Tensor, "_ _"]]:

@@ -40,8 +40,8 @@ class Optimisation:
     """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code. Not with
     Muon."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
-    """Optimiser steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR
-    flattens out by 2500."""
+    """Optimiser steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR of
+    `paper` flattens out by 2500."""
 
     def __post_init__(self) -> None:
         check_limits(self)
