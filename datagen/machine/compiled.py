@@ -12,15 +12,17 @@ def compiled(
     *, parallel: bool = False, nogil: bool = False, boundscheck: bool | None = None
 ) -> Callable[[Function], Function]:
     """Numba's `njit` with its cache; without it if neither the folder of the code nor that of the user can be written,
-    which Numba answers with an error."""
+    which Numba answers with an error.
+
+    Division by zero gives what NumPy gives: a check of each divisor would keep loops from being vectorised.
+    """
 
     def decorate(function: Function) -> Function:
+        options = {"parallel": parallel, "nogil": nogil, "boundscheck": boundscheck, "error_model": "numpy"}
         try:
-            made = numba.njit(
-                function, cache=True, parallel=parallel, nogil=nogil, boundscheck=boundscheck, error_model="numpy"
-            )
+            made = numba.njit(function, cache=True, **options)
         except RuntimeError:
-            made = numba.njit(function, parallel=parallel, nogil=nogil, boundscheck=boundscheck, error_model="numpy")
+            made = numba.njit(function, **options)
         return cast(Function, made)
 
     return decorate

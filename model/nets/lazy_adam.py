@@ -47,7 +47,7 @@ class LazyAdam:
         self.gradient = torch.zeros_like(table, requires_grad=False)
         """Zero except for texels that the current update has read."""
         self.added = 0.0
-        """The sum of all values of which the current update's gradient is made."""
+        """Sum of the upstream gradients that the current update has added to it."""
         self._mean, self._square = torch.zeros_like(self.gradient), torch.zeros_like(self.gradient)
         self._current = torch.zeros(len(table), dtype=torch.int32)
         """Update up to which a texel has been moved, by texel."""
@@ -74,7 +74,7 @@ class LazyAdam:
         )
 
     def is_finite(self) -> bool:
-        """Whether the gradient is: its texels' values are weighted sums of what has been added."""
+        """Whether the gradient is; each texel's is a weighted sum of upstream gradients."""
         return math.isfinite(self.added)
 
     def step(self, rate: float) -> None:
