@@ -17,6 +17,8 @@ os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 # Compiled modules are kept whatever the shell says: every process of the tests would compile hundreds of them anew.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+# Nothing waits for the disk, which takes 5 ms a file: only a power cut could tell the difference, and none is tried.
+os.fsync = lambda _: None
 
 from support.checked import check_annotations  # noqa: E402
 from support.longest import LONGEST  # noqa: E402

@@ -34,7 +34,6 @@ TRIPS = (
     Trip(line=BUILD, start="scene"),
     Trip(line=f"{BUILD} --seed 1 --overwrite", start="proxies"),
     Trip(line=f"{BUILD} --shard 1/2", start="scene"),
-    Trip(line=BUILD.replace("scene --out data/one", "random --family object --count 1 --out many"), start="scene"),
     Trip(line="datagen add data/one --edit remove:pane --overwrite"),
     Trip(line="datagen add data/one --angles --larger 2"),
     Trip(line="datagen peel data/one --num-layers 3 --overwrite"),

@@ -64,7 +64,7 @@ SCENARIOS = (
     Scenario(name="report", start="run", line="report"),
 )
 
-QUICK = ("build", "build anew", "proxies anew", "export anew", "train", "render")
+QUICK = ("build", "build anew", "proxies anew", "export anew", "train", "train anew", "render")
 """What `make test` tries: between them these commit each kind of file, for the first time and over another one."""
 
 EACH_SCENARIO = pytest.mark.parametrize(

@@ -50,9 +50,8 @@ def glb(path: Path, asset: dict, extensions: dict | None = None) -> Path:
     return path
 
 
-@pytest.mark.parametrize("scene", ["prism_bench", "random-object-0003"])
-def test_datasets_of_scenes_that_code_makes_may_be_used_for_anything(scene: str, tmp_path: Path) -> None:
-    run(f"datagen build --scene {scene} --out {tmp_path / 'data'} {' '.join(FLAGS)}")
+def test_datasets_of_scenes_that_code_makes_may_be_used_for_anything(tmp_path: Path) -> None:
+    run(f"datagen build --scene random-object-0003 --out {tmp_path / 'data'} {' '.join(FLAGS)}")
     assert load_sealed(tmp_path / "data" / "dataset.json")["license"] == "CC0-1.0"
     assert json.loads((tmp_path / "data" / "scene" / "scene.json").read_text())["license"] == "CC0-1.0"
 

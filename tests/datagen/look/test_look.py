@@ -15,6 +15,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.look.look import _settings, folder_sizes, look_page, look_sheet, missing_lines
 from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
+from datagen.pages.html import tag
 
 
 @pytest.fixture
@@ -68,7 +69,10 @@ def test_pictures_come_before_text_and_say_what_their_colours_mean(whole: tuple[
     assert "`" not in "".join(item.text for item in page.all("main"))
 
 
-def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Dataset) -> None:
+def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("datagen.look.look.draw_light_paths", lambda *_: tag("p"))  # Of another test.
     (dataset.root / "images" / "train" / "0001.exr").unlink()
     (dataset.root / "layers" / "straight" / "records" / "interpolating" / "0000.json").unlink()
     extrapolating = dataset.root / "images" / "extrapolating" / "0000.png"
@@ -125,6 +129,7 @@ def test_of_a_large_dataset_the_names_alone_are_looked_at(dataset: Dataset, monk
     picture = dataset.root / "images" / "train" / "0000.exr"
     picture.write_bytes(picture.read_bytes()[:-9])
     monkeypatch.setattr("datagen.look.look.MOST_VERIFIED_BYTES", 1000)
+    monkeypatch.setattr("datagen.look.look.draw_light_paths", lambda *_: tag("p"))  # Of another test.
     page = read_page(look_page(open_dataset(dataset.root)))
     assert "No file is missing." in [paragraph.text for paragraph in page.all("p")]
     assert any("datagen verify" in code.text for code in page.all("code"))

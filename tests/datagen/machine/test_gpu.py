@@ -41,6 +41,7 @@ def test_doctor_waits_briefly_for_nvidia_smi(
     nvidia_smi(tmp_path, script, monkeypatch)
     monkeypatch.setattr(hardware, "LIST_LIMIT_S", 0.5)
     monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX here')")
+    monkeypatch.setattr("datagen.machine.doctor.torch_cuda_problem", lambda: None)  # It imports torch in a child.
     answer = call("datagen doctor")
     assert answer.status == 0
     assert f"GPU        {said}; Mitsuba cannot render on it: no OptiX here" in answer.out

@@ -105,9 +105,10 @@ print("points differ:", (np.diff(table.astype(np.int64), axis=1) > 0).all())
     ("disturbance", "said"),
     [
         ("os.kill(os.getpid(), signal.SIGINT)", "Stopped stopped"),
-        (
+        pytest.param(
             "raise MemoryError",
             "HyalineError SciPy could not read its direction numbers for Sobol's points; run the command again",
+            marks=pytest.mark.full,
         ),
     ],
 )

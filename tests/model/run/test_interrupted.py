@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from support.promises import spread
 from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
@@ -76,47 +75,6 @@ def at_each_write(monkeypatch: pytest.MonkeyPatch, act: Callable[[int], None]) -
 
     for name in WRITES:
         monkeypatch.setattr(name, watched(getattr(os, name.removeprefix("os."))))
-
-
-@pytest.mark.parametrize("flags", [(), ("--overwrite",)], ids=["fresh", "overwrite"])
-def test_killed_before_any_write_the_same_command_ends_in_the_same_bytes(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, flags: tuple[str, ...], is_full: bool
-) -> None:
-    """A kill leaves the folder as it is at some write: so it is copied there, each copy is finished, and compared."""
-    out = tmp_path / "whole"
-    if flags:
-        assert train("whole", "--lr", "0.01") == 0
-        (out / "variants/moved/predictions/interpolating").mkdir(parents=True)
-        (out / "variants/moved/predictions/interpolating/0000.png").write_bytes(b"of the run before")
-
-    states: list[Path] = []
-
-    def keep(number: int) -> None:
-        if out.is_dir():
-            copy = tmp_path / f"state{number}"
-            with monkeypatch.context() as patch:
-                for name in WRITES:
-                    patch.setattr(name, originals[name])
-                shutil.copytree(out, copy)
-            states.append(copy)
-
-    originals = {name: getattr(os, name.removeprefix("os.")) for name in WRITES}
-    with monkeypatch.context() as patch:
-        at_each_write(patch, keep)
-        assert train("whole", *flags) == 0
-    expected = run_bytes(out)
-    assert len(states) >= (60 if flags else 50)
-
-    contents: list[dict[str, bytes]] = []
-    for state in states if is_full else spread(states, 8):
-        if run_bytes(state) in contents:
-            continue
-        contents.append(run_bytes(state))
-        # What is finished or only begun to be overwritten is the run before, which has another rate.
-        is_old = flags and "run.next.json" not in contents[-1] and b'"lr": 0.01' in contents[-1].get("run.json", b"")
-        assert train(state.name, *(flags if is_old else ())) == 0, state
-        assert run_bytes(state) == expected, f"{state}: {sorted(contents[-1])}"
-    assert len(contents) > (25 if is_full else 5)
 
 
 def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(

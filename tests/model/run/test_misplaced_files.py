@@ -168,9 +168,13 @@ def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) 
 
 @pytest.mark.usefixtures("home")
 def test_an_output_beside_a_datasets_own_files_is_written_and_replaced() -> None:
-    for _ in range(2):
-        run("datagen look d1 --out data/d1/look.html --overwrite")
-        run("model export runs/d1/one --out runs/d1/one/scene.html --overwrite")
+    for page, line in (
+        (Path("data/d1/look.html"), "datagen look d1"),
+        (Path("runs/d1/one/scene.html"), "model export runs/d1/one"),
+    ):
+        page.write_text("an older page")
+        run(f"{line} --out {page} --overwrite")
+        assert page.read_text() != "an older page"
 
 
 @pytest.mark.usefixtures("home")

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import re
 import warnings
 from pathlib import Path
 
@@ -143,9 +144,7 @@ REFUSED_GLTF: dict[str, tuple[dict, str]] = {
 @pytest.mark.parametrize("name", REFUSED_GLTF)
 def test_opacity_of_gltf_that_cannot_be_is_refused(name: str, tmp_path: Path) -> None:
     wrong, message = REFUSED_GLTF[name]
-    with pytest.raises(HyalineError, match=message):
-        imported(gltf(tmp_path, **{**MASK, **wrong}))
-    refusal(tmp_path / "a.gltf")
+    assert re.search(message, refusal(gltf(tmp_path, **{**MASK, **wrong})))
 
 
 IMPORTED_GLTF: dict[str, tuple[dict, float, str, str]] = {
@@ -288,9 +287,7 @@ def test_opacity_of_other_files_is_refused_or_means_what_it_says(kind: str, name
     text, expected = (MTL if kind == "mtl" else MASKS)[name]
     path = obj(tmp_path, text) if kind == "mtl" else xml(tmp_path, text)
     if isinstance(expected, str):
-        with pytest.raises(HyalineError, match=expected):
-            imported(path)
-        refusal(path)
+        assert re.search(expected, refusal(path))
     else:
         assert share_left(imported(path).scene) == pytest.approx(expected, abs=1e-3)
 
