@@ -5,7 +5,7 @@ import math
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.cameras import Cameras, look_at
+from datagen.data.cameras import Cameras, direction_of, look_at
 from datagen.data.config import ANGLE_SPLITS, DatasetConfig, Split
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError
@@ -113,9 +113,9 @@ def _border(rig: CameraRig, angle: float) -> tuple[Directions, Directions]:
     if is_open:
         add((low, low), (last, last), (south, 2 * math.pi), fan)
     elevation, azimuth, turn = np.concatenate(rows).T
-    start = _direction(elevation, azimuth)
-    east = _direction(np.zeros_like(azimuth), azimuth + 0.5 * math.pi)
-    north = _direction(elevation + 0.5 * math.pi, azimuth)
+    start = direction_of(elevation, azimuth)
+    east = direction_of(np.zeros_like(azimuth), azimuth + 0.5 * math.pi)
+    north = direction_of(elevation + 0.5 * math.pi, azimuth)
     return start, np.cos(turn)[:, None] * east + np.sin(turn)[:, None] * north
 
 
@@ -167,8 +167,3 @@ def _segments_hit(
     hits = np.zeros(len(origins), bool)
     hits[across] = (u >= 0) & (v >= 0) & (u + v <= 1)
     return hits
-
-
-def _direction(elevation: Float[np.ndarray, " place"], azimuth: Float[np.ndarray, " place"]) -> Directions:
-    across = np.cos(elevation)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)

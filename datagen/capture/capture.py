@@ -23,8 +23,6 @@ from datagen.data.depth_range import with_depth_range
 from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, load_json
-from datagen.disk.storage import dump_json
 from datagen.import_dataset.import_dataset import Plan, digest_of, imported_config, split_views
 from datagen.import_dataset.layouts import ForeignDataset, ForeignSurface, surface_name
 from datagen.import_dataset.pictures import on_background, opened
@@ -32,10 +30,9 @@ from datagen.import_dataset.surfaces import UNKNOWN_LIGHT, read_surface
 from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.folder import save_scene
 from datagen.scene.foreign_files import scene_name
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.importers.confined_import import scene_from
+from datagen.scene.importers.confined_import import save_answer, scene_from
 from datagen.scene.importers.importing import scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.overlaps import apart, nested
@@ -296,8 +293,7 @@ def _find_scene(
     choices: CaptureChoices,
 ) -> tuple[Scene, list[str]]:
     where = ", ".join(map(str, choices.room)) or name
-    with scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where) as (scene, folder):
-        return scene, cast(list[str], load_json(folder / "told.json")["told"])
+    return scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
 
 
 def _save_scene(
@@ -334,9 +330,7 @@ def _save_scene(
     )
     scene = mend_scene(scene, without_uv=set(names))
     check_scene(scene)
-    save_scene(scene, folder / "scene")
-    told: list[Json] = [f"{line.where}: {line.what}" for line in remarks.lines]
-    (folder / "told.json").write_bytes(dump_json({"told": told}))
+    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
 
 
 def _given_room(choices: CaptureChoices, world: World, remarks: Remarks) -> list[SceneObject]:

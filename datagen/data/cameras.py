@@ -186,6 +186,14 @@ def look_at(
     return matrix
 
 
+def direction_of(
+    elevation: Float[np.ndarray, "*place"], azimuth: Float[np.ndarray, "*place"]
+) -> Float[np.ndarray, "*place 3"]:
+    """The unit vector at these angles in radians, above the horizon and from +x towards +y."""
+    across = np.cos(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)
+
+
 def check_camera(camera: Camera) -> None:
     """Raises a HyalineError if no picture can be rendered through a camera: a bad pose or a bad lens."""
     check_pose(camera.world_from_camera)

@@ -12,7 +12,7 @@ from datagen.data.config import TEST_SPLITS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, check_centered, frame, lens_keys, ply_points, rgba_png, world_keys
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ROLES, ExportView, Source
 
 
@@ -25,7 +25,7 @@ def plan_blender(source: Source) -> Plan:
 def plan_3dgs(source: Source) -> Plan:
     """The same with points; the reader takes this format where no folder `sparse` is there."""
     check_centered(source.pictures[0].view.camera, "3dgs")
-    points = Part(name="points", files=("points3d.ply",), make=lambda: {"points3d.ply": ply_points(source.points)})
+    points = one_file("points", "points3d.ply", lambda: ply_points(source.points))
     return Plan(parts=(*_parts(source), points), hint="python train.py -s OUT --eval")
 
 

@@ -12,16 +12,14 @@ from collections.abc import Mapping
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, frame, lens_keys, mask_png, rgb_png
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ExportView, Source
 
 
 def plan_capture(source: Source) -> Plan:
     """The whole folder."""
     glass = {item.name: index + 1 for index, item in enumerate(source.dataset.objects) if item.is_glass}
-    cameras = Part(
-        name="cameras", files=("transforms.json",), make=lambda: {"transforms.json": dump_json(_transforms(source))}
-    )
+    cameras = one_file("cameras", "transforms.json", lambda: dump_json(_transforms(source)))
     return Plan(parts=(*(_view_part(item, glass) for item in source.pictures), cameras), hint="datagen capture OUT")
 
 

@@ -25,7 +25,7 @@ from jaxtyping import Float, Int
 
 from datagen.disk.storage import dump_json
 from datagen.export.files import rgb_png
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ROLES, ExportView, PointCloud, Source
 
 PINHOLE = 1
@@ -55,7 +55,7 @@ def plan_colmap(source: Source) -> Plan:
 
 def plan_nerfbaselines(source: Source) -> Plan:
     """The whole folder."""
-    info = Part(name="info", files=("nb-info.json",), make=lambda: {"nb-info.json": _nerfbaselines_info(source)})
+    info = one_file("info", "nb-info.json", lambda: _nerfbaselines_info(source))
     return Plan(parts=(*_parts(source), info), hint="nerfbaselines train --method nerfacto --data OUT")
 
 

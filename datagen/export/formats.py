@@ -8,7 +8,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import real_path
-from datagen.export.plan import Part, Plan, write_export
+from datagen.export.plan import Part, Plan, one_file, write_export
 from datagen.export.source import Source
 from datagen.terminal.command import say
 from datagen.terminal.plugins import Group
@@ -63,7 +63,7 @@ def _license_part(dataset: Dataset) -> Part:
     text = f"The data in this folder: {dataset.license}\n"
     if dataset.license == OWN_LICENSE:
         text += f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n"
-    return Part(name="license", files=("LICENSE.txt",), make=lambda: {"LICENSE.txt": text.encode()})
+    return one_file("license", "LICENSE.txt", text.encode)
 
 
 def _roles(source: Source) -> str:

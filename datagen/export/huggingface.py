@@ -14,7 +14,6 @@ splits from these names, and leaves out folders without train, validation or tes
 import json
 import re
 import shlex
-from collections.abc import Mapping
 from statistics import mean
 
 from datagen.build.verify import build_words
@@ -25,8 +24,9 @@ from datagen.data.paths import BUILT_IN_SCENES
 from datagen.data.transforms import CONVENTION
 from datagen.disk.records import Json
 from datagen.export.croissant import Table, croissant_bytes
-from datagen.export.files import depth_png, lens_keys, mask_png, rgb_png
-from datagen.export.plan import Part, Plan
+from datagen.export.files import lens_keys
+from datagen.export.nerfstudio import picture_depth_mask
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.samples import sample_groups
 from datagen.export.source import ExportView, Source
 from datagen.scene.finding import is_made_by_code
@@ -115,8 +115,8 @@ def plan_huggingface(source: Source) -> Plan:
     groups = {"validation" if group == "val" else group: items for group, items in sample_groups(source).items()}
     views = [_view_part(split, item) for split, items in groups.items() for item in items]
     tables = [_table_part(source, split, items) for split, items in groups.items()]
-    card = Part(name="card", files=("README.md",), make=lambda: {"README.md": _card(source, groups)})
-    croissant = Part(name="croissant", files=(CROISSANT,), make=lambda: {CROISSANT: _croissant(source, groups)})
+    card = one_file("card", "README.md", lambda: _card(source, groups))
+    croissant = one_file("croissant", CROISSANT, lambda: _croissant(source, groups))
     return Plan(
         parts=(*views, *tables, card, croissant),
         hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\"",
@@ -133,14 +133,8 @@ def _files(item: ExportView) -> tuple[str, str, str]:
 
 
 def _view_part(split: str, item: ExportView) -> Part:
-    files = tuple(f"{_folder(split)}/{file}" for file in _files(item))
-
-    def make() -> Mapping[str, bytes]:
-        found = item.quantities
-        data = (rgb_png(item), depth_png(found.depth_along_axis), mask_png(found.glass))
-        return dict(zip(files, data, strict=True))
-
-    return Part(name=f"{split}-{item.name}", files=files, make=make)
+    picture, depth, mask = (f"{_folder(split)}/{file}" for file in _files(item))
+    return picture_depth_mask(f"{split}-{item.name}", (picture, depth, mask), item)
 
 
 def _table_part(source: Source, split: str, items: list[ExportView]) -> Part:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, depth_png, frame, lens_keys, mask_png, ply_points, rgb_png, world_keys
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ROLES, ExportView, Source
 
 
@@ -26,22 +26,25 @@ def plan_nerfstudio(source: Source) -> Plan:
 
 def nerfstudio_parts(source: Source) -> tuple[Part, ...]:
     """What nerfstudio reads, without anything that other tools add."""
-    points = Part(name="points", files=("sparse_pc.ply",), make=lambda: {"sparse_pc.ply": ply_points(source.points)})
-    cameras = Part(
-        name="cameras", files=("transforms.json",), make=lambda: {"transforms.json": dump_json(_transforms(source))}
-    )
+    points = one_file("points", "sparse_pc.ply", lambda: ply_points(source.points))
+    cameras = one_file("cameras", "transforms.json", lambda: dump_json(_transforms(source)))
     return (*(_view_part(item) for item in source.pictures), points, cameras)
 
 
 def _view_part(item: ExportView) -> Part:
-    files = tuple(f"{folder}/{item.name}.png" for folder in ("images", "depths", "masks"))
+    picture, depth, mask = (f"{folder}/{item.name}.png" for folder in ("images", "depths", "masks"))
+    return picture_depth_mask(item.name, (picture, depth, mask), item)
+
+
+def picture_depth_mask(name: str, files: tuple[str, str, str], item: ExportView) -> Part:
+    """A view as an 8-bit picture, 16-bit depth along the camera's axis in millimetres, and the mask of glass."""
 
     def make() -> Mapping[str, bytes]:
         found = item.quantities
         data = (rgb_png(item), depth_png(found.depth_along_axis), mask_png(found.glass))
         return dict(zip(files, data, strict=True))
 
-    return Part(name=item.name, files=files, make=make)
+    return Part(name=name, files=files, make=make)
 
 
 def _transforms(source: Source) -> dict[str, Json]:

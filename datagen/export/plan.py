@@ -41,6 +41,11 @@ class Part:
     """The bytes of each of `files`; the same at each call."""
 
 
+def one_file(name: str, file: str, make: Callable[[], bytes]) -> Part:
+    """A part of one file."""
+    return Part(name=name, files=(file,), make=lambda: {file: make()})
+
+
 @dataclass(frozen=True, kw_only=True)
 class Plan:
     """All parts of an export, in the order in which they are made."""

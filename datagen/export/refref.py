@@ -17,7 +17,7 @@ from datagen.data.ply import write_ply
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, frame, lens_keys, mask_png, ply_points, rgba_png, world_keys
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ROLES, ExportView, Role, Source
 from datagen.quantities.surfaces import surfaces_of
 
@@ -30,7 +30,7 @@ def plan_refref(source: Source) -> Plan:
         files=tuple(lists),
         make=lambda: {file: dump_json(_transforms(source, role)) for file, role in lists.items()},
     )
-    points = Part(name="points", files=("points3d.ply",), make=lambda: {"points3d.ply": ply_points(source.points)})
+    points = one_file("points", "points3d.ply", lambda: ply_points(source.points))
     parts = (*(_view_part(item) for item in source.views), _objects_part(source), points, cameras)
     return Plan(parts=parts, hint="ns-train r3f --data OUT")
 

@@ -17,7 +17,7 @@ from datagen.data.images import npy_bytes, png_bytes
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.export.files import CONVENTION, bounds_keys, frame, lens_keys, mask_png, rgb_png
-from datagen.export.plan import Part, Plan
+from datagen.export.plan import Part, Plan, one_file
 from datagen.export.source import ExportView, Source
 from datagen.quantities.surfaces import surfaces_of
 
@@ -120,7 +120,7 @@ def about_samples(source: Source) -> bytes:
 
 def plan_quantities(source: Source) -> Plan:
     """The whole folder."""
-    about = Part(name="about", files=("dataset.json",), make=lambda: {"dataset.json": about_samples(source)})
+    about = one_file("about", "dataset.json", lambda: about_samples(source))
     views = [
         _view_part(folder, item, flow=source.flow) for folder, items in sample_groups(source).items() for item in items
     ]
@@ -144,7 +144,7 @@ SHARD_VIEWS = 32
 
 def plan_webdataset(source: Source) -> Plan:
     """All shards, and what they have in common."""
-    about = Part(name="about", files=("dataset.json",), make=lambda: {"dataset.json": about_samples(source)})
+    about = one_file("about", "dataset.json", lambda: about_samples(source))
     hint = "python -c \"import webdataset; print(next(iter(webdataset.WebDataset('OUT/train-000000.tar'))).keys())\""
     return Plan(parts=(*_shards(source), about), hint=hint, has_flow=True)
 

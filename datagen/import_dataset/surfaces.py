@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -10,14 +9,11 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, Split
 from datagen.data.meshes import open_edges
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, load_json
-from datagen.disk.storage import dump_json
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.layouts import ForeignSurface
 from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import MAX_OBJECTS, Scene, SceneObject
-from datagen.scene.folder import save_scene
 from datagen.scene.foreign_files import (
     EXPORT_ADVICE,
     READERS,
@@ -27,7 +23,7 @@ from datagen.scene.foreign_files import (
     parse_overrides,
 )
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.importers.confined_import import scene_from
+from datagen.scene.importers.confined_import import save_answer, scene_from
 from datagen.scene.importers.foreign import PLAIN, ForeignObject
 from datagen.scene.importers.importing import scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
@@ -47,8 +43,7 @@ def find_scene(
 ) -> tuple[Scene, list[str]]:
     """The scene of some meshes, as far as a dataset without light needs one, and remarks on it."""
     where = ", ".join(str(surface.file) for surface in surfaces)
-    with scene_from(_save_scene, name, surfaces, cameras, choices, where=where) as (scene, folder):
-        return scene, cast(list[str], load_json(folder / "told.json")["told"])
+    return scene_from(_save_scene, name, surfaces, cameras, choices, where=where)
 
 
 def _save_scene(
@@ -59,9 +54,8 @@ def _save_scene(
     choices: DatasetImportChoices,
 ) -> None:
     remarks = Remarks()
-    save_scene(_make_scene(name, surfaces, cameras, choices, remarks), folder / "scene")
-    told: list[Json] = [f"{line.where}: {line.what}" for line in remarks.lines]
-    (folder / "told.json").write_bytes(dump_json({"told": told}))
+    scene = _make_scene(name, surfaces, cameras, choices, remarks)
+    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
 
 
 def _make_scene(

@@ -18,7 +18,7 @@ from datagen.data.meshes import Mesh, face_corners, is_there
 from datagen.data.variants import evenly
 from datagen.pages.charts import COLORS
 from datagen.pages.html import Markup, Part, tag
-from datagen.pages.pictures import data_uri
+from datagen.pages.pictures import lossless_uri
 
 WIDTH, HEIGHT = 1200, 900
 """Pixels of a sketch; pages show it at half this size, so that lines stay fine on any screen."""
@@ -94,7 +94,7 @@ class Sketch:
     def svg(self, *parts: Part, name: str) -> Markup:
         """The sketch with parts drawn over it; `name` labels it for screen readers."""
         height, width = self.depth.shape
-        scene = tag("image", href=data_uri(self.picture), width=width, height=height)
+        scene = tag("image", href=lossless_uri(self.picture), width=width, height=height)
         frame = f"0 0 {width} {height}"
         return tag("svg", scene, *parts, class_="drawing sketch", viewBox=frame, role="img", aria_label=name)
 

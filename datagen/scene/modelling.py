@@ -40,7 +40,7 @@ def rounded_box(size: Point, *, bevel: float, segments: int = 3) -> Mesh:
             grid = np.empty((len(lines[u]), len(lines[v]), 3))
             grid[..., axis] = side * half[axis]
             grid[..., u], grid[..., v] = lines[u][:, None], lines[v][None, :]
-            quads = _grid_faces(*grid.shape[:2]) + sum(map(len, positions))
+            quads = grid_faces(*grid.shape[:2]) + sum(map(len, positions))
             positions.append(grid.reshape(-1, 3))
             faces.append(quads if side > 0 else quads[:, ::-1])
     on_cube, index = np.unique(np.concatenate(positions), axis=0, return_inverse=True)
@@ -136,7 +136,7 @@ def sheet(corner: Point, edge_u: Point, edge_v: Point, *, cells: tuple[int, int]
     normal = np.cross(edge_u, edge_v)
     positions = positions.reshape(-1, 3)
     normals = np.broadcast_to(normal / np.linalg.norm(normal), positions.shape)
-    return _mesh(positions, _grid_faces(cells[0] + 1, cells[1] + 1), normals)
+    return _mesh(positions, grid_faces(cells[0] + 1, cells[1] + 1), normals)
 
 
 def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows: int = 5) -> Mesh:
@@ -346,7 +346,7 @@ def _mesh(positions: np.ndarray, faces: np.ndarray, normals: np.ndarray) -> Mesh
     )
 
 
-def _grid_faces(rows: int, columns: int) -> np.ndarray:
+def grid_faces(rows: int, columns: int) -> np.ndarray:
     """Two triangles per cell of a (rows, columns) grid of points, facing along row direction x column direction."""
     index = np.arange(rows * columns).reshape(rows, columns)
     a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))

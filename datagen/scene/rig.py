@@ -6,7 +6,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.cameras import Cameras, Lens, direction_of, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split
 from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
@@ -65,7 +65,7 @@ def _hemisphere(rig: CameraRig, count: int, rng: np.random.Generator) -> Float[n
     first, last = np.radians(rig.azimuth_deg)
     azimuth = first + unit[:, 1] * (last - first)
     offset = rng.uniform(-1, 1, size=(count, 3)) * rig.target_jitter * rig.radius
-    positions = np.array(rig.target, np.float64) + rig.radius * _direction(elevation, azimuth)
+    positions = np.array(rig.target, np.float64) + rig.radius * direction_of(elevation, azimuth)
     return np.stack([look_at(p, np.array(rig.target, np.float64) + o) for p, o in zip(positions, offset, strict=True)])
 
 
@@ -76,7 +76,7 @@ def _path_on_hemisphere(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4
     low, high = np.radians(rig.elevation_deg)
     azimuth = first + (0.05 + 0.9 * s) * (last - first)
     elevation = low + (0.5 + 0.4 * np.sin(4 * np.pi * s)) * (high - low)
-    positions = np.array(rig.target, np.float64) + rig.radius * _direction(elevation, azimuth)
+    positions = np.array(rig.target, np.float64) + rig.radius * direction_of(elevation, azimuth)
     return np.stack([look_at(position, np.array(rig.target, np.float64)) for position in positions])
 
 
@@ -92,8 +92,3 @@ def _walk(rig: CameraRig, count: int) -> Float[np.ndarray, "view 4 4"]:
     positions = curve([point.position for point in rig.walk])
     targets = curve([point.target for point in rig.walk])
     return np.stack([look_at(position, target) for position, target in zip(positions, targets, strict=True)])
-
-
-def _direction(elevation: Float[np.ndarray, "view"], azimuth: Float[np.ndarray, "view"]) -> np.ndarray:
-    across = np.cos(elevation)
-    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)

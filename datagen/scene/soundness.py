@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.cameras import direction_of
 from datagen.data.config import SPLITS
 from datagen.data.meshes import (
     Mesh,
@@ -99,8 +100,7 @@ def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
     elevation, azimuth = np.meshgrid(
         np.radians(np.linspace(*rig.elevation_deg, 9)), np.radians(np.linspace(*rig.azimuth_deg, 25))
     )
-    across = np.cos(elevation)
-    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)
+    directions = direction_of(elevation, azimuth)
     walk = np.array([point.position for point in rig.walk])
     shares = np.linspace(0, 1, 8, endpoint=False)[:, None, None]
     between = (walk[:-1] + shares * (walk[1:] - walk[:-1])).reshape(-1, 3)

@@ -7,7 +7,6 @@ a content security policy enforces. Equal runs give equal bytes.
 import base64
 import hashlib
 import html
-import io
 import json
 import re
 import shlex
@@ -17,13 +16,13 @@ from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, read_regular
 from datagen.disk.storage import commit
+from datagen.pages.pictures import data_uri
 from datagen.terminal.distribution import VERSION
 from model.methods.page import package_text
 from model.methods.protocol import MethodConfig
@@ -140,18 +139,12 @@ def _truths(dataset: Dataset, truths: Truths) -> dict[str, str]:
 
 def _test_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
     """The eye sees no difference; a view of the demo takes 9 kB."""
-    return _address(image, "jpeg", quality=92, subsampling=0)
+    return data_uri(image, "jpeg", quality=92, subsampling=0)
 
 
 def _training_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
     """A quarter of the bytes, at 31 dB, because there are many."""
-    return _address(image, "webp", quality=75, method=6)
-
-
-def _address(image: UInt8[np.ndarray, "h w 3"], kind: str, **how: int) -> str:
-    buffer = io.BytesIO()
-    Image.fromarray(image).save(buffer, format=kind, **how)
-    return f"data:image/{kind};base64," + base64.b64encode(buffer.getvalue()).decode()
+    return data_uri(image, "webp", quality=75, method=6)
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
+from datagen.scene.modelling import grid_faces
 from proxies.meshing.solid import Solid
 
 MAX_DIRECTIONS = 400
@@ -92,7 +93,7 @@ def box_mesh(box: Box) -> Mesh:
             vertices.append(_to_world(box, local))
             normals.append(np.broadcast_to(sign * box.axes[across], local.shape))
             uv.append(low + np.stack([s, t], axis=-1) * (high - low))
-            faces.append(total + _grid_faces(int(counts[along_u]), int(counts[along_v])))
+            faces.append(total + grid_faces(int(counts[along_u]) + 1, int(counts[along_v]) + 1))
             total += len(s)
     return Mesh(
         vertices=np.concatenate(vertices).astype(np.float32),
@@ -171,10 +172,3 @@ def _to_world(box: Box, local: np.ndarray) -> np.ndarray:
     """Element by element, not by matrix product: BLAS rounds equal rows differently, and seams would open."""
     x, y, z = (local[:, axis, None] for axis in range(3))
     return box.center + x * box.axes[0] + y * box.axes[1] + z * box.axes[2]
-
-
-def _grid_faces(rows: int, columns: int) -> np.ndarray:
-    """Two counter-clockwise triangles a cell of a grid of (rows + 1, columns + 1) vertices, rows along u."""
-    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
-    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    return np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])

@@ -20,6 +20,7 @@ from datagen.data.meshes import (
 )
 from datagen.disk.errors import HyalineError
 from datagen.machine.processes import ChildError
+from datagen.scene.modelling import grid_faces
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import paddings
 from proxies.meshing import measure, meshlab, noise, solid
@@ -548,7 +549,7 @@ def test_noise_is_smooth_and_its_covariance_is_gaussian() -> None:
     rng = np.random.default_rng(0)
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 40), np.linspace(0, 1, 40), indexing="ij"), axis=-1).reshape(-1, 2)
     flat = np.c_[grid, np.zeros(len(grid))]
-    truth = mesh_of(flat, box._grid_faces(39, 39))
+    truth = mesh_of(flat, grid_faces(40, 40))
     length = noise.CORRELATION * np.sqrt(2)
     fields = np.array(
         [(noise.noisy(truth, 0.001, rng=rng).vertices - truth.vertices).reshape(40, 40, 3) for _ in range(60)]

@@ -3,8 +3,7 @@ import.json makes ours.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -46,13 +45,12 @@ def import_files(path: Path, choices: ImportChoices, *, resolution: Resolution) 
 
 def imported_scene(path: Path, choices: ImportChoices, *, resolution: Resolution) -> tuple[Scene, list[str]]:
     """The scene in a foreign file, and the lines to report."""
-    with scene_from(_import, path, choices, resolution, where=str(path)) as (scene, folder):
-        return scene, cast(list[str], load_json(folder / "told.json")["told"])
+    return scene_from(_import, path, choices, resolution, where=str(path))
 
 
-@contextmanager
-def scene_from(function: Callable[..., None], *arguments: object, where: str) -> Iterator[tuple[Scene, Path]]:
-    """The scene that a function saves in `folder/scene` in a process of its own, with its images; and that folder."""
+def scene_from(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, list[str]]:
+    """The scene, with its images, and the lines to report that a function saves in a process of its own
+    (`save_answer`)."""
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_sealed=True)
@@ -60,14 +58,19 @@ def scene_from(function: Callable[..., None], *arguments: object, where: str) ->
         if isinstance(scene.environment, EnvironmentMap):
             images.add(scene.environment.path)
         baked = {image: (folder / "scene" / image).read_bytes() for image in images}
-        yield dataclasses.replace(scene, folder=None, baked=baked), folder
+        told = cast(list[str], load_json(folder / "told.json")["told"])
+        return dataclasses.replace(scene, folder=None, baked=baked), told
+
+
+def save_answer(folder: Path, scene: Scene, told: Sequence[str], **more: Json) -> None:
+    """What `scene_from` reads."""
+    save_scene(scene, folder / "scene")
+    (folder / "told.json").write_bytes(dump_json({**more, "told": list(told)}))
 
 
 def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolution) -> None:
     imported = import_scene(path, choices, resolution=resolution)
-    save_scene(imported.scene, folder / "scene")
-    told: dict[str, Json] = {"record": dict(imported.record), "told": cast(list[Json], imported.told())}
-    (folder / "told.json").write_bytes(dump_json(told))
+    save_answer(folder, imported.scene, imported.told(), record=dict(imported.record))
 
 
 def check_free(root: Path, *, overwrite: bool) -> None:

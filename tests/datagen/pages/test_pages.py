@@ -8,7 +8,7 @@ from support.pages import read_page
 
 from datagen.pages.charts import COLORS, GRID, HEIGHT, SOFT, WIDTH, Line, line_chart
 from datagen.pages.html import Markup, document, join, prose, read_part, section, tag
-from datagen.pages.pictures import Gallery, data_uri
+from datagen.pages.pictures import Gallery, lossless_uri
 
 HOSTILE = (
     "<script>alert(1)</script>",
@@ -50,7 +50,7 @@ def test_a_picture_in_a_page_is_what_was_put_in() -> None:
     from PIL import Image
 
     image = np.random.default_rng(0).integers(0, 256, (9, 7, 3), np.uint8)
-    kind, content = data_uri(image).split(",")
+    kind, content = lossless_uri(image).split(",")
     assert kind == "data:image/webp;base64"
     with Image.open(io.BytesIO(base64.b64decode(content))) as stored:
         np.testing.assert_array_equal(np.asarray(stored.convert("RGB")), image)
@@ -58,7 +58,7 @@ def test_a_picture_in_a_page_is_what_was_put_in() -> None:
 
 def test_a_gallery_keeps_each_picture_once_and_below_its_room() -> None:
     noise = np.random.default_rng(0).integers(0, 256, (3, 32, 32, 3), np.uint8)
-    room = len(data_uri(noise[0])) + len(data_uri(noise[1]))
+    room = len(lossless_uri(noise[0])) + len(lossless_uri(noise[1]))
     gallery = Gallery(room)
     asked = []
 
