@@ -19,4 +19,6 @@ for object_id, depth in zip(layers.object_id[:, row, column], layers.depth[:, ro
 mean = np.mean([train.image for train in dataset.views("train")], axis=(0, 1, 2)).astype(np.uint8)
 scores = hyaline.score(np.broadcast_to(mean, view.image.shape), view.image, view.mask("glass"))
 ceiling_db = dataset.noise_ceiling_db("interpolating")
-print(f"the mean training colour scores {scores.psnr_db:.2f} dB; the noise of the truth allows {ceiling_db:.2f}")
+print(f"the mean training colour scores {scores.psnr_db:.2f} dB")
+if ceiling_db is not None:
+    print(f"the noise of the truth allows {ceiling_db:.2f} dB")

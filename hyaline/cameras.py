@@ -63,6 +63,8 @@ def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn
         count: number of cameras; the last is one step short of `turn_deg`, so that a full turn loops.
         turn_deg: counter-clockwise as seen from above.
     """
+    if count < 1:
+        raise HyalineError(f"count: is {count}; expected at least 1")
     center = np.asarray(target, np.float64)
     offset = start.world_from_camera[:3, 3] - center
     cameras = []

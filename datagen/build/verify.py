@@ -354,7 +354,9 @@ def _unless(default: Value, value: Value) -> Value | None:
 
 def import_command(dataset: Dataset) -> str:
     """The command that brings back what is lost of an imported dataset."""
-    return f"datagen import-dataset FOLDER --out {shlex.quote(str(dataset.root))}"
+    is_captured = dataset.imported is not None and dataset.imported.layout == "capture"
+    words = "datagen capture" if is_captured else "datagen import-dataset"
+    return f"{words} FOLDER --out {shlex.quote(str(dataset.root))}"
 
 
 def peel_command(dataset: Dataset) -> str:

@@ -83,7 +83,8 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     )
     shots = folder.shots
     every = world.cameras(shots, lens)
-    panes = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
+    found = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
+    panes = [pane for pane in found if pane.thickness > 0]  # Masks that are too wide may leave it none.
     flat = {pane.name: pane.outline() for pane in panes}
     outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
     views, about_splits = split_views(_as_foreign(folder))

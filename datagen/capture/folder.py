@@ -153,7 +153,11 @@ class Masks:
 
 def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
     """The mask of each picture, found by its path below images/ or by its name alone, with or without its ending."""
-    listed = {path.relative_to(folder).with_suffix("").as_posix(): path for path in _pictures_below(folder)}
+    listed: dict[str, Path] = {}
+    for path in _pictures_below(folder):
+        name = path.relative_to(folder).with_suffix("").as_posix()
+        if (other := listed.setdefault(name, path)) != path:
+            raise HyalineError(f"{other} and {path}: two masks of one picture; expected one")
     whole = [name_of(root, path) for path in pictures]
     names = [Path(name).with_suffix("").as_posix() for name in whole]
     stems = [path.stem for path in pictures]

@@ -89,10 +89,11 @@ def lens_of_frame(file: Transforms, frame: Frame, find_size: Callable[[Frame], t
         return file.number(key, default, frame=frame)
 
     model = str(frame.data.get("camera_model", file.content.get("camera_model", "")))
-    if "fisheye" in model.lower() or abs(number("k4")) > 1e-9:
+    is_rational = model.upper() == "FULL_OPENCV"
+    if file.is_fisheye(frame) or (not is_rational and abs(number("k4")) > 1e-9):
         raise HyalineError(
-            f"{frame.where}: its lens is a fisheye's ({model or 'k4'}); expected PINHOLE or OPENCV: undistort the "
-            "pictures first (`colmap image_undistorter`)"
+            f"{frame.where}: its lens is a fisheye's ({model or 'is_fisheye, or k4'}); expected "
+            "PINHOLE or OPENCV: undistort the pictures first (`colmap image_undistorter`)"
         )
     size = find_size(frame)
     width, height = number("w", size[0]), number("h", size[1])
@@ -104,7 +105,7 @@ def lens_of_frame(file: Transforms, frame: Frame, find_size: Callable[[Frame], t
         height=round(height),
         focal=(focal, number("fl_y") or focal),
         center=(number("cx", width / 2), number("cy", height / 2)),
-        radial=(number("k1"), number("k2"), number("k3")),
+        radial=tuple(number(f"k{place}") for place in range(1, 7 if is_rational else 4)),
         tangential=(number("p1"), number("p2")),
     )
     return _checked(lens, size, where=frame.where)

@@ -31,6 +31,7 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from numbers import Integral
 from pathlib import Path
 from typing import Literal, cast
 
@@ -135,6 +136,8 @@ class Dataset:
         """One view; nothing is read yet."""
         if split not in self.splits:
             raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
+        if not isinstance(index, Integral):
+            raise HyalineError(f"{self.root}: view {index!r} of {split}: expected an integer")
         if not 0 <= index < self.num_views[split]:
             raise HyalineError(f"{self.root}: {split} has no view {index}; expected 0 to {self.num_views[split] - 1}")
         return View(dataset=self, split=split, index=index)

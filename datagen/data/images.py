@@ -75,6 +75,8 @@ MAX_EDGES = 0.9
 
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
+    if picture.mode.startswith("I"):  # Grey of 16 bits, which Pillow would clip, not scale.
+        return np.asarray(picture) > 0x7FFF
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
     return np.asarray(picture.convert("RGB")).max(axis=-1) > 127

@@ -109,6 +109,11 @@ class Transforms:
             raise HyalineError(f"{where}: is {shown(frame)}; expected an object")
         return Frame(data=frame, where=where)
 
+    def is_fisheye(self, frame: Frame) -> bool:
+        """True for a fisheye's lens, as COLMAP and nerfstudio name it or as instant-ngp marks it."""
+        both = {**self.content, **frame.data}
+        return "fisheye" in str(both.get("camera_model", "")).lower() or both.get("is_fisheye") is True
+
     def pose(self, frame: Frame) -> np.ndarray:
         """world_from_camera of a frame, in the file's units."""
         try:
@@ -142,7 +147,7 @@ class Transforms:
         frame = frame or Frame(data={}, where=self.where)
         number = partial(self.number, frame=frame)
         bent = [key for key in DISTORTION if abs(number(key, 0.0)) > 1e-9]
-        bent += ["fisheye"] * ("fisheye" in str(self.content.get("camera_model", "")).lower())
+        bent += ["fisheye"] * self.is_fisheye(frame)
         focal = number("fl_x", 0.0)
         is_square = focal <= 0 or abs(number("fl_y", focal) / focal - 1) <= TOLERANCE
         if left_out is not None:

@@ -345,9 +345,10 @@ def _check_texts(containers: list[dict | list], where: str) -> None:
     for container in containers:
         for value in (*container, *_values(container)):
             if isinstance(value, str):
-                _check_text(value, where)
+                check_text(value, where)
 
 
-def _check_text(text: str, where: str) -> None:
+def check_text(text: str, where: str) -> None:
+    """Refuses what JSON could not hold or no terminal could show: a NUL, or half of a character."""
     if "\0" in text or any("\ud800" <= char <= "\udfff" for char in text):
         raise DamagedError(f"{where}: the string {shown(text)} holds a NUL or half of a character; expected text")

@@ -218,7 +218,11 @@ def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | 
         match = OURS.fullmatch(view.picture.stem)
         if match is None:
             return None
-        found[cast(Split, match[1])][int(match[2])] = view
+        views = found[cast(Split, match[1])]
+        if (other := views.setdefault(int(match[2]), view)) is not view:
+            raise HyalineError(
+                f"{other.picture} and {view.picture}: both are view {match[2]} of {match[1]} by their names"
+            )
     if not all(found.values()):
         return None
     return {split: tuple(views[number] for number in sorted(views)) for split, views in found.items()}

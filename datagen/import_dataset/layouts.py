@@ -152,7 +152,7 @@ def picture_size(path: Path) -> tuple[int, int]:
 def picture_orientation(path: Path) -> int:
     """EXIF's orientation of a picture; 1: as it is stored."""
     with _header(path) as picture:
-        return int(picture.getexif().get(ExifTags.Base.Orientation, 1))
+        return int(picture.getexif().get(ExifTags.Base.Orientation, 1)) or 1  # 0 stands for unknown.
 
 
 @contextmanager

@@ -6,6 +6,7 @@ import html
 import importlib
 import json
 import os
+import re
 import select
 import shlex
 import signal
@@ -24,6 +25,8 @@ from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
 
+OUT_OF_MEMORY = re.compile("not enough memory|can't allocate memory|out of memory", re.IGNORECASE)
+"""In the RuntimeError of a torch that was refused memory, on a CPU or on a GPU."""
 MAX_SUGGESTED = 100
 """Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
@@ -62,8 +65,8 @@ def _end(error: BaseException, arguments: list[str]) -> None:
         if isinstance(error, BrokenPipeError) and _is_reader_gone():
             _end_unread()
         fail(describe_os_error(error, error.filename or "standard output, or a temporary file"))
-    if isinstance(error, MemoryError):
-        fail("out of memory; use fewer --workers or smaller sizes, or a machine with more memory")
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and OUT_OF_MEMORY.search(str(error))):
+        fail("out of memory; use fewer --workers, a smaller --batch or smaller sizes, or a machine with more memory")
     raise error
 
 

@@ -1,6 +1,7 @@
 """The benchmark's protocol: scenes, sizes, splits, edits and tracks, from protocol.toml."""
 
 import functools
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -131,9 +132,10 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
     found = (config.resolution, config.train, config.interpolating, config.extrapolating)
     if found != (square(size.resolution), size.train, size.test, size.test):
         raise HyalineError(
-            f"{dataset.root}: is not of the size that hyaline-bench {protocol.version} names for {preset} "
-            f"({size.resolution} pixels, {size.train.views} + {size.test.views} + {size.test.views} views); build it "
-            f"again with `datagen build {config.scene} --preset {preset}`"
+            f"{dataset.root}: not what hyaline-bench {protocol.version} names for {preset}: {size.resolution} pixels, "
+            f"{size.train.views} + {size.test.views} + {size.test.views} views, {size.train.spp} and {size.test.spp} "
+            f"samples per pixel; build it again with `datagen build {config.scene} --preset {preset} --out "
+            f"{shlex.quote(str(dataset.root))} --overwrite`, or keep it elsewhere"
         )
     return True
 

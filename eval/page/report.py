@@ -57,8 +57,9 @@ def make_report(
     """
     choose("format", output_format, FORMATS)
     if not 1 <= most_views <= MAX_VIEWS:
-        raise HyalineError(f"--views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
+        raise HyalineError(f"--shown-views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     check_report_folder(out)
+    _check_holds_scenes(runs_root)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
@@ -184,6 +185,17 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
     """PSNR where edited objects are or were, by the run's name and the split."""
     edits = score_variants(scene, errors, kept, edits_alone=True)
     return object_psnr(score_edits(scene, edits, errors, kept))
+
+
+def _check_holds_scenes(runs_root: Path) -> None:
+    """Refuses the folder of one run, or of one scene's runs."""
+    if has_predictions(runs_root):
+        raise HyalineError(f"{runs_root}: is a run; name the folder that holds SCENE/NAME, as `report runs` does")
+    if any(has_predictions(folder) for folder in runs_root.glob("*") if folder.is_dir()):
+        raise HyalineError(
+            f"{runs_root}: holds the runs of one scene; name the folder around it, {runs_root.resolve().parent}, and "
+            "--dataset for one dataset alone"
+        )
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:

@@ -51,7 +51,7 @@ class FitFolder:
                 "--name"
             )
         if overwrite:
-            remove_files(self.root, [f"{stage}.pt" for stage in STAGES])
+            remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
         commit_sealed(self.root / FIT.head, head)
 
     def stage(self, name: str, title: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:

@@ -8,6 +8,7 @@ import torch
 
 from datagen.data.dataset import Dataset
 from datagen.disk.ownership import holding, is_ours, refuse_others
+from datagen.disk.records import check_text
 from datagen.terminal.command import say
 from model.batches.distributed import Processes, join
 from model.run.checkpoint import delete_checkpoints, has_checkpoint
@@ -50,6 +51,8 @@ def complete_run(
     Returns:
         True in the process that wrote the run: of several that `torchrun` started, the first.
     """
+    for where, text in (("--label", label), ("dataset", dataset.root.as_posix())):
+        check_text(text, where)  # The run's record holds them, and is written when all else is done.
     with join(device) as processes:
         check_processes(config, processes)
         train_here = functools.partial(

@@ -135,7 +135,9 @@ def _completed_beside(net: MethodConfig, usual: MethodConfig, inputs: Inputs) ->
         with contextlib.suppress(HyalineError):
             if dataclasses.replace(usual, **others).complete(inputs) == net:
                 unusual = others
-    return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
+    with contextlib.suppress(HyalineError):
+        return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
+    return completed  # A usual value may not fit beside one that followed from an unusual one.
 
 
 TEXELS = 2.0

@@ -355,6 +355,10 @@ def _flatten(data: Json) -> dict[str, Json]:
 def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:
     """A run's record and its dataset: the given one, or the one that the run was trained on."""
     record = read_run(run)
+    if not dataset and not Path(record.dataset).is_dir():
+        raise HyalineError(
+            f"{run}: was trained on {record.dataset}, which is not there; say where it is with --dataset"
+        )
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     check_trained_on(run, record.config, opened)
     return record, opened

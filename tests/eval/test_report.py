@@ -327,6 +327,15 @@ def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
         report(tmp_path)
 
 
+@pytest.mark.parametrize(
+    ("place", "message"),
+    [("synthetic/grey", "is a run; name the folder"), ("synthetic", "holds the runs of one scene")],
+)
+def test_a_folder_below_that_of_all_runs_is_told_from_it(copy: Path, place: str, message: str) -> None:
+    answer = call(f"report {copy / 'runs' / place}")
+    assert answer.status == 1 and message in answer.error
+
+
 def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:
     runs = copy / "runs"
     (runs / "synthetic" / "latest").symlink_to("grey")

@@ -26,6 +26,7 @@ from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
+from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 
 SIDE = 48
@@ -160,7 +161,7 @@ def test_masks_of_all_kinds_show_the_same(kind: str) -> None:
     grey = np.where(shown, 255, 0).astype(np.uint8)
     zero, full = np.zeros_like(grey), np.full_like(grey, 255)
     pictures = {
-        "I;16": Image.fromarray(grey.astype(np.uint16) * 257),
+        "I;16": Image.fromarray(np.where(shown, 0xFFFF, 1000).astype(np.uint16)),
         "red": Image.fromarray(np.stack([grey, zero, zero], axis=-1)),
         "palette": Image.fromarray(shown.astype(np.uint8)).convert("P"),
         "cut out": Image.fromarray(np.stack([zero, zero, zero, grey], axis=-1)),
@@ -182,6 +183,9 @@ def test_masks_are_found_whatever_their_ending(tmp_path: Path) -> None:
     masks = Masks(tmp_path, pictures)
     assert masks.objects == ("ball",)
     assert [masks.of(path)[0].name for path in pictures] == list(names)
+    (tmp_path / "masks" / "ball" / "a.webp").touch()
+    with pytest.raises(HyalineError, match="two masks of one picture"):
+        Masks(tmp_path, pictures)
 
 
 # The dataset
@@ -481,6 +485,10 @@ def with_a_fisheye(root: Path) -> None:
     edit(root, camera_model="OPENCV_FISHEYE")
 
 
+def with_a_fisheye_of_instant_ngp(root: Path) -> None:
+    edit(root, is_fisheye=True, k1=0.05)
+
+
 def in_kilometres(root: Path) -> None:
     frames = json.loads((root / "transforms.json").read_text())["frames"]
     for frame in frames:
@@ -512,6 +520,7 @@ def edit(root: Path, **more: object) -> None:
         (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read (no PNG, JPEG or WebP)"),
         (stored_on_its_side, "is stored turned or mirrored (EXIF orientation 6), which some tools undo"),
         (with_a_fisheye, "its lens is a fisheye's (OPENCV_FISHEYE); expected PINHOLE or OPENCV"),
+        (with_a_fisheye_of_instant_ngp, "its lens is a fisheye's (is_fisheye, or k4); expected PINHOLE or OPENCV"),
         (
             in_kilometres,
             "ball is 0.19 mm large by its masks and cameras; expected at least 4 mm: give the cameras' unit",

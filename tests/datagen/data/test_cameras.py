@@ -58,6 +58,8 @@ def test_a_camera_is_a_rotation_that_looks_at_its_target() -> None:
     assert rotation[2, 0] == pytest.approx(0)  # Level: the camera's right has no height.
     with pytest.raises(HyalineError, match="looks straight up or down"):
         look_at(np.zeros(3), np.array([0.0, 0.0, 1.0]))
+    with pytest.raises(HyalineError, match="expected finite numbers"):
+        look_at((0.0, 0.0, np.nan), (0.0, 0.0, 1.0))
 
 
 def test_rays_equal_the_ones_of_a_second_implementation() -> None:

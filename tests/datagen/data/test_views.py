@@ -88,6 +88,8 @@ def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
 def test_what_is_not_there_is_named(dataset: Dataset) -> None:
     with pytest.raises(HyalineError, match="train has no view 99; expected 0 to"):
         dataset.view("train", 99)
+    with unchecked(), pytest.raises(HyalineError, match=r"view 1\.5 of train: expected an integer"):
+        dataset.view("train", 1.5)  # type: ignore[arg-type]
     with unchecked(), pytest.raises(HyalineError, match="has no split 'validation'"):
         dataset.view("validation", 0)  # type: ignore[arg-type]
     with pytest.raises(HyalineError, match="has no object 'teapot'; expected one of"):

@@ -170,7 +170,7 @@ def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made:
         protocol.load_protocol.cache_clear()
         answer = call("hyaline-bench floors --preset tiny")
     protocol.load_protocol.cache_clear()
-    assert answer.status == 1 and "is not of the size that hyaline-bench 1 names for tiny (64 pixels" in answer.error
+    assert answer.status == 1 and "not what hyaline-bench 1 names for tiny: 64 pixels" in answer.error
 
 
 # Hostile submissions

@@ -180,6 +180,7 @@ def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(
         ("--name box", "--name"),
         ("--masks nowhere", "nowhere/ball/0000.png"),
         ("--steps 0", "--steps"),
+        ("--seed -1", "--seed: is -1"),
     ],
 )
 def test_what_cannot_be_fitted_is_one_line(dataset: Dataset, tmp_path: Path, flags: str, why: str) -> None:

@@ -35,3 +35,10 @@ def test_what_is_usual_needs_no_words(dataset: Dataset) -> None:
     for asked in ((), ("--seed", "3", "--steps", "10")):
         config = configured(dataset, "paper-best", *asked)
         assert words_again(config, open_inputs(config.net, dataset, config.geometry)) == asked
+
+
+def test_no_blocks_have_words_although_the_usual_ones_do_not_fit_their_width(dataset: Dataset) -> None:
+    for hidden in ((), ("--hidden", "33")):
+        config = configured(dataset, "paper", "--blocks", "0", *hidden)
+        words = words_again(config, open_inputs(config.net, dataset, config.geometry))
+        assert configured(dataset, "paper", *words) == config

@@ -167,6 +167,13 @@ def test_no_output_replaces_a_file_of_a_dataset_or_a_run(line: str, owner: str) 
 
 
 @pytest.mark.usefixtures("home")
+def test_a_label_that_no_record_can_hold_is_refused_before_training() -> None:
+    answer = call("model train paper d1 --steps 2 --label 'M\udcfcller' --out runs/d1/three")
+    assert answer.status == 1 and "--label: the string 'M\\udcfcller' holds a NUL or half of" in answer.error
+    assert not Path("runs/d1/three").exists()
+
+
+@pytest.mark.usefixtures("home")
 def test_an_output_beside_a_datasets_own_files_is_written_and_replaced() -> None:
     for page, line in (
         (Path("data/d1/look.html"), "datagen look d1"),
