@@ -144,7 +144,7 @@ def test_a_page_is_no_larger_than_it_may_be_and_says_how_many_pictures_found_no_
 
 
 def test_a_number_of_views_that_cannot_be_is_refused(root: Path, tmp_path: Path) -> None:
-    with pytest.raises(HyalineError, match=r"--views: is 0; expected 1 to 10,000 of each split and run"):
+    with pytest.raises(HyalineError, match=r"--shown-views: is 0; expected 1 to 10,000 of each split and run"):
         make_report(root / "runs", root / "data", tmp_path, output_format="csv", most_views=0)
 
 
