@@ -15,6 +15,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
+from model.settings.flags import SEED
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -166,8 +167,8 @@ def fit(
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     if steps < 1 or (mask_errors or 0) < 0:
         raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
-    if not 0 <= seed < 2**32:
-        raise UsageError(f"--seed: is {seed}; expected 0 to {2**32 - 1}")
+    if not SEED[0] <= seed <= SEED[1]:
+        raise UsageError(f"--seed: is {seed}; expected {SEED[0]} to {SEED[1]}")
     opened = open_dataset(find_dataset(dataset))
     if mask_errors is None:
         mask_errors = 0 if masks is None and opened.imported is None else 2

@@ -177,9 +177,9 @@ def look_at(
     A camera cannot look straight up or down, nor at its own place.
     """
     back = np.asarray(position, np.float64) - target
-    right = np.cross([0.0, 0.0, 1.0], back)
     if not np.isfinite(back).all():
         raise HyalineError(f"camera at {position} that looks at {target}: expected finite numbers")
+    right = np.cross([0.0, 0.0, 1.0], back)
     if np.linalg.norm(right) < 1e-6 * max(np.linalg.norm(back), 1e-6):
         raise HyalineError(f"camera at {position}: looks straight up or down at {target}; move the target aside")
     back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)

@@ -83,7 +83,7 @@ def lossless_uri(image: Image8) -> str:
 
 
 def data_uri(image: Image8, kind: str, **how: int) -> str:
-    """A picture as a data URI of a kind that Pillow writes, in these settings of its."""
+    """A picture as a data URI, encoded by Pillow as this kind of file with these settings."""
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, format=kind, **how)
     return f"data:image/{kind};base64,{base64.b64encode(buffer.getvalue()).decode()}"

@@ -59,9 +59,9 @@ def make_report(
     if not 1 <= most_views <= MAX_VIEWS:
         raise HyalineError(f"--shown-views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     check_report_folder(out)
-    _check_holds_scenes(runs_root)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
+        _check_holds_scenes(runs_root)
         raise HyalineError(
             f"{runs_root}: contains no predictions; make some with `model train paper`, or put a method's pictures at "
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"

@@ -357,7 +357,8 @@ def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Data
     record = read_run(run)
     if not dataset and not Path(record.dataset).is_dir():
         raise HyalineError(
-            f"{run}: was trained on {record.dataset}, which is not there; say where it is with --dataset"
+            f"{run}: was trained on {record.dataset}, which is not there; call from the folder that holds it (predict, "
+            "film and export also take --dataset)"
         )
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     check_trained_on(run, record.config, opened)

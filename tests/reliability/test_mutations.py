@@ -24,7 +24,7 @@ pytestmark = pytest.mark.promise("R4")
 
 DATASET, RUN = "data/one", "runs/one/paper"
 WEIGHTS = f"{RUN}/weights.pt"
-ALL, QUICK = 1000, 60
+ALL, QUICK = 1000, 120
 Mutation = tuple[str, str, bytes | None]
 """What is done, to which file, and what it then holds; None: it is gone."""
 

@@ -78,12 +78,7 @@ def cosines(camera: Camera) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("thickness", "place"),
-    [
-        pytest.param(
-            *wall, marks=() if wall in ((1e-2, AT_ORIGIN), (1e-6, AT_ORIGIN), (1e-4, FAR)) else pytest.mark.full
-        )
-        for wall in DRAWN
-    ],
+    [pytest.param(*wall, marks=() if wall in QUICK else pytest.mark.full) for wall in DRAWN],
 )
 def test_the_command_draws_a_plate_as_the_closed_form_says_and_peels_both_faces(
     tmp_path: Path, thickness: float, place: tuple[float, float, float]
