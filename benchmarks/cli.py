@@ -331,7 +331,9 @@ def step(choices: BenchChoices) -> None:
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
-def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable), demo: bool = False) -> None:
+def compare(
+    commit: str, *, rounds: int = 3, python: Path = Path(sys.executable), threads: int = 0, demo: bool = False
+) -> None:
     """This version beside an earlier commit: processor time of training, drawing, tracing and short commands, by turns.
 
     Each version builds small datasets and runs its own commands. A round takes about three minutes of one core. What is
@@ -342,11 +344,13 @@ def compare(commit: str, *, rounds: int = 3, python: Path = Path(sys.executable)
         rounds: Turns of each version.
         python: Python interpreter of an environment that also has the earlier commit's libraries, such as zarr for
             4bd2d80.
+        threads: OpenMP threads of each process; 0: as many as each version takes by itself, which is what its users
+            get. Beside other work give 1, since more threads then add waiting that says little about a version.
         demo: Also run all commands of `make demo` once in each version: one to two hours of one core.
     """
     from benchmarks.versions import compare_versions
 
-    print(compare_versions(commit, rounds=rounds, python=python, demo=demo))
+    print(compare_versions(commit, rounds=rounds, python=python, threads=threads, demo=demo))
 
 
 def infer(choices: BenchChoices) -> None:

@@ -48,6 +48,8 @@ class Version:
     """Interpreter of an environment with the version's libraries."""
     has_flags: bool = False
     """Scene, dataset and run are flags instead of words."""
+    threads: int = 0
+    """OpenMP threads of each process; 0: as many as the version takes by itself."""
 
     def call(self, *words: str) -> float:
         """Processor seconds of a Python with these words, with all its threads and children.
@@ -55,8 +57,10 @@ class Version:
         Raises:
             HyalineError: it failed; with its last line.
         """
-        # Beside other work, a second thread would add waiting that says more about that work than about the version.
-        environment = os.environ | {"PYTHONPATH": str(self.tree), "PYTHONUNBUFFERED": "1", "OMP_NUM_THREADS": "1"}
+        environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+        environment |= {"PYTHONPATH": str(self.tree), "PYTHONUNBUFFERED": "1"}
+        if self.threads:
+            environment["OMP_NUM_THREADS"] = str(self.threads)
         process = subprocess.Popen(
             [self.python, "-P", *words],
             cwd=self.folder,
@@ -221,13 +225,15 @@ ROWS = (
 class Comparison:
     """The measurements of two versions in a folder, which a later call continues."""
 
-    def __init__(self, folder: Path, commits: tuple[str, str], python: Path) -> None:
+    def __init__(self, folder: Path, commits: tuple[str, str], python: Path, threads: int) -> None:
         pythons = python, Path(sys.executable)
-        self.versions = [find_version(folder, *each) for each in zip(commits, pythons, strict=True)]
+        found = [find_version(folder, *each) for each in zip(commits, pythons, strict=True)]
+        self.versions = [dataclasses.replace(version, threads=threads) for version in found]
+        self.threads = threads
         self.commits = commits
         self.reasons: dict[tuple[str, int], str] = {}
         """Why a measure failed, by its name and the place of the version; a later call tries again."""
-        self._file = folder / "measured.json"
+        self._file = folder / (f"measured-{threads}-threads.json" if threads else "measured.json")
         self._kept: dict[str, Values] = json.loads(self._file.read_text()) if self._file.is_file() else {}
 
     def values(self, turn: int, name: str, place: int) -> Values:
@@ -311,11 +317,12 @@ def has_changes() -> bool:
     return subprocess.run(["git", "diff", "--quiet", "HEAD"], cwd=ROOT, check=False).returncode != 0
 
 
-def compare_versions(name: str, *, rounds: int, python: Path, demo: bool = False) -> str:
+def compare_versions(name: str, *, rounds: int, python: Path, threads: int = 0, demo: bool = False) -> str:
     """The table of a commit and of the commit that is checked out, after measuring what an earlier call has not.
 
     Args:
         demo: measure `make demo`, too.
+        threads: OpenMP threads of each process; 0: as many as each version takes by itself.
         python: interpreter of an environment with the earlier commit's libraries.
 
     Raises:
@@ -325,7 +332,7 @@ def compare_versions(name: str, *, rounds: int, python: Path, demo: bool = False
     if has_changes():
         say(f"measures {commits[1]} as committed, without the changes of the working tree")
     folder = ROOT / "build" / "compare" / "-".join(commits)
-    comparison = Comparison(folder, commits, python)
+    comparison = Comparison(folder, commits, python, threads)
     say(f"{folder}: keeps what is measured; the same command continues")
     comparison.prepare()
     for turn in range(rounds):
@@ -338,9 +345,10 @@ def compare_versions(name: str, *, rounds: int, python: Path, demo: bool = False
 def versions_table(comparison: Comparison, *, rounds: int) -> str:
     """Medians over the rounds, their ratio with its range, and the reasons of rows that a version cannot have."""
     machine = describe_machine()
+    threads = f"OMP_NUM_THREADS={comparison.threads}" if comparison.threads else "threads as each version takes them"
     before, now = comparison.commits
     lines = [
-        f"{machine.cpu}, {machine.cores} cores, one OpenMP thread; processor time, medians of up to {rounds} rounds",
+        f"{machine.cpu}, {machine.cores} cores, {threads}; processor time, medians of up to {rounds} rounds",
         "",
         f"| | {before} | {now} | ratio (range) |",
         "|---|---:|---:|---:|",

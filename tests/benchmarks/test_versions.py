@@ -143,3 +143,11 @@ def test_a_command_that_fails_gives_its_last_line(kind: str, tmp_path: Path) -> 
     version = Version(tree=ROOT, folder=tmp_path, python=Path(sys.executable))
     with pytest.raises(HyalineError, match="data/absent: no dataset"):
         version.watch(kind, "model", "train", "paper", "data/absent")
+
+
+def test_threads_are_a_versions_own_unless_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    words = ["-c", f"import os; open({str(tmp_path / 'told')!r}, 'w').write(os.environ.get('OMP_NUM_THREADS', 'own'))"]
+    for threads, told in ((0, "own"), (1, "1")):
+        Version(tree=tmp_path, folder=tmp_path, python=Path(sys.executable), threads=threads).call(*words)
+        assert (tmp_path / "told").read_text() == told
