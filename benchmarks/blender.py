@@ -130,7 +130,7 @@ def _drawn_by_cycles(
             "linear": (scale * turned).tolist(),
             "base": [*((low + high) / 2)[:2], low[2]],
             "ground": _write_ground(imported.scene, root),
-            "sky": str(_write_sky(imported.scene, root)),
+            "sky": str(write_sky(imported.scene, root)),
             "world_from_camera": camera.world_from_camera.tolist(),
             "fov_x": camera.fov_x,
             "width": camera.width,
@@ -168,23 +168,24 @@ def _write_ground(scene: Scene, root: Path) -> dict | None:
     (pattern,) = added.material.textures().values()
     assert isinstance(pattern, SolidTexture)
     image = root / "ground.exr"
-    image.write_bytes(_exr(linear_texels(scene, added.mesh, pattern)))
+    write_exr(image, linear_texels(scene, added.mesh, pattern))
     arrays = {"vertices": added.mesh.vertices, "faces": added.mesh.faces, "uv": added.mesh.uv}
     return {"image": str(image), **{name: values.tolist() for name, values in arrays.items()}}
 
 
-def _write_sky(scene: Scene, root: Path) -> Path:
+def write_sky(scene: Scene, root: Path) -> Path:
     """The sky as Blender maps it: the middle column is +x, and the columns run clockwise seen from above."""
     theta = (np.arange(SKY_ROWS) + 0.5)[:, None] / SKY_ROWS * np.pi
     phi = np.pi - (np.arange(2 * SKY_ROWS) + 0.5)[None, :] / SKY_ROWS * np.pi
     around = np.broadcast_arrays(np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta))
-    path = root / "sky.exr"
-    path.write_bytes(_exr(radiance_of_sky(scene, np.stack(around, axis=-1))))
+    return write_exr(root / "sky.exr", radiance_of_sky(scene, np.stack(around, axis=-1)))
+
+
+def write_exr(path: Path, image: np.ndarray) -> Path:
+    """Writes linear RGB (h, w, 3) in 32 bits, and returns the path."""
+    channels = {name: np.ascontiguousarray(image[..., i], np.float32) for i, name in enumerate("RGB")}
+    path.write_bytes(encode_float_exr(channels))
     return path
-
-
-def _exr(image: np.ndarray) -> bytes:
-    return encode_float_exr({name: np.ascontiguousarray(image[..., i], np.float32) for i, name in enumerate("RGB")})
 
 
 def cycles_table(rows: dict[str, Compared | str]) -> str:

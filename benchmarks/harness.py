@@ -49,6 +49,8 @@ class Candidate:
     """How many such calls the whole task takes; gates compare the time of one call times this."""
     note: str = ""
     """A remark for the reader in a few words."""
+    cpu_elsewhere: Callable[[], float] = lambda: 0.0
+    """Processor seconds so far of another process that does the work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -254,8 +256,8 @@ def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> 
     repeats = []
     for index, candidate in enumerate(candidates):
         say(f"{title}: warming up {candidate.name}")
-        walls[index][0], cpus[index][0] = _time(candidate.run, 1)
-        again, _ = _time(candidate.run, 1)
+        walls[index][0], cpus[index][0] = _time(candidate, 1)
+        again, _ = _time(candidate, 1)
         repeats.append(max(1, math.ceil(MIN_BLOCK_S / max(again, 1e-7))))
     was_collecting = gc.isenabled()
     gc.collect()
@@ -264,18 +266,21 @@ def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> 
         for turn in range(1, rounds + 1):
             say(f"{title}: round {turn} of {rounds}")
             for index, candidate in enumerate(candidates):
-                walls[index][turn], cpus[index][turn] = _time(candidate.run, repeats[index])
+                walls[index][turn], cpus[index][turn] = _time(candidate, repeats[index])
     finally:
         if was_collecting:
             gc.enable()
     return walls, cpus
 
 
-def _time(run: Callable[[], object], repeats: int) -> tuple[float, float]:
-    wall, cpu = time.perf_counter(), time.process_time()
+def _time(candidate: Candidate, repeats: int) -> tuple[float, float]:
+    def cpu_seconds() -> float:
+        return time.process_time() + candidate.cpu_elsewhere()
+
+    wall, cpu = time.perf_counter(), cpu_seconds()
     for _ in range(repeats):
-        run()
-    return (time.perf_counter() - wall) / repeats, (time.process_time() - cpu) / repeats
+        candidate.run()
+    return (time.perf_counter() - wall) / repeats, (cpu_seconds() - cpu) / repeats
 
 
 def _seconds(times: np.ndarray) -> Seconds:

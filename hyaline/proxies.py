@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from PIL import Image
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
+from datagen.data.paths import PROXY_KINDS, TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.distribution import naming_parts
 from hyaline.datasets import NUM_LAYERS, Dataset
@@ -69,10 +69,10 @@ def make_proxies(
         HyalineError: an unknown kind, or an object that cannot have a proxy of it.
     """
     from proxies.make import make_and_peel
-    from proxies.spec import KINDS, parse_part
+    from proxies.spec import parse_part
 
     spec = parse_part(kind)
     if spec is None:
-        raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(KINDS)}")
+        raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(PROXY_KINDS)}")
     reports = make_and_peel(dataset, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
     return Proxies(dataset=dataset, geometry=spec.geometry, reports=reports)

@@ -5,7 +5,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from datagen.data.paths import DATA_ROOT, TRUTH, build_command, find_dataset, list_datasets, train_command
+from datagen.data.paths import (
+    DATA_ROOT,
+    MIXED,
+    PROXY_KINDS,
+    TRUTH,
+    ProxyKind,
+    build_command,
+    find_dataset,
+    list_datasets,
+    train_command,
+)
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose, fail, next_command, run
 from datagen.terminal.parsing import CommandGroup, group
@@ -13,7 +23,7 @@ from datagen.terminal.parsing import CommandGroup, group
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
     from proxies.make import ProxyReport
-    from proxies.spec import MixedSpec, ProxyKind, ProxySpec
+    from proxies.spec import MixedSpec, ProxySpec
 
 
 def main() -> None:
@@ -34,7 +44,7 @@ def make(
     amount: float | None = None,
     assign: tuple[str, ...] = (),
     rest: str = TRUTH,
-    name: str = "mixed",
+    name: str = MIXED,
     num_layers: int = 8,
     workers: int = 1,
     overwrite: bool = False,
@@ -62,7 +72,7 @@ def make(
 
     if assign and (kind, amount) != ("ellipsoid", None):
         raise UsageError(f"--kind {kind}: does not go with --assign; give --rest for the objects that it does not name")
-    if not assign and (rest, name) != (TRUTH, "mixed"):
+    if not assign and (rest, name) != (TRUTH, MIXED):
         raise UsageError("--rest, --name: go with --assign OBJECT=KIND; leave them out")
     from datagen.data.layer_writing import check_settings
 
@@ -132,9 +142,9 @@ def _mixture(dataset: "Dataset", name: str, assign: tuple[str, ...], rest: str) 
 
 
 def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
-    from proxies.spec import AMOUNT, KINDS, ProxySpec
+    from proxies.spec import AMOUNT, ProxySpec
 
-    chosen = cast("ProxyKind", choose("kind", kind, KINDS))
+    chosen = cast(ProxyKind, choose("kind", kind, PROXY_KINDS))
     return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
 
 

@@ -5,17 +5,14 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
-from typing import Literal, cast, get_args
+from typing import cast
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
+from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, ProxyKind
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
 from proxies.meshing.noise import check_amount
 from proxies.meshing.solid import Solid
-
-ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
-"""All kinds; `noise` is not fitted but moves the vertices of the true meshes (proxies/meshing/noise.py)."""
 
 Fitter = Callable[[tuple[Solid, ...], tuple[float, ...]], tuple[Mesh, ...]]
 
@@ -52,14 +49,8 @@ FITTERS: dict[ProxyKind, Fitter] = {
 Each encloses its solid at the distance of its padding in metres. A kind's file is imported at its first use.
 """
 
-
-KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
-
 AMOUNT = 0.01
 """Default amount of `noise`."""
-
-MIXED = "mixed"
-"""Prefix of a mixture's name, which distinguishes it from a kind."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,7 +102,7 @@ def parse_part(text: str) -> ProxySpec | None:
         return None
     kind, dash, amount = text.partition("-")
     if kind != "noise" or not dash:
-        chosen = cast(ProxyKind, choose("kind", text, [TRUTH, *KINDS]))
+        chosen = cast(ProxyKind, choose("kind", text, [TRUTH, *PROXY_KINDS]))
         return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" else None)
     try:
         return ProxySpec(kind="noise", amount=float(amount))

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from datagen.data.dataset import Dataset, check_has_meshes, head_files
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
-from datagen.data.paths import FITTED, TRUTH, geometry_root, is_fitted
+from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
@@ -120,6 +120,8 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     path = geometry_root(dataset.root, kind) / "proxies.json"
     if not path.is_file():
         check_has_meshes(dataset)
+        if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
+            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS})
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:
@@ -183,7 +185,7 @@ def make_command(dataset: Dataset, geometry: str, num_layers: int | None = None)
         assignment = read_assignment(dataset, geometry)
     except HyalineError:
         # Any object and kind will do to show how it is written.
-        assignment = ("box",) if geometry.startswith("mixed") else None
+        assignment = ("box",) if geometry.startswith(MIXED) else None
     if assignment is None:
         kind, _, amount = geometry.partition("-")
         words += ["--kind", kind, *(["--amount", amount] if amount else [])]

@@ -22,11 +22,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from datagen.data.config import Resolution, Split
-from datagen.data.paths import layers_root, view_name
+from datagen.data.paths import TRUTH, geometry_root, layers_root, view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import LAYERS
+from datagen.disk.ownership import LAYERS, PROXIES
 from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import check_files, load_sealed, read_promised, seal_of
+from datagen.disk.storage import check_files, home_of, load_sealed, read_promised, seal_of
 
 LAYERS_VERSION = 2
 
@@ -141,11 +141,16 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
     """The store of a geometry's layers, its head verified.
 
     Raises:
-        HyalineError: the geometry was not peeled, or the head is damaged.
+        HyalineError: there is no such geometry, it was not peeled, or the head is damaged.
     """
     path = layers_root(dataset_root, geometry) / LAYERS.head
     peel = shlex.join(_peel_words(dataset_root, geometry))
     if not path.is_file():
+        roots = [geometry_root(place, geometry) for place in (dataset_root, home_of(dataset_root))]
+        if geometry != TRUTH and not any((root / PROXIES.head).is_file() for root in roots):
+            raise HyalineError(
+                f"{dataset_root}: has no geometry {geometry}; `proxies make` makes proxies, `model fit` fitted glass"
+            )
         raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `{peel}`")
     content = load_sealed(path)
     if content.get("version") != LAYERS_VERSION:

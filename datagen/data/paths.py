@@ -4,6 +4,7 @@ import difflib
 import os
 import shlex
 from pathlib import Path
+from typing import Literal, get_args
 
 from datagen.data.config import Split
 from datagen.data.metadata import Imported
@@ -16,6 +17,13 @@ TRUTH = "truth"
 
 FITTED = "fitted"
 """The geometry that `model fit` makes: glass as it was found, everything else true. Others are called `fitted-NAME`."""
+
+MIXED = "mixed"
+"""The geometry of a mixture of proxies. Others are called `mixed-NAME`."""
+
+ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
+PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
+"""The geometries that `proxies make` makes, each of one kind; `noise` is followed by its amount, as in noise-0.01."""
 
 
 def is_fitted(geometry: str) -> bool:

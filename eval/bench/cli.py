@@ -2,6 +2,7 @@
 
 import os
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError, UsageError
@@ -63,7 +64,7 @@ def submit(
     The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
 
     Args:
-        method: Name of the runs' folders. Default: all methods, one file each.
+        method: Name of the runs' folders. Default: all methods, one file each; incomplete ones are left out.
         preset: Size of the benchmark's datasets: tiny, small, demo or standard.
         track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
             run.json.
@@ -73,7 +74,7 @@ def submit(
         overwrite: Replace an existing file.
     """
     from datagen.terminal.command import choose
-    from eval.bench.protocol import load_protocol
+    from eval.bench.protocol import left_out, load_protocol
     from eval.bench.submission import find_runs
     from eval.bench.submission import submit as pack
 
@@ -86,9 +87,14 @@ def submit(
         )
     if out is not None and method is None:
         raise UsageError("--out: goes with a method; name one")
+    packed = 0
     for name in sorted(found) if method is None else [choose("method", method, found)]:
         place = out or BENCH / preset / "submissions" / f"{name}.tar"
-        tell(str(pack(found[name], preset=preset, track=track, out=place, protocol=protocol, overwrite=overwrite)))
+        with left_out() if method is None else nullcontext():
+            tell(str(pack(found[name], preset=preset, track=track, out=place, protocol=protocol, overwrite=overwrite)))
+            packed += 1
+    if not packed:
+        raise HyalineError(f"{runs}: no method has all predictions that {preset} asks for")
     next_command(f"hyaline-bench score --preset {preset}")
 
 

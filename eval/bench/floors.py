@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, commit_same, dump_json
 from datagen.terminal.command import say
-from eval.bench.protocol import Protocol, is_of_preset
+from eval.bench.protocol import Protocol, is_of_preset, left_out
 
 Pictures = UInt8[np.ndarray, "view h w 3"]
 Floor = Callable[[Pictures, Cameras, Cameras], Pictures]
@@ -53,8 +53,11 @@ FLOORS: dict[str, tuple[Floor, str]] = {
 
 def write_floors(runs_root: Path, data_root: Path, preset: str, protocol: Protocol) -> list[Path]:
     """The floors' predictions of each dataset of a preset, as runs; returns their folders."""
-    datasets = [open_dataset(root) for root in list_datasets(data_root)]
-    datasets = [dataset for dataset in datasets if is_of_preset(dataset, preset, protocol)]
+    datasets: list[Dataset] = []
+    for root in list_datasets(data_root):
+        with left_out():
+            if is_of_preset(dataset := open_dataset(root), preset, protocol):
+                datasets.append(dataset)
     if not datasets:
         command = shlex.join(["model", "sweep", "bench", "--preset", preset])
         raise HyalineError(f"{data_root}: has no dataset of {preset}; make them with `{command}`")

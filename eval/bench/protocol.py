@@ -2,7 +2,8 @@
 
 import functools
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -15,7 +16,7 @@ from datagen.data.variants import ANGLES
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, from_json, load_toml
 from datagen.scene.edits import edits_name, parse_edit
-from datagen.terminal.command import choose
+from datagen.terminal.command import choose, say
 from eval.papers.known import KNOWLEDGE, knowledge_of
 from eval.score.runs import Run
 
@@ -117,6 +118,15 @@ class Protocol:
 def load_protocol() -> Protocol:
     """The protocol of this version."""
     return from_json(Protocol, cast(Json, load_toml(PROTOCOL)), where=str(PROTOCOL))
+
+
+@contextmanager
+def left_out() -> Iterator[None]:
+    """Says what is wrong with a dataset, a run or a method, and goes on with the next one."""
+    try:
+        yield
+    except HyalineError as error:
+        say(f"left out: {error}")
 
 
 def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:

@@ -20,7 +20,7 @@ from datagen.disk.records import Json, from_json, to_json
 from datagen.disk.storage import commit_sealed, load_sealed, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
-from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset
+from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
 from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission
 from eval.score.kept import Kept
 from eval.score.metrics import mean_of
@@ -148,8 +148,13 @@ def read_scored(path: Path) -> Scored:
 
 
 def find_truths(root: Path) -> dict[str, Dataset]:
-    """All datasets in a folder, by their digest."""
-    return {dataset.seal: dataset for dataset in map(open_dataset, list_datasets(root))}
+    """All datasets in a folder, by their digest; one that cannot be opened is named and left out."""
+    found: dict[str, Dataset] = {}
+    for folder in list_datasets(root):
+        with left_out():
+            dataset = open_dataset(folder)
+            found[dataset.seal] = dataset
+    return found
 
 
 def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Protocol) -> Scored:

@@ -39,7 +39,7 @@ from datagen.export.archive import (
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say
 from eval.analyses.variants import run_of_variant
-from eval.bench.protocol import Protocol, choose_track, is_of_preset, load_protocol
+from eval.bench.protocol import Protocol, choose_track, is_of_preset, left_out, load_protocol
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run, read_prediction
 
 INDEX = "hyaline-submission.json"
@@ -99,21 +99,21 @@ def _paths_of(scene: str, name: str, protocol: Protocol) -> str:
 
 
 def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> dict[str, dict[str, Run]]:
-    """The runs on datasets of a preset, by their name and scene; a run that cannot be opened is named and left out."""
-    found: dict[str, dict[str, Run]] = {}
+    """The runs on datasets of a preset, by their name and scene.
+
+    A run that cannot be opened, or whose dataset has another size, is named and left out.
+    """
+    runs: list[Run] = []
     for folder in list_run_folders(root, besides=root / "report"):
-        try:
-            if not has_predictions(folder):
-                continue
-            run = open_run(folder, data_root)
-        except HyalineError as error:
-            say(f"left out: {error}")
-            continue
-        if not is_of_preset(run.dataset, preset, protocol):
-            continue
+        with left_out():
+            if has_predictions(folder) and is_of_preset((run := open_run(folder, data_root)).dataset, preset, protocol):
+                runs.append(run)
+    found: dict[str, dict[str, Run]] = {}
+    for run in runs:
         scene, of_name = run.dataset.config.scene, found.setdefault(run.name, {})
         if scene in of_name:
-            raise HyalineError(f"{folder}: is a second run of {run.name} on {scene}, beside {of_name[scene].folder}")
+            other = of_name[scene].folder
+            raise HyalineError(f"{run.folder}: is a second run of {run.name} on {scene}, beside {other}")
         of_name[scene] = run
     return found
 

@@ -92,7 +92,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
     known = known_meshes(meshes, sightings.unknown)
     root = geometry_root(dataset.root, geometry)
-    with holding(out, FIT), holding(root, PROXIES, within=dataset.root), room.one_thread():
+    with holding(out, FIT), room.one_thread():
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)
         work = _Work(
@@ -104,7 +104,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             folder=folder,
         )
         found = work.run()
-        write_geometry(dataset, geometry, meshes, found)
+        with holding(root, PROXIES, within=dataset.root):
+            write_geometry(dataset, geometry, meshes, found)
         folder.finish(summary(dataset, found))
     if has_layers(dataset):
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)

@@ -28,7 +28,7 @@ from datagen.scene.rig import make_cameras
 use_mitsuba(quiet=True)
 
 from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.truth import bench_truth, fit_noise  # noqa: E402
+from benchmarks.truth import Goal, bench_truth, fit_noise, under_a_lamp  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
@@ -63,7 +63,8 @@ def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     water = SceneObject(name="drop", mesh=drop, material=Dielectric(ior=1.33, priority=-1))
     scene = dataclasses.replace(scene, objects=(*scene.objects[1:], glass, water))
     cameras = make_cameras(scene.cameras, config(views=2))["train"]
-    report = bench_truth(scene, cameras, low_spp=4, high_spp=16, mean_spp=256, rounds=3)
+    goal = Goal(ceiling_db=45, at_least=5, low_spp=4, high_spp=16)
+    report = bench_truth(scene, cameras, goal, mean_spp=256, rounds=3)
     assert [check.passed for check in report.checks] == [True], report.checks
     assert report.facts["solids left out, which reach into others"] == 1
     ours = report.facts["datagen build: samples per pixel for 45 dB"]
@@ -79,9 +80,10 @@ def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
         noise = np.random.default_rng(seed).normal(size=(64, 64, 3)) * 1e-4 / np.sqrt(spp)
         return (0.0015 + noise).astype(np.float32), spp
 
-    law = fit_noise(radiance, 4, 64)
-    assert law.exponent == pytest.approx(1, abs=0.02)
-    assert law.spp_for(60) == pytest.approx((12.92 * 1e-4) ** 2 / 1e-6, rel=0.05)
+    for exponent in (None, 1):
+        law = fit_noise(radiance, Goal(ceiling_db=60, at_least=5, low_spp=4, high_spp=64, exponent=exponent))
+        assert law.exponent == pytest.approx(1, abs=0.02)
+        assert law.spp_for(60) == pytest.approx((12.92 * 1e-4) ** 2 / 1e-6, rel=0.05)
 
 
 def points_of_a_law(exponent: float) -> list[Point]:

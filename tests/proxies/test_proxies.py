@@ -18,6 +18,7 @@ from datagen.data.meshes import (
     vertex_normals,
     winding_number,
 )
+from datagen.data.paths import ProxyKind
 from datagen.disk.errors import HyalineError
 from datagen.machine.processes import ChildError
 from datagen.scene.modelling import grid_faces
@@ -25,7 +26,7 @@ from proxies.kinds import box, ellipsoid, hull
 from proxies.make import paddings
 from proxies.meshing import measure, meshlab, noise, solid
 from proxies.meshing.solid import Solid, make_solids, outside_by
-from proxies.spec import FITTERS, ProxyKind
+from proxies.spec import FITTERS
 
 KINDS = list(FITTERS)
 CONVEX_KINDS: list[ProxyKind] = ["box", "ellipsoid", "hull"]

@@ -158,6 +158,11 @@ def test_incomplete_predictions_are_not_packed(packed: Path, file: str, message:
     shutil.rmtree(path) if path.is_dir() else path.unlink()
     answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
     assert answer.status == 1 and re.search(message, answer.error) and not Path("new.tar").exists()
+    SUBMISSION.unlink()
+    run("hyaline-bench submit --preset tiny")  # The other floor is complete.
+    assert not SUBMISSION.exists()
+    shutil.rmtree("runs/synthetic-tiny/mean-picture/predictions")
+    assert "no method has all predictions" in call("hyaline-bench submit --preset tiny").error
 
 
 def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made: Path) -> None:
@@ -170,7 +175,8 @@ def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made:
         protocol.load_protocol.cache_clear()
         answer = call("hyaline-bench floors --preset tiny")
     protocol.load_protocol.cache_clear()
-    assert answer.status == 1 and "not what hyaline-bench 1 names for tiny: 64 pixels" in answer.error
+    assert answer.status == 1 and "left out: " in answer.err and "names for tiny: 64 pixels" in answer.err
+    assert "data: has no dataset of tiny" in answer.error
 
 
 # Hostile submissions

@@ -133,6 +133,7 @@ def test_what_masks_do_not_show_is_refused_by_name_and_left_out_otherwise(
     assert named.status == 1 and "ball: masks do not show its shape" in named.error
     all_glass = call(f"model fit {dataset.root} {rest}")
     assert all_glass.status == 1 and "masks show the shape of none of the unknown objects" in all_glass.error
+    assert not geometry_root(dataset.root, "fitted-none").exists()
     assert "taken as known: ball: masks do not show its shape" in all_glass.err
 
 

@@ -192,6 +192,10 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     ("changes", "message"),
     [
         (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
+        (
+            ("--geometry", "nope"),
+            "geometry 'nope': there is none of that name; did you mean 'noise'? known are blocks, ",
+        ),
         (("--geometry", "box"), "no box proxies; make them with `proxies make "),
         (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
         (("--lr", "-1"), r"lr: is -1.0; expected a learning rate"),
