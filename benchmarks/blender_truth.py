@@ -16,6 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.scene.description import RectangleLight, Scene, SceneObject
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic
+from datagen.scene.substances import index_of
 from datagen.scene.textures import ImageTexture, SolidTexture
 
 CHILD = Path(__file__).with_name("blender_truth_child.py")
@@ -27,8 +28,8 @@ KNOWN: tuple[type[Material], ...] = (Diffuse, Plastic, Conductor, Dielectric)
 class Cycles:
     """A Blender that holds a scene and one camera, in a process of its own, until it is closed.
 
-    Meshes, uv, baked textures, sky and lamps are the same as ours. Plastic is Blender's Principled BSDF, whose light
-    differs by some per cent; glass and matt surfaces follow the same formulas.
+    Meshes, uv, baked textures, sky, lamps, glass and matt surfaces are the same as ours. The base below a coat loses as
+    much light as there, but on its way in as if that came from all around.
     """
 
     def __init__(self, scene: Scene, camera: Camera, *, python: Path, max_depth: int) -> None:
@@ -40,6 +41,10 @@ class Cycles:
         Raises:
             HyalineError: it has no bpy, or the scene has materials that are not rebuilt.
         """
+        for item in scene.objects:
+            if type(item.material) not in KNOWN:
+                kinds, found = ", ".join(kind.__name__ for kind in KNOWN), type(item.material).__name__
+                raise HyalineError(f"--cycles: {item.name} is {found}; only {kinds} are rebuilt in Blender")
         self.cpu_seconds = 0.0
         """Of all pictures so far, all threads."""
         self._folder = tempfile.TemporaryDirectory(prefix="hyaline-cycles-")
@@ -105,25 +110,42 @@ class Cycles:
 def _write_object(scene: Scene, item: SceneObject, root: Path) -> dict[str, object]:
     """The object's files, and its material by the words of `blender_truth_child.py`."""
     material = item.material
-    if type(material) not in KNOWN:
-        kinds = ", ".join(kind.__name__ for kind in KNOWN)
-        raise HyalineError(f"--cycles: {item.name} is {type(material).__name__}; only {kinds} are rebuilt in Blender")
     root.mkdir()
     mesh = item.mesh
     np.savez(root / "mesh.npz", vertices=mesh.vertices, faces=mesh.faces, uv=mesh.uv, normals=mesh.normals)
     described: dict[str, object] = {"kind": type(material).__name__}
     if isinstance(material, Dielectric | Plastic):
-        described["ior"] = material.ior
+        described["ior"] = index_of(material.ior)
     if isinstance(material, Plastic | Conductor):
         described["alpha"] = material.roughness
     if not isinstance(material, Dielectric):
         assert isinstance(material, Diffuse | Plastic | Conductor)
         color = material.color
-        if isinstance(color, SolidTexture | ImageTexture):
-            described["image"] = str(write_exr(root / "color.exr", linear_texels(scene, mesh, color)))
+        has_texels = isinstance(color, SolidTexture | ImageTexture)
+        reflectance = linear_texels(scene, mesh, color) if has_texels else np.array(color)
+        if isinstance(material, Plastic):
+            reflectance = below_coat(reflectance, index_of(material.ior))
+        if has_texels:
+            described["image"] = str(write_exr(root / "color.exr", reflectance))
         else:
-            described["color"] = list(color)
+            described["color"] = reflectance.tolist()
     return {"name": item.name, "mesh": str(root / "mesh.npz"), "material": described}
+
+
+def below_coat(color: np.ndarray, ior: float) -> np.ndarray:
+    """The share of diffuse light that a base of this colour sends back through its coat, but for what the coat reflects
+    on the way out; light is reflected back and forth between both.
+
+    Source: the nonlinear `plastic` of Mitsuba's manual.
+    """
+    cosine = (np.arange(1000) + 0.5) / 1000
+    refracted = np.sqrt(1 - (1 - cosine**2) / ior**2)
+    across = (cosine - ior * refracted) / (cosine + ior * refracted)
+    along = (ior * cosine - refracted) / (ior * cosine + refracted)
+    # Reflectance for light from all around: half of the sum, weighted by twice the cosine.
+    outside = float(np.mean((across**2 + along**2) * cosine))
+    inside = 1 - (1 - outside) / ior**2
+    return (1 - outside) * color / (ior**2 * (1 - inside * color))
 
 
 def _describe_lamp(light: RectangleLight) -> dict[str, object]:

@@ -56,25 +56,32 @@ def make_material(bpy, name: str, described: dict):
     material.use_nodes = True
     nodes, links = material.node_tree.nodes, material.node_tree.links
     nodes.clear()
-    kinds = {
-        "Diffuse": "ShaderNodeBsdfDiffuse",
-        "Plastic": "ShaderNodeBsdfPrincipled",
-        "Conductor": "ShaderNodeBsdfAnisotropic",  # Blender's name of the Glossy BSDF.
-        "Dielectric": "ShaderNodeBsdfGlass",
-    }
-    surface, output = nodes.new(kinds[described["kind"]]), nodes.new("ShaderNodeOutputMaterial")
-    links.new(surface.outputs["BSDF"], output.inputs["Surface"])
-    if "ior" in described:
-        surface.inputs["IOR"].default_value = described["ior"]
-    if "Roughness" in surface.inputs:
-        surface.inputs["Roughness"].default_value = math.sqrt(described.get("alpha", 0.0))
-    color = surface.inputs["Base Color" if described["kind"] == "Plastic" else "Color"]
+    kind, roughness = described["kind"], math.sqrt(described.get("alpha", 0.0))
+    output = nodes.new("ShaderNodeOutputMaterial").inputs["Surface"]
+    if kind == "Dielectric":
+        glass = nodes.new("ShaderNodeBsdfGlass")
+        glass.inputs["Roughness"].default_value, glass.inputs["IOR"].default_value = 0.0, described["ior"]
+        links.new(glass.outputs["BSDF"], output)
+        return material
+    gloss = nodes.new("ShaderNodeBsdfAnisotropic")  # Blender's name of the Glossy BSDF.
+    gloss.inputs["Roughness"].default_value = roughness
+    colored = gloss if kind == "Conductor" else nodes.new("ShaderNodeBsdfDiffuse")
     if "image" in described:
         image = nodes.new("ShaderNodeTexImage")
         image.image = bpy.data.images.load(described["image"])
-        links.new(image.outputs["Color"], color)
+        links.new(image.outputs["Color"], colored.inputs["Color"])
     else:
-        color.default_value = (*described.get("color", (1, 1, 1)), 1)
+        colored.inputs["Color"].default_value = (*described["color"], 1)
+    if kind != "Plastic":
+        links.new(colored.outputs["BSDF"], output)
+        return material
+    gloss.inputs["Color"].default_value = (1, 1, 1, 1)
+    share, both = nodes.new("ShaderNodeFresnel"), nodes.new("ShaderNodeMixShader")
+    share.inputs["IOR"].default_value = described["ior"]
+    links.new(share.outputs["Fac"], both.inputs["Fac"])
+    links.new(colored.outputs["BSDF"], both.inputs[1])
+    links.new(gloss.outputs["BSDF"], both.inputs[2])
+    links.new(both.outputs["Shader"], output)
     return material
 
 

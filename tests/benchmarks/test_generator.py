@@ -28,7 +28,7 @@ from datagen.scene.rig import make_cameras
 use_mitsuba(quiet=True)
 
 from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
-from benchmarks.truth import Goal, bench_truth, fit_noise, under_a_lamp  # noqa: E402
+from benchmarks.truth import Goal, bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
