@@ -115,7 +115,10 @@ def _compute(func: Any, args: Any, kwargs: dict[str, Any], counts: Counts) -> An
     """Computes an operation on the CPU, and counts what it would do on the GPU."""
     packet = func.overloadpacket
     plain = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, Tensor) and not _is_ours(leaf)]
-    foreign = [leaf for leaf in plain if leaf.dim() > 0]
+    node = torch._C._current_autograd_node()
+    # Autograd's C++ makes zeros for parts of an `unbind` that have no gradient, on the device that it knows: the CPU.
+    is_filled = node is not None and node.name() == "UnbindBackward0"
+    foreign = [] if is_filled else [leaf for leaf in plain if leaf.dim() > 0]
     if foreign and packet is aten.copy_:
         counts.copy(foreign[0].nbytes, "copy_")
     elif foreign and packet in OF_BOTH:
