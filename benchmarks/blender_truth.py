@@ -1,11 +1,14 @@
 """Blender's Cycles as a rival in rendering truth: a scene rebuilt in Blender, and pictures drawn there on demand."""
 
+# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
+# pyright: reportArgumentType=false
+
 import json
 import subprocess
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 
@@ -26,29 +29,58 @@ KNOWN: tuple[type[Material], ...] = (Diffuse, Plastic, Conductor, Dielectric)
 
 
 class Cycles:
-    """A Blender that holds a scene and one camera, in a process of its own, until it is closed.
+    """A Blender that holds a scene and one camera, in a process of its own; `open_cycles` starts and ends it."""
 
-    Meshes, uv, baked textures, sky, lamps, glass and matt surfaces are the same as ours. The base below a coat loses as
-    much light as there, but on its way in as if that came from all around.
-    """
+    def __init__(self, child: "subprocess.Popen[str]", picture: Path, python: Path) -> None:
+        self.cpu_seconds = 0.0
+        """Processor time of all threads over all pictures drawn so far."""
+        self._child, self._picture, self._python = child, picture, python
 
-    def __init__(self, scene: Scene, camera: Camera, *, python: Path, max_depth: int) -> None:
-        """Starts Blender.
-
-        Args:
-            python: interpreter of an environment with bpy; it needs no hyaline.
+    def radiance(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
+        """Linear radiance (h, w, 3), and `spp`.
 
         Raises:
-            HyalineError: it has no bpy, or the scene has materials that are not rebuilt.
+            HyalineError: the interpreter has no bpy, or Blender failed.
         """
-        for item in scene.objects:
-            if type(item.material) not in KNOWN:
-                kinds, found = ", ".join(kind.__name__ for kind in KNOWN), type(item.material).__name__
-                raise HyalineError(f"--cycles: {item.name} is {found}; only {kinds} are rebuilt in Blender")
-        self.cpu_seconds = 0.0
-        """Of all pictures so far, all threads."""
-        self._folder = tempfile.TemporaryDirectory(prefix="hyaline-cycles-")
-        root = Path(self._folder.name)
+        assert self._child.stdin is not None and self._child.stderr is not None
+        asked = {"spp": spp, "seed": seed % (1 << 31), "picture": str(self._picture)}
+        try:
+            self._child.stdin.write(json.dumps(asked) + "\n")
+            self._child.stdin.flush()
+        except BrokenPipeError:
+            pass  # The process has ended, and what it printed last says why.
+        told = ""
+        while line := self._child.stderr.readline():
+            if line.startswith("drawn in "):
+                self.cpu_seconds += float(line.removeprefix("drawn in "))
+                return np.load(self._picture), spp
+            told = line.strip() or told
+        if self._child.wait() == NOT_INSTALLED:
+            raise HyalineError(
+                f"--cycles: {self._python} has no bpy; `{self._python} -m pip install bpy` brings Blender"
+            )
+        raise HyalineError(f"--cycles: Blender failed ({told or f'exit status {self._child.returncode}'})")
+
+
+@contextmanager
+def open_cycles(scene: Scene, camera: Camera, *, python: Path, max_depth: int) -> Iterator[Cycles]:
+    """Blender with a scene, until the block is left.
+
+    Meshes, uv, baked textures, sky, lamps, glass and matt surfaces are the same as ours. Plastic is approximate: the
+    coat's loss of incoming light is averaged over all directions. Call `use_mitsuba` first.
+
+    Args:
+        python: interpreter of an environment with bpy; it needs no hyaline.
+
+    Raises:
+        HyalineError: it does not run, or the scene has materials that are not rebuilt.
+    """
+    for item in scene.objects:
+        if type(item.material) not in KNOWN:
+            kinds, found = ", ".join(kind.__name__ for kind in KNOWN), type(item.material).__name__
+            raise HyalineError(f"--cycles: {item.name} is {found}; only {kinds} are rebuilt in Blender")
+    with tempfile.TemporaryDirectory(prefix="hyaline-cycles-") as folder:
+        root = Path(folder)
         job = {
             "objects": [_write_object(scene, item, root / str(place)) for place, item in enumerate(scene.objects)],
             "lamps": [_describe_lamp(light) for light in scene.lights],
@@ -62,53 +94,26 @@ class Cycles:
         }
         (root / "job.json").write_text(json.dumps(job))
         try:
-            self._child = subprocess.Popen(
+            child = subprocess.Popen(
+                # Not -I, since the child imports the file beside it.
                 [python.absolute(), "-E", "-s", CHILD, root / "job.json"],
                 cwd=root,
                 stdin=subprocess.PIPE,
-                stdout=subprocess.DEVNULL,  # Blender talks.
+                stdout=subprocess.DEVNULL,  # Blender's own messages.
                 stderr=subprocess.PIPE,
                 text=True,
             )
         except OSError as error:
-            self._folder.cleanup()
             raise HyalineError(f"--cycles: {python} does not run ({error.strerror}); expected an interpreter") from None
-        self._python = python
-
-    def radiance(self, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
-        """Linear radiance (h, w, 3), and `spp`."""
-        picture = Path(self._folder.name) / "picture.npy"
-        assert self._child.stdin is not None and self._child.stderr is not None
         try:
-            self._child.stdin.write(json.dumps({"spp": spp, "seed": seed % (1 << 31), "picture": str(picture)}) + "\n")
-            self._child.stdin.flush()
-        except BrokenPipeError:
-            pass  # Its last line says why.
-        told = ""
-        while line := self._child.stderr.readline():
-            if line.startswith("drawn in "):
-                self.cpu_seconds += float(line.removeprefix("drawn in "))
-                return np.load(picture), spp
-            told = line.strip() or told
-        if self._child.wait() == NOT_INSTALLED:
-            raise HyalineError(
-                f"--cycles: {self._python} has no bpy; `{self._python} -m pip install bpy` brings Blender"
-            )
-        raise HyalineError(f"--cycles: Blender failed ({told or f'exit status {self._child.returncode}'})")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._child.kill()
-        self._child.communicate()
-        self._folder.cleanup()
+            yield Cycles(child, root / "picture.npy", python)
+        finally:
+            child.kill()
+            child.communicate()
 
 
 def _write_object(scene: Scene, item: SceneObject, root: Path) -> dict[str, object]:
-    """The object's files, and its material by the words of `blender_truth_child.py`."""
+    """Writes the object's files, and describes its material as `blender_truth_child.py` expects it."""
     material = item.material
     root.mkdir()
     mesh = item.mesh
@@ -133,17 +138,14 @@ def _write_object(scene: Scene, item: SceneObject, root: Path) -> dict[str, obje
 
 
 def below_coat(color: np.ndarray, ior: float) -> np.ndarray:
-    """The share of diffuse light that a base of this colour sends back through its coat, but for what the coat reflects
-    on the way out; light is reflected back and forth between both.
+    """The diffuse reflectance of a base of this colour below a clear coat, for light from all directions.
 
-    Source: the nonlinear `plastic` of Mitsuba's manual.
+    Includes interreflection between base and coat, but not the coat's Fresnel loss towards the viewer, which depends on
+    the angle. Call `use_mitsuba` first. Source: Mitsuba's documentation of `plastic`, nonlinear.
     """
-    cosine = (np.arange(1000) + 0.5) / 1000
-    refracted = np.sqrt(1 - (1 - cosine**2) / ior**2)
-    across = (cosine - ior * refracted) / (cosine + ior * refracted)
-    along = (ior * cosine - refracted) / (ior * cosine + refracted)
-    # Reflectance for light from all around: half of the sum, weighted by twice the cosine.
-    outside = float(np.mean((across**2 + along**2) * cosine))
+    import mitsuba as mi
+
+    outside = np.array(mi.fresnel_diffuse_reflectance(mi.Float(ior)), float).item()
     inside = 1 - (1 - outside) / ior**2
     return (1 - outside) * color / (ior**2 * (1 - inside * color))
 

@@ -29,7 +29,7 @@ def main(job: dict) -> None:
     add_camera(bpy, job)
     set_cycles(bpy, job)
     scene = bpy.context.scene
-    scene.render.use_persistent_data = True  # Or each picture would sort the triangles again.
+    scene.render.use_persistent_data = True  # Otherwise each picture builds the acceleration structure again.
     for line in sys.stdin:
         asked = json.loads(line)
         scene.cycles.samples, scene.cycles.seed = asked["spp"], asked["seed"]

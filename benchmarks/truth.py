@@ -5,8 +5,8 @@ samples a ceiling takes: it is steeper than 1 / n where samples are stratified. 
 
 Under a small lamp most noise is in rare bright pixels, many of which no picture has met yet, so that noise hardly falls
 from one number to the other, and means do not agree yet. There the law is 1 / n through the noise at the larger number,
-and means are not compared; `tests/datagen/render` shows that ours is unbiased. What the others have not met flatters
-them.
+and means are not compared; `tests/datagen/render` shows that ours is unbiased. The other renderers look better than
+they are, because caustics that they have not found yet do not count as noise.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -23,7 +23,7 @@ from typing import Literal, Protocol
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.blender_truth import Cycles
+from benchmarks.blender_truth import open_cycles
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
 from datagen.data.cameras import Cameras
 from datagen.data.images import srgb_from_linear
@@ -52,9 +52,9 @@ MIN_AGREEMENT = 0.8, 1.25
 OURS, DEFAULTS, CYCLES = "datagen build", "mitsuba's defaults", "Cycles"
 
 LAMP_WIDTH, LAMP_HEIGHT = 0.05, 1.0
-"""Metres: a square lamp, above what cameras look at."""
+"""In metres: side of the square lamp, and its height above the point that the cameras look at."""
 LAMP_RADIANCE, DIM = 600.0, 0.1
-"""Straight below, the lamp's irradiance is 1.5; the sky is dimmer than in soft light by the second number."""
+"""The lamp's radiance, which gives an irradiance of 1.5 straight below, and the factor by which the sky is dimmed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class Goal:
     high_spp: int = 64
     """Where noise is estimated."""
     exponent: float | None = None
-    """Of the law; None: as the noise falls between the two."""
+    """Exponent of the noise law; None: fitted to both numbers of samples."""
 
 
 GOALS: dict[Light, Goal] = {
@@ -129,7 +129,7 @@ def bench_truth(
     with ExitStack() as open_rivals:
         elsewhere: dict[str, Callable[[], float]] = {}
         if cycles is not None:
-            blender = open_rivals.enter_context(Cycles(scene, cameras[view], python=cycles, max_depth=max_depth))
+            blender = open_rivals.enter_context(open_cycles(scene, cameras[view], python=cycles, max_depth=max_depth))
             rivals[CYCLES], elsewhere[CYCLES] = blender.radiance, lambda: blender.cpu_seconds
             facts["mean light, ours / Cycles"] = compare_brightness(rivals[OURS], rivals[CYCLES], mean_spp)
         candidates = []

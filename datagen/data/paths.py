@@ -23,7 +23,8 @@ MIXED = "mixed"
 
 ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
 PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
-"""The geometries that `proxies make` makes, each of one kind; `noise` is followed by its amount, as in noise-0.01."""
+"""All kinds of proxies, which name geometries. `noise` moves the vertices of the true meshes
+(proxies/meshing/noise.py), and its geometry ends in the amount, as in noise-0.01."""
 
 
 def is_fitted(geometry: str) -> bool:

@@ -4,6 +4,7 @@ import dataclasses
 import json
 import math
 import sys
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from support.gltf import GltfBuilder
 from support.meshes import mesh_of
 from support.synthetic import synthetic_scene
 
-from benchmarks.blender_truth import Cycles, below_coat
+from benchmarks.blender_truth import Cycles, below_coat, open_cycles
 from datagen.data.cameras import Camera, look_at
 from datagen.data.images import decode_radiance
 from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import RectangleLight, Scene, SceneObject
 from datagen.scene.importers.staging import LIGHT
@@ -86,6 +88,8 @@ def test_blender_is_asked_for_the_same_scene_and_its_pictures_are_judged(tmp_pat
 
 # Cycles as a rival in rendering truth
 
+use_mitsuba()
+
 CAMERA = Camera(width=6, height=4, fov_x=math.radians(40), world_from_camera=look_at((0, -2, 1), (0, 0, 0)))
 
 ASKED = """#!{python}
@@ -104,11 +108,11 @@ for line in sys.stdin:
 """
 
 
-def rival(tmp_path: Path, script: str, scene: Scene) -> Cycles:
+def rival(tmp_path: Path, script: str, scene: Scene) -> AbstractContextManager[Cycles]:
     python = tmp_path / "python"
     python.write_text(script.format(python=sys.executable, folder=str(tmp_path)))
     python.chmod(0o700)
-    return Cycles(scene, CAMERA, python=python, max_depth=5)
+    return open_cycles(scene, CAMERA, python=python, max_depth=5)
 
 
 def lit_box(material: Material) -> Scene:
@@ -144,9 +148,13 @@ def test_a_white_base_loses_nothing_and_a_dark_one_both_passages_of_its_coat() -
 def test_a_rival_that_cannot_start_is_one_line(tmp_path: Path) -> None:
     scene = lit_box(Diffuse(color=(0.5, 0.5, 0.5)))
     without_bpy = rival(tmp_path, "#!{python}\nimport sys\nsys.exit(3)\n", scene)
-    with without_bpy, pytest.raises(HyalineError, match=r"has no bpy; `.* -m pip install bpy` brings Blender"):
-        without_bpy.radiance(spp=1, seed=0)
-    with pytest.raises(HyalineError, match="does not run"):
-        Cycles(scene, CAMERA, python=tmp_path / "none", max_depth=5)
+    with (
+        without_bpy as cycles,
+        pytest.raises(HyalineError, match=r"has no bpy; `.* -m pip install bpy` brings Blender"),
+    ):
+        cycles.radiance(spp=1, seed=0)
+    nowhere = open_cycles(scene, CAMERA, python=tmp_path / "none", max_depth=5)
+    with pytest.raises(HyalineError, match="does not run"), nowhere:
+        pass
     with pytest.raises(HyalineError, match="box is ThinDielectric; only Diffuse, Plastic, Conductor, Dielectric"):
-        rival(tmp_path, ASKED, lit_box(ThinDielectric(ior=1.5)))
+        rival(tmp_path, ASKED, lit_box(ThinDielectric(ior=1.5))).__enter__()
