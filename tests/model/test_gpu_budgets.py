@@ -51,7 +51,7 @@ VIEWS = {
     "dnr": Budget(142, 2, 13),
     "dnr-authors": Budget(120, 2, 13),
     "authors-code": Budget(132, 3, 275),
-    "light-path": Budget(261, 5, 13825),
+    "light-path": Budget(259, 4, 13738),
     "deepvoxels": Budget(272, 7, 13),
 }
 """A view of 64 x 64 pixels."""

@@ -20,7 +20,7 @@ SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
 """Default height in texels of the learned sky's finest map, and its limit where the scene has an environment map."""
 
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
-"""Default rays per pixel while rendering, for all pixels and for those whose rays differ."""
+"""Default rays per pixel while rendering: of all pixels, and the further ones of those whose rays differ."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,8 +41,8 @@ class LightPathConfig(MethodConfig):
     render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
     """Rays per pixel while rendering, a square number."""
     refined_samples: int = choice(0, "{}-refined-rays", flag="refined-rays")
-    """Rays per pixel, a square number, for pixels whose rays differ (rough metal, edges, glass). No pixel is refined
-    if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
+    """Further rays per pixel, a square number, for pixels whose rays differ (rough metal, edges, glass). No pixel is
+    refined if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
     branches: int = choice(12, "{}-branches", limits=(1, 64))
     """Branches traced per ray: the refracted one, the first reflection, then those that carry most light."""
     compositing: Literal["physics", "stack"] = choice("physics", "{}")

@@ -12,6 +12,7 @@ from support.commands import call
 from support.synthetic import write_synthetic_dataset
 from support.training import assert_resumes, load
 
+from datagen.data.cameras import subpixel_offsets
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
@@ -348,12 +349,14 @@ def test_pixels_whose_rays_differ_are_drawn_with_more_rays_and_the_others_are_no
     few, many = (predict_colors(renderer, pixels) for pixels in drawn.values())
     with torch.inference_mode():
         every = torch.arange(len(few))
-        finest = renderer(drawn[64].refined().take(every, None))
-        doubtful = is_doubtful(renderer.radiance(drawn[64].take(every, None)))
+        rays = renderer.radiance(drawn[64].take(every, None))
+        finest = renderer.radiance(drawn[64].refined().take(every, None))
+        mean = srgb_curve((4 * rays.mean(dim=1) + 64 * finest.mean(dim=1)) / 68)
+        doubtful = is_doubtful(rays)
     assert 0.02 < doubtful.float().mean() < 0.98
     assert torch.equal(many[~doubtful], few[~doubtful])
     # Which facet of rough metal a ray meets depends on its place in the bundle, so only most colours are the same.
-    assert (many - finest)[doubtful].abs().mean() < 0.25 * (few - finest)[doubtful].abs().mean()
+    assert (many - mean)[doubtful].abs().mean() < 0.25 * (few - mean)[doubtful].abs().mean()
     assert torch.equal(predict_colors(renderer, drawn[64]), many)
 
 
@@ -366,6 +369,14 @@ def test_a_pixel_is_doubtful_where_its_rays_differ_but_not_beyond_white(
 ) -> None:
     radiance = torch.tensor([low, high] * 8)[None, :, None].expand(1, 16, 3)
     assert bool(is_doubtful(radiance)) is expected
+
+
+def test_a_pixel_whose_radiance_changes_linearly_is_not_doubtful() -> None:
+    down, right = torch.from_numpy(subpixel_offsets(16)).float().unbind(dim=1)
+    plane = (0.2 + 0.3 * down + 0.4 * right)[None, :, None].expand(1, 16, 3)
+    assert not bool(is_doubtful(plane))
+    edge = (0.2 + 0.4 * (down + right > 1))[None, :, None].expand(1, 16, 3)
+    assert bool(is_doubtful(edge))
 
 
 def test_the_curve_is_the_datasets_own_and_rises_on_above_one() -> None:
