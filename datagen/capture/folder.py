@@ -25,7 +25,6 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.records import shown
 from datagen.import_dataset.layouts import (
-    EVERY,
     ONE_FILE,
     ROLES,
     ForeignView,
@@ -34,6 +33,8 @@ from datagen.import_dataset.layouts import (
     frame_size,
     picture_orientation,
     picture_size,
+    split_evenly,
+    split_listed,
 )
 from datagen.scene.description import MAX_OBJECTS
 from datagen.scene.importers.cameras import colmap_images, colmap_points, has_colmap
@@ -224,12 +225,13 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
                     masks=masks_of(frame, picture),
                 )
             )
+    listed = {role: tuple(shots) for role, shots in views.items()}
     if len(files) == 1:
-        views = _every(views["train"])
+        listed = split_listed(first, listed["train"])
     points_file = _points_file(root, first)
     return Folder(
         root=root,
-        views={role: tuple(shots) for role, shots in views.items()},
+        views=listed,
         objects=objects,
         points=_points_in(points_file),
         has_unit=True,
@@ -278,7 +280,7 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
     points_file = None if len(points) else _points_file(root)
     return Folder(
         root=root,
-        views={role: tuple(found) for role, found in _every(shots).items()},
+        views=split_evenly(shots),
         objects=masks.objects,
         points=points if points_file is None else _points_in(points_file),
         has_unit=False,
@@ -286,9 +288,3 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
         points_file=points_file,
         remarks=remarks,
     )
-
-
-def _every(shots: list[Shot]) -> dict[Role, list[Shot]]:
-    """Every eighth shot is for tests."""
-    tests = shots[::EVERY]
-    return {"train": [shot for place, shot in enumerate(shots) if place % EVERY], "val": [], "test": tests}

@@ -10,12 +10,12 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -47,6 +47,9 @@ class ForeignView:
     depth: Path | None
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
+
+
+View = TypeVar("View", bound=ForeignView)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +106,7 @@ def read_folder(root: Path) -> ForeignDataset | None:
     elif (root / ONE_FILE).is_file():
         layout = "nerfstudio"
         found = {"train": read_transforms(find_file(root, ONE_FILE, where=str(root)))}
-        views = _split(found["train"], _views(root, found["train"], layout))
+        views = split_listed(found["train"], _views(root, found["train"], layout))
     else:
         return None
     lens = found["train"].shared_lens(partial(frame_size, root))
@@ -198,14 +201,12 @@ def _is_metric(frame: Frame, layout: Layout) -> bool:
     return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
 
 
-def _split(file: Transforms, views: tuple[ForeignView, ...]) -> dict[Role, tuple[ForeignView, ...]]:
-    """The views of one file by role: as it lists their names, or else each eighth for tests."""
-    paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
+def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
+    """The views of one file by role: as its lists of names say (`train_filenames`), or else each eighth for tests."""
     if f"{ROLES[0]}_filenames" not in file.content:
-        test = [place % EVERY == 0 for place in range(len(views))]
-        train = tuple(view for view, is_test in zip(views, test, strict=True) if not is_test)
-        return {"train": train, "val": (), "test": tuple(v for v, is_test in zip(views, test, strict=True) if is_test)}
-    found: dict[Role, tuple[ForeignView, ...]] = {}
+        return split_evenly(views)
+    paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
+    found: dict[Role, tuple[View, ...]] = {}
     for role in ROLES:
         named = file.content.get(f"{role}_filenames", [])
         if not isinstance(named, list):
@@ -213,6 +214,12 @@ def _split(file: Transforms, views: tuple[ForeignView, ...]) -> dict[Role, tuple
         wanted = {str(name).removeprefix("./") for name in named}
         found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
     return found
+
+
+def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
+    """Each eighth view, from the first on, is for tests."""
+    train = tuple(view for place, view in enumerate(views) if place % EVERY)
+    return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 
 
 def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:

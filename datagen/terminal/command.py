@@ -4,6 +4,7 @@ import contextlib
 import difflib
 import html
 import importlib
+import io
 import json
 import os
 import re
@@ -41,6 +42,8 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     hush(False)
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # Arrows in tables on a terminal that knows only ASCII.
     try:
         if "--version" in arguments:
             print(f"hyaline {VERSION}", flush=True)

@@ -61,7 +61,6 @@ def make_report(
     check_report_folder(out)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
-        _check_holds_scenes(runs_root)
         raise HyalineError(
             f"{runs_root}: contains no predictions; make some with `model train paper`, or put a method's pictures at "
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
@@ -187,10 +186,12 @@ def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> 
     return object_psnr(score_edits(scene, edits, errors, kept))
 
 
-def _check_holds_scenes(runs_root: Path) -> None:
-    """Refuses the folder of one run, or of one scene's runs."""
+def _check_holds_scenes(runs_root: Path, folders: Sequence[Path]) -> None:
+    """Refuses the folder of one run, or of one scene's runs; `folders` are those below the scenes."""
     if has_predictions(runs_root):
         raise HyalineError(f"{runs_root}: is a run; name the folder that holds SCENE/NAME, as `report runs` does")
+    if any((folder / "predictions").is_dir() for folder in folders):
+        return
     if any(has_predictions(folder) for folder in runs_root.glob("*") if folder.is_dir()):
         raise HyalineError(
             f"{runs_root}: holds the runs of one scene; name the folder around it, {runs_root.resolve().parent}, and "
@@ -200,9 +201,11 @@ def _check_holds_scenes(runs_root: Path) -> None:
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
     """The runs that can be opened, and the errors of the others; with `only`, just those of one dataset."""
+    folders = list_run_folders(runs_root, besides=out)
+    _check_holds_scenes(runs_root, folders)
     dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
-    for folder in list_run_folders(runs_root, besides=out):
+    for folder in folders:
         is_own = dataset is None or folder.parent.name == dataset.name
         try:
             if has_predictions(folder):

@@ -21,6 +21,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png
+from datagen.data.variants import ANGLES, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import code_version
 from eval.page.report import make_report
@@ -332,8 +333,13 @@ def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
     [("synthetic/grey", "is a run; name the folder"), ("synthetic", "holds the runs of one scene")],
 )
 def test_a_folder_below_that_of_all_runs_is_told_from_it(copy: Path, place: str, message: str) -> None:
+    predictions = copy / "runs" / "synthetic" / "grey" / "predictions"
+    shutil.copytree(
+        predictions / "interpolating", variant_root(predictions.parent, ANGLES) / "predictions" / "extrapolating-10deg"
+    )
     answer = call(f"report {copy / 'runs' / place}")
     assert answer.status == 1 and message in answer.error
+    assert "skipped" not in answer.err
 
 
 def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:

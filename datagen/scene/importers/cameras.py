@@ -171,7 +171,7 @@ def colmap_points(root: Path) -> Float[np.ndarray, "point 3"]:
         return np.zeros((0, 3))
     try:
         if found[1] == "txt":
-            points = [[float(word) for word in words[1:4]] for words in _lines(path) if words]
+            points = [[float(word) for word in words[1:4]] for words in map(str.split, _lines(path)) if words]
         else:
             points, data, at = [], read_foreign(path), 8
             for _ in range(struct.unpack_from("<Q", data)[0]):
@@ -270,7 +270,7 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
     listed: list[_Image] = []
     where = str(cameras)
     try:
-        for words in _lines(cameras):
+        for words in map(str.split, _lines(cameras)):
             if words:
                 model = _model(by_name.get(words[1]), words[1], where=where)
                 values = tuple(map(float, words[4:]))
@@ -279,29 +279,31 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
                 lens = ColmapCamera(width=int(words[2]), height=int(words[3]), model=model, values=values)
                 lenses[int(words[0])] = lens
         where = str(images)
-        for words in _image_lines(images):
-            if words:
-                pose = tuple(map(float, words[1:8]))
-                listed.append(_Image(name=" ".join(words[9:]), camera=int(words[8]), pose=pose))
+        for line in _image_lines(images):
+            if line.strip():
+                *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
+                pose = tuple(map(float, numbers[1:8]))
+                listed.append(_Image(name=name.rstrip(), camera=int(numbers[8]), pose=pose))
     except (ValueError, IndexError) as error:
         raise HyalineError(f"{where}: has a line that cannot be read ({error}); export it again") from None
     return lenses, listed
 
 
-def _image_lines(path: Path) -> list[list[str]]:
+def _image_lines(path: Path) -> list[str]:
     """The first line of each image. The second lists its points, and some tools leave it out if there are none."""
 
-    def lists_points(words: list[str]) -> bool:
+    def lists_points(line: str) -> bool:
+        words = line.split()
         return not words or words[-1].lstrip("-").isdigit()
 
     lines = _lines(path)
     return lines[::2] if all(map(lists_points, lines[1::2])) else [line for line in lines if not lists_points(line)]
 
 
-def _lines(path: Path) -> list[list[str]]:
-    """The words of each line but comments, empty lines included."""
+def _lines(path: Path) -> list[str]:
+    """The lines but comments, empty ones included."""
     text = read_foreign(path).decode(errors="replace")
-    return [line.split() for line in text.splitlines() if not line.startswith("#")]
+    return [line for line in text.splitlines() if not line.startswith("#")]
 
 
 def _model(model: ColmapModel | None, given: object, *, where: str) -> ColmapModel:

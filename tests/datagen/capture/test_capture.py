@@ -347,6 +347,16 @@ def test_without_points_the_floor_is_below_all_glass() -> None:
     assert room.parts[0].mesh.vertices[:, 2].max() < -0.02
 
 
+def test_the_lists_of_a_transforms_file_say_what_is_for_tests(own: Path, tmp_path: Path) -> None:
+    content = json.loads((own / "transforms.json").read_text())
+    names = [frame["file_path"] for frame in content["frames"]]
+    lists = {"train_filenames": names[3:], "val_filenames": [], "test_filenames": names[:3]}
+    (own / "transforms.json").write_text(json.dumps(content | lists))
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    assert open_dataset(tmp_path / "out").num_views == {"train": 15, "interpolating": 2, "extrapolating": 1}
+
+
 def test_points_beside_a_model_of_colmap_without_points_are_read(tmp_path: Path) -> None:
     write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")

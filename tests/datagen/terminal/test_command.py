@@ -172,6 +172,13 @@ def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path
     assert (answer.stdout, answer.stderr) == ("141\n", "")
 
 
+def test_a_terminal_that_knows_only_ascii_gets_escapes() -> None:
+    code = "from datagen.terminal.command import run, tell; run('arrow', lambda: tell('PSNR dB \u2191'), [])"
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
+    assert (answer.returncode, answer.stdout) == (0, "PSNR dB \\u2191\n"), answer.stderr
+
+
 @pytest.mark.parametrize(
     "number", [errno.ENOSPC, errno.EROFS, errno.EACCES, errno.EMFILE, errno.EIO, errno.ENAMETOOLONG]
 )

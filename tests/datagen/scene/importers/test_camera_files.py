@@ -20,7 +20,7 @@ from datagen.export.formats import export_dataset
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.importers.cameras import read_camera_file
+from datagen.scene.importers.cameras import colmap_images, read_camera_file
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.staging import IRRADIANCE, subject_box
@@ -91,6 +91,11 @@ def test_broken_text_of_colmap_is_refused(tmp_path: Path, cameras: str, images: 
 def test_text_of_colmap_may_lack_the_empty_lines_of_images_without_points(tmp_path: Path, points: str) -> None:
     images = "".join(f"{k} 1 0 0 0 {k} 0 5 1 picture {k}.png\n{points}" for k in range(1, 5))
     assert len(read_camera_file(write_text(tmp_path, CAMERA, f"# a comment\n{images}"), Remarks())) == 4
+
+
+def test_names_of_pictures_may_have_spaces(tmp_path: Path) -> None:
+    images = "".join(f"{k} 1 0 0 0 0 0 5 1 shot  {k} of 2.png\n1.5 2.5 -1\n" for k in (1, 2))
+    assert [*colmap_images(write_text(tmp_path, CAMERA, images))] == ["shot  1 of 2.png", "shot  2 of 2.png"]
 
 
 def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> None:
