@@ -225,7 +225,7 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
                     masks=masks_of(frame, picture),
                 )
             )
-    listed = {role: tuple(shots) for role, shots in views.items()}
+    listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
     if len(files) == 1:
         listed = split_listed(first, listed["train"])
     points_file = _points_file(root, first)

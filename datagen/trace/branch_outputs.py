@@ -36,8 +36,6 @@ class State(NamedTuple):
     d: "mi.Vector3f"
     beta: "mi.Color3f"
     solids: "mi.UInt32"
-    way: "mi.Float"
-    """Metres inside glass or liquid since the last vertex."""
     last_face: "mi.Int32"
     branch: "mi.UInt32"
     vertex: "mi.UInt32"
@@ -113,7 +111,6 @@ class Outputs(Arrays):
             "position": dr.zeros(mi.Float, 3 * places),
             "normal": dr.zeros(mi.Float, 3 * places),
             "throughput": dr.zeros(mi.Float, 3 * places),
-            "medium_length": dr.zeros(mi.Float, places),
             "has_left": dr.zeros(mi.UInt32, ends),
             "end_direction": dr.zeros(mi.Float, 3 * ends),
             "end_throughput": dr.zeros(mi.Float, 3 * ends),
@@ -129,7 +126,6 @@ class Outputs(Arrays):
         slot = (state.branch * (last + 1) + dr.minimum(state.vertex, last)) * self._count + self._ray
         vertex = {
             "object_id": [hit.shape + 1],
-            "medium_length": [state.way],
             "uv": hit.uv,
             "uv_slope": uv_slope(hit, state.d),
             "direction": state.d,

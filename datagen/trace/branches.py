@@ -75,7 +75,6 @@ def _first_state(kernel: Kernel, o, d, count: int) -> State:
         d=d,
         beta=dr.full(mi.Color3f, 1, count),
         solids=dr.full(mi.UInt32, no_solids(kernel.media), count),
-        way=dr.zeros(mi.Float, count),
         last_face=dr.full(mi.Int32, -1, count),
         branch=dr.zeros(mi.UInt32, count),
         vertex=dr.zeros(mi.UInt32, count),
@@ -125,7 +124,7 @@ def _absorb(kernel: Kernel, hit: Hit, state: State) -> State:
     length = dr.norm(hit.p - state.o) + skipped_length(hit.offset, dr.dot(state.d, hit.n_face))
     length = dr.select(in_glass & hit.counts, length, 0)
     beta = dr.select(in_glass, state.beta * dr.exp(-sigma * length), state.beta)
-    return state._replace(beta=beta, way=state.way + length)
+    return state._replace(beta=beta)
 
 
 def _with_mirror(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: State) -> State:
@@ -181,7 +180,6 @@ def _go_on(kernel: Kernel, hit: Hit, sides: Sides, bounce: Bounce, state: State)
         d=dr.select(passes, bounce.next_d, state.d),
         beta=dr.select(passes & ~sides.is_void, state.beta * bounce.next_share, state.beta),
         solids=dr.select(goes_through, sides.beyond, state.solids),
-        way=dr.select(real, 0, state.way),
         last_face=dr.select(hit.counts, hit.face, state.last_face),
         vertex=vertex,
         step=state.step + 1,
@@ -217,7 +215,6 @@ def _turn(kernel: Kernel, state: State, is_over) -> State:
             state = state._replace(waiting=state.waiting - followed)
     max_steps = limits.max_branches * limits.max_depth + SPARE_STEPS
     return state._replace(
-        way=dr.select(turns, 0, state.way),
         vertex=dr.select(turns, 0, state.vertex),
         branch=dr.select(turns, state.branch + 1, state.branch),
         active=state.active & (~is_over | turns) & (state.step < max_steps),

@@ -21,17 +21,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, UInt8, UInt32
+from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
 from datagen.disk.errors import HyalineError
-from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, shapes_by_id, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
-from datagen.trace.branch_outputs import EXIT, Kept
+from datagen.trace.branch_outputs import Kept
 from datagen.trace.branches import follow_branches
+from datagen.trace.path_ends import FirstVertices, Outputs, PathEnds, join_ends, pack_ends
 from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
@@ -61,8 +61,6 @@ class LightPaths:
     throughput: Float32[np.ndarray, "branch vertex ray 3"]
     """Share of the radiance leaving the vertex against `direction` that reaches the camera, per colour channel: the
     product of Fresnel terms, Beer and Lambert's absorption, and the change of radiance with the square of the index."""
-    medium_length: Float32[np.ndarray, "branch vertex ray"]
-    """Length of the last segment inside glass or liquid, in metres; 0 in air."""
     has_left: Bool[np.ndarray, "branch ray"]
     """Whether the branch left the scene."""
     end_direction: Float32[np.ndarray, "branch ray 3"]
@@ -80,46 +78,6 @@ class TracedPaths(LightPaths):
     disperses: Bool[np.ndarray, " ray"]
     """Whether some branch of the ray hits glass that disperses."""
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FirstVertices:
-    """The first vertices of some branches of each ray, branch by branch."""
-
-    object_id: UInt8[np.ndarray, "ray slot"]
-    """0 where there is no vertex."""
-    uv: Float32[np.ndarray, "ray slot 2"]
-    throughput: Float32[np.ndarray, "ray slot"]
-    """Mean over the colour channels."""
-    cosine: Float32[np.ndarray, "ray slot"]
-    """As in `PathEnds`."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PathEnds:
-    """Where the branches of a bundle of rays end, ray by ray, and their first vertices."""
-
-    ray: Int64[np.ndarray, " end"]
-    """Index of the ray; a ray has one end for each branch that ends on a surface that lets no light pass."""
-    object_id: UInt8[np.ndarray, " end"]
-    uv: Float32[np.ndarray, "end 2"]
-    cosine: Float32[np.ndarray, " end"]
-    """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
-    throughput: Float32[np.ndarray, "end 3"]
-    """As in `TracedPaths`; where `Limits.makes_up`, with a share of the branches that were not followed."""
-    position: Float32[np.ndarray, "end 3"] | None = None
-    reflected: Float32[np.ndarray, "end 3"] | None = None
-    """The arriving direction, mirrored at the surface."""
-    uv_slope: Float32[np.ndarray, "end 2"] | None = None
-    """As in `TracedPaths`."""
-    exit_ray: Int64[np.ndarray, " exit"]
-    """Index of the ray; a ray has one for each branch that leaves the scene."""
-    exit_direction: Float32[np.ndarray, "exit 3"]
-    exit_throughput: Float32[np.ndarray, "exit 3"]
-    stack: FirstVertices | None
-    """None if no vertices were asked for."""
-
-
-Arrays = dict[str, np.ndarray]
 
 RED, GREEN, BLUE = range(3)
 ONLY = np.eye(3, dtype=np.float32)
@@ -212,10 +170,10 @@ class LightPathTracer:
             channel: the colour channel whose index of refraction counts; throughput is given for all channels anyway.
         """
         count = len(directions)
-        arrays = self._run(origins, directions, limits, None, seed=seed, facets=facets, channel=channel)
+        outputs = self._run(origins, directions, limits, None, seed=seed, facets=facets, channel=channel)
 
         def array(name: str, *shape: int) -> np.ndarray:
-            return arrays[name].reshape(shape)
+            return outputs[name].numpy().reshape(shape)
 
         ends = limits.max_branches, count
         places = limits.max_branches, limits.max_vertices, count
@@ -227,7 +185,6 @@ class LightPathTracer:
             normal=array("normal", *places, 3),
             throughput=array("throughput", *places, 3),
             uv_slope=array("uv_slope", *places, 2),
-            medium_length=array("medium_length", *places),
             has_left=array("has_left", *ends).astype(bool),
             end_direction=array("end_direction", *ends, 3),
             end_throughput=array("end_throughput", *ends, 3),
@@ -256,36 +213,38 @@ class LightPathTracer:
         count = len(directions)
         limits = limits._replace(max_vertices=1)
 
-        def run(rays: np.ndarray | slice, stacked: tuple[int, ...], facets: np.ndarray | None, channel: int) -> Arrays:
+        def run(rays: np.ndarray | slice, stacked: tuple[int, ...], facets: np.ndarray | None, channel: int) -> Outputs:
             kept = Kept(stacked, has_details)
             return self._run(origins[rays], directions[rays], limits, kept, seed=seed, facets=facets, channel=channel)
 
-        arrays = run(slice(None), stacked, facets, GREEN)
-        parted = np.flatnonzero(arrays["disperses"]) if self._tables.disperses else np.zeros(0, np.int64)
+        outputs = run(slice(None), stacked, facets, GREEN)
+        disperses = outputs["disperses"].numpy() if self._tables.disperses else np.zeros(count, np.uint32)
+        parted = np.flatnonzero(disperses)
         if not len(parted):
-            parts = [_pack(arrays, limits.max_branches, np.arange(count), self._object_id, None)]
+            parts = [pack_ends(outputs, limits.max_branches, np.arange(count), self._object_id, None)]
         else:
             # A kernel is recorded for each number of rays, so rays are padded to one of a few numbers.
             piece = max(1, count // PIECES)
             filled = np.concatenate([parted, np.full(-len(parted) % piece, parted[0])])
             spread = (_spread_evenly(count) if facets is None else facets)[filled]
-            bundles = [(arrays, np.arange(count), np.where(arrays["disperses"][:, None], ONLY[GREEN], np.float32(1)))]
+            bundles = [(outputs, np.arange(count), np.where(disperses[:, None], ONLY[GREEN], np.float32(1)))]
             for channel in (RED, BLUE):
                 weight = np.tile(ONLY[channel], (len(filled), 1))
                 bundles.append((run(filled, (), spread, channel), parted, weight))
             parts = [
-                _pack(values, limits.max_branches, rays, self._object_id, weight) for values, rays, weight in bundles
+                pack_ends(traced, limits.max_branches, rays, self._object_id, weight)
+                for traced, rays, weight in bundles
             ]
         slots = count, sum(stacked)
         stack = None
         if stacked:
             stack = FirstVertices(
-                object_id=self._object_id[arrays["stack_shape"]].reshape(slots),
-                uv=arrays["stack_uv"].reshape(*slots, 2),
-                throughput=arrays["stack_throughput"].reshape(slots),
-                cosine=arrays["stack_cosine"].reshape(slots),
+                object_id=self._object_id[outputs["stack_shape"].numpy()].reshape(slots),
+                uv=outputs["stack_uv"].numpy().reshape(*slots, 2),
+                throughput=outputs["stack_throughput"].numpy().reshape(slots),
+                cosine=outputs["stack_cosine"].numpy().reshape(slots),
             )
-        return PathEnds(**_joined(parts), stack=stack)
+        return PathEnds(**join_ends(parts), stack=stack)
 
     def _run(
         self,
@@ -297,7 +256,7 @@ class LightPathTracer:
         seed: int,
         facets: Float32[np.ndarray, "ray 2"] | None,
         channel: int,
-    ) -> Arrays:
+    ) -> Outputs:
         """What the kernel gives, by name."""
         import drjit as dr
         import mitsuba as mi
@@ -323,77 +282,9 @@ class LightPathTracer:
                 None if kept is None else tuple(kept),
             )
         dr.eval(outputs)
-        return {name: values.numpy() for name, values in outputs.items()}
+        return outputs
 
 
 def _spread_evenly(count: int) -> Float32[np.ndarray, "ray 2"]:
     """Where rays choose facets: the R2 sequence."""
     return (r2_steps(count) % 1).astype(np.float32)
-
-
-def _pack(
-    arrays: Arrays,
-    branches: int,
-    rays: Int64[np.ndarray, " ray"],
-    object_id: UInt8[np.ndarray, " shape"],
-    weight: Float32[np.ndarray, "traced 3"] | None,
-) -> Arrays:
-    """The ends as fields of `PathEnds`, ray by ray.
-
-    Args:
-        rays: what to call each of the first traced rays; others, which pad a bundle, are left out.
-        object_id: by one more than a shape's index.
-        weight: a factor on each traced ray's throughput.
-    """
-    end = arrays["end"].reshape(branches, -1)
-    surfaces, exits = (np.empty(branches * len(rays), np.int32) for _ in range(2))
-    num_surfaces, num_exits = _list_ends(end, len(rays), EXIT, surfaces, exits)
-    surfaces, exits = surfaces[:num_surfaces], exits[:num_exits]
-
-    def rows(name: str, index: np.ndarray) -> np.ndarray:
-        values = arrays[name].reshape(end.size, -1)[index]
-        return values if weight is None or name != "throughput" else values * weight[index % end.shape[1]]
-
-    place = rows("place", surfaces)
-    names = [name for name in ("position", "reflected", "uv_slope") if name in arrays]
-    return {
-        "ray": rays[surfaces % end.shape[1]],
-        "object_id": object_id[arrays["end"][surfaces]],
-        "uv": place[:, :2],
-        "cosine": place[:, 2],
-        "throughput": rows("throughput", surfaces),
-        **{name: rows(name, surfaces) for name in names},
-        "exit_ray": rays[exits % end.shape[1]],
-        "exit_direction": rows("place", exits),
-        "exit_throughput": rows("throughput", exits),
-    }
-
-
-@compiled(nogil=True)
-def _list_ends(
-    end: UInt32[np.ndarray, "branch traced"],
-    num_rays: int,
-    exit_mark: int,
-    surfaces: Int32[np.ndarray, " most"],
-    exits: Int32[np.ndarray, " most"],
-) -> tuple[int, int]:
-    """Lists the places in `end` of the first rays' ends on surfaces and outside, ray by ray; how many there are."""
-    num_surfaces = num_exits = 0
-    for ray in range(num_rays):
-        for branch in range(len(end)):
-            if end[branch, ray] == exit_mark:
-                exits[num_exits] = branch * end.shape[1] + ray
-                num_exits += 1
-            elif end[branch, ray] > 0:
-                surfaces[num_surfaces] = branch * end.shape[1] + ray
-                num_surfaces += 1
-    return num_surfaces, num_exits
-
-
-def _joined(parts: list[Arrays]) -> Arrays:
-    """The ends of several bundles, ray by ray."""
-    if len(parts) == 1:
-        return parts[0]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    orders = {name: np.argsort(joined[name], kind="stable") for name in ("ray", "exit_ray")}
-    return {name: values[orders["exit_ray" if name.startswith("exit_") else "ray"]] for name, values in joined.items()}

@@ -26,7 +26,8 @@ from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
-    from datagen.trace.light_path import LightPathTracer, PathEnds, TracedPaths
+    from datagen.trace.light_path import LightPathTracer, TracedPaths
+    from datagen.trace.path_ends import PathEnds
 
 
 STACKED_VERTICES = (4, 2)

@@ -21,7 +21,8 @@ if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 from datagen.render.mitsuba_scene import radiance_of_environment
-from datagen.trace.light_path import LightPathTracer, PathEnds
+from datagen.trace.light_path import LightPathTracer
+from datagen.trace.path_ends import PathEnds
 from datagen.trace.surface_tables import Limits
 
 FLINT = Dielectric(ior="sf11", dispersion="measured")

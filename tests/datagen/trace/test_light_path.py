@@ -69,7 +69,7 @@ def test_a_slab_shifts_and_dims_a_ray_as_snell_fresnel_and_beer_say(ior: float, 
     assert paths.direction[0, 2, 0] == pytest.approx(direction, abs=1e-5)  # Parallel to what came in.
     assert paths.direction[0, 1, 0] == pytest.approx((math.sin(inside), 0, -math.cos(inside)), abs=1e-5)
     length = thickness / math.cos(inside)
-    assert paths.medium_length[0, :3, 0] == pytest.approx([0, length, 0], abs=5e-5)
+    assert np.linalg.norm(paths.position[0, 1, 0] - paths.position[0, 0, 0]) == pytest.approx(length, abs=5e-5)
     r = fresnel_reflectance(math.cos(angle), ior)
     assert paths.throughput[0, 2, 0] == pytest.approx((1 - r) ** 2 * np.exp(-absorption * length), rel=1e-3)
     # The mirror branch takes what the refracted one does not: together they make one.
@@ -212,7 +212,8 @@ def test_water_and_the_glass_around_it_share_one_surface() -> None:
     direction = np.array([-0.9998, 0.0012, 0.0007])
     paths = traced((shell, glass), (water, drink), origins=-2 * direction, directions=direction, max_branches=1)
     assert paths.object_id[0, :, 0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
-    assert paths.medium_length[0, :4, 0] == pytest.approx([0, 0.06, 0.88, 0.06], abs=2e-3)
+    segments = np.linalg.norm(np.diff(paths.position[0, :4, 0], axis=0), axis=1)
+    assert segments == pytest.approx([0.06, 0.88, 0.06], abs=2e-3)
     air_glass, glass_water = ((a - b) ** 2 / (a + b) ** 2 for a, b in ((1.5, 1.0), (1.5, 1.33)))
     dimmed = np.exp(-0.12 * np.array(glass.absorption) - 0.88 * np.array(drink.absorption))
     expected = (1 - air_glass) ** 2 * (1 - glass_water) ** 2 * dimmed
@@ -367,6 +368,19 @@ def test_ends_and_first_vertices_are_those_of_whole_paths() -> None:
         np.testing.assert_allclose(found.stack.throughput[:, slot], first.throughput[place].mean(axis=-1), atol=1e-5)
         cosine = -np.einsum("rc,rc->r", first.direction[place], first.normal[place]).clip(-1, 0)
         np.testing.assert_allclose(found.stack.cosine[:, slot], cosine, atol=1e-5)
+
+
+@pytest.mark.parametrize(("down", "ends", "exits"), [(-1.0, 5, 0), (1.0, 0, 5)])
+def test_rays_may_all_end_on_surfaces_or_all_leave(down: float, ends: int, exits: int) -> None:
+    directions = np.tile(np.float32([0, 0, down]), (5, 1))
+    tracer = LightPathTracer((wide(0.0),), (GREY,))
+    found = tracer.trace_ends(np.ones((5, 3), np.float32), directions, Limits(2), has_details=True)
+    assert found.position is not None and found.reflected is not None and found.uv_slope is not None
+    assert [len(part) for part in (found.ray, found.object_id, found.uv, found.position)] == [ends] * 4
+    assert (found.uv.shape, found.uv_slope.shape, found.reflected.shape) == ((ends, 2), (ends, 2), (ends, 3))
+    assert found.exit_ray.tolist() == list(range(exits))
+    assert found.exit_direction.tolist() == directions[:exits].tolist()
+    assert found.exit_throughput.tolist() == [[1, 1, 1]] * exits
 
 
 @pytest.mark.parametrize("offset", [0, 1, 5, 16])
