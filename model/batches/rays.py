@@ -210,7 +210,8 @@ def read_stack(
         )
     kept_id = object_id[:max_layers]
     uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
-    return uv, np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id))
+    # A pixel's layers side by side in memory, or a batch of random pixels misses the caches for each of them.
+    return np.ascontiguousarray(uv), np.ascontiguousarray(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
 
 
 def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: bool) -> tuple[int, int, int] | None:
