@@ -1,5 +1,6 @@
 """How a command starts, reports progress and ends: parse, run one function, errors as one line."""
 
+import codecs
 import contextlib
 import difflib
 import html
@@ -42,7 +43,7 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     hush(False)
-    if isinstance(sys.stdout, io.TextIOWrapper):
+    if isinstance(sys.stdout, io.TextIOWrapper) and codecs.lookup(sys.stdout.encoding).name != "utf-8":
         sys.stdout.reconfigure(errors="backslashreplace")  # Arrows in tables on a terminal that knows only ASCII.
     try:
         if "--version" in arguments:
