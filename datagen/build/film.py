@@ -9,10 +9,10 @@ from jaxtyping import UInt8
 from datagen.build.build import refuse_imported
 from datagen.build.choices import FilmChoices
 from datagen.data.cameras import Cameras
+from datagen.data.config import check_spp
 from datagen.data.dataset import Dataset
 from datagen.data.film import check_film, write_film
 from datagen.data.images import srgb_from_linear, to_8bit
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_path import make_path
 from datagen.scene.folder import load_scene
@@ -35,10 +35,9 @@ def film_scene(dataset: Dataset, cameras: Cameras, out: Path, *, fps: float, spp
     """Path-trace a film and write it.
 
     Raises:
-        HyalineError: too few samples per pixel.
+        HyalineError: too few samples per pixel, or too many.
     """
-    if spp < 2:
-        raise HyalineError(f"spp: is {spp}; expected at least 2 samples per pixel")
+    check_spp(spp)
     write_film(out, path_trace(dataset, cameras, spp=spp), fps, frames=len(cameras))
 
 

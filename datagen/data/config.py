@@ -92,6 +92,12 @@ MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
 """Upper limits on views, samples and path depth; larger values are probably typos."""
 
 
+def check_spp(spp: int) -> None:
+    """Raises a HyalineError for too few samples per pixel, or too many."""
+    if not 2 <= spp <= MAX_SPP:
+        raise HyalineError(f"spp: is {spp}; expected 2 to {MAX_SPP:,} samples per pixel")
+
+
 @dataclass(frozen=True, kw_only=True)
 class SplitConfig:
     """How one split is rendered."""
@@ -101,11 +107,10 @@ class SplitConfig:
     """Samples per pixel, both halves together; with a noise ceiling, the number to start from. None: imported."""
 
     def __post_init__(self) -> None:
-        if not 0 <= self.views <= MAX_VIEWS or not 2 <= (self.spp or 2) <= MAX_SPP:
-            raise HyalineError(
-                f"split: has {self.views} views of {self.spp} spp; expected at least 1 view and 2 spp, "
-                f"at most {MAX_VIEWS:,} and {MAX_SPP:,}"
-            )
+        if not 0 <= self.views <= MAX_VIEWS:
+            raise HyalineError(f"views: are {self.views}; expected at least 1, at most {MAX_VIEWS:,}")
+        if self.spp is not None:
+            check_spp(self.spp)
 
     @property
     def samples(self) -> int:

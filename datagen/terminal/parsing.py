@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
-from datagen.disk.errors import UsageError
+from datagen.disk.errors import HyalineError, UsageError
 
 Command = Callable[..., None]
 
@@ -119,6 +119,8 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
                 config=_config(),
                 return_unknown_args=True,
             )
+    except HyalineError as error:
+        raise _with_flag(error, command) from None
     except SystemExit as end:
         if not end.code:
             # A record within a record makes a group of a dotted name.
@@ -132,6 +134,13 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
         _check_flags(program, command, unknown, moved or {})
         raise UsageError(f"{program}: {unknown[0]!r} is one word too many. {_see(program)}")
     return found
+
+
+def _with_flag(error: HyalineError, command: Command) -> HyalineError:
+    """The error of a record that begins with the name of a field, with its flag instead."""
+    name, colon, rest = str(error).partition(": ")
+    flag = next((flag for flag, field in flags_of(command).items() if colon and field == name), None)
+    return error if flag is None else type(error)(f"--{flag}: {rest}")
 
 
 def _check_flags(program: str, command: Command, words: Sequence[str], moved: Mapping[str, str]) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import MAX_SIDE, SPLITS, Resolution, parse_resolution, square
+from datagen.data.config import MAX_SIDE, SPLITS, Resolution, SplitConfig, parse_resolution, square
 from datagen.data.dataset import open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
@@ -44,6 +44,20 @@ def test_what_is_no_size_of_pictures_is_refused_in_one_line(text: str, problem: 
     with pytest.raises(HyalineError, match=f"^resolution: .*{problem}") as caught:
         parse_resolution(text)
     assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("views", "spp", "problem"),
+    [
+        (4, 0, "^spp: is 0; expected 2 to 1,048,576 samples per pixel"),
+        (4, -2, "^spp: is -2; expected 2"),
+        (4, 1 << 21, "^spp: is 2097152; expected 2"),
+        (-1, 4, "^views: are -1; expected at least 1, at most 10,000"),
+    ],
+)
+def test_a_split_that_cannot_be_rendered_is_refused(views: int, spp: int, problem: str) -> None:
+    with pytest.raises(HyalineError, match=problem):
+        SplitConfig(views=views, spp=spp)
 
 
 def test_pictures_layers_and_cameras_of_an_oblong_dataset_have_its_shape(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen render one", 2, "datagen render is now `datagen film`"),
         ("datagen mend one", 2, "datagen mend is now `datagen build`"),
         ("datagen import", 2, "datagen import: FILE is missing. See `datagen import --help`"),
-        ("datagen build --spp 99999999", 1, "at most 10,000 and 1,048,576"),
+        ("datagen build --spp 99999999", 1, "spp: is 99999999; expected 2 to 1,048,576 samples"),
         ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
         ("datagen verify data/glass_table", 1, "no dataset; make one with `datagen build --scene glass_table`"),
         ("datagen peel nothing", 1, "data/nothing: no dataset; make one with"),
