@@ -90,12 +90,7 @@ DEEP_VOXELS_TABLE = Table(
 
 def larger_grid(scene: SceneScores) -> Grid:
     """What runs draw at larger sizes than they were trained at, beside their small pictures enlarged."""
-    errors: list[HyalineError] = []
-    kept = Kept(None)
-    found = [scored for scored in score_variants(scene, errors, kept) if is_larger(scored.variant)]
-    if errors:
-        raise errors[0]
-    scaled = [(scored, score_enlarged(scene, scored, kept)) for scored in found]
+    scaled = [(scored, score_enlarged(scene, scored, Kept(None))) for scored in _score_larger(scene)]
     grid = super_resolution_grid(scene, scaled)
     note = (
         "The paper expects larger pictures to be at least as good as the small ones, and found severe artifacts. Drawn "
@@ -103,6 +98,14 @@ def larger_grid(scene: SceneScores) -> Grid:
     )
     rows = grid.rows or ((NOT_RUN, *[MISSING] * (len(grid.columns) - 1)),)
     return dataclasses.replace(grid, rows=rows, notes=(note, *grid.notes, data_note(scene)))
+
+
+def _score_larger(scene: SceneScores) -> list[VariantScores]:
+    errors: list[HyalineError] = []
+    found = [scored for scored in score_variants(scene, errors, Kept(None)) if is_larger(scored.variant)]
+    if errors:
+        raise errors[0]
+    return found
 
 
 def _gains(scaled: Sequence[tuple[VariantScores, Enlarged]]) -> list[str]:
@@ -118,7 +121,22 @@ def _gains(scaled: Sequence[tuple[VariantScores, Enlarged]]) -> list[str]:
     return texts
 
 
+def _picture(scene: SceneScores) -> bytes | None:
+    """What the runs drew at the largest size."""
+    from eval.figures import comparison_sheet
+
+    largest = max(_score_larger(scene), key=lambda scored: scored.variant.config.resolution.pixels, default=None)
+    if largest is None:
+        return None
+    drawn = dataclasses.replace(
+        scene, dataset=largest.variant, truths=largest.truths, runs=tuple(largest.runs.values())
+    )
+    sizes = scene.dataset.config.resolution, largest.variant.config.resolution
+    return comparison_sheet(drawn, f"trained at {sizes[0]}, drawn at {sizes[1]}")
+
+
 LARGER = Table(
     shows=lambda run: run.method in ("paper", "dnr-layers", "light-path"),
     grids=lambda scenes, _: [larger_grid(scene) for scene in scenes],
+    picture=_picture,
 )
