@@ -22,7 +22,8 @@ from datagen.data.variants import evenly, has_variant, open_variant, parent_view
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 from eval.analyses.variants import enlarge
-from eval.page.report import make_report
+from eval.figures import GAP, HEADING, SIDE
+from eval.page.report import make_report, make_tables
 
 FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
@@ -173,6 +174,15 @@ def test_runs_predict_variants_and_the_report_scores_them(
     assert set(scaled["enlarged"]) == {"paper", "perfect", "truth"}
     titles = ("mine: extrapolating by angle", "mine: super-resolution, trained at 16 x 16")
     assert all(title in text for title in titles)
+
+    # The table of larger pictures comes with a sheet of them; rows and columns of pixels are ten times enlarged.
+    make_tables(tmp_path / "runs", root / "data", tmp_path / "tables", tables=["larger"], output_format="table")
+    assert "mine: super-resolution, trained at 16 x 16" in capsys.readouterr().out
+    sheet = read_png(tmp_path / "tables/larger_mine.png")
+    truth, pred = open_variant(dataset, "x2").view("interpolating", 0).image, drawn / "x2/predictions/interpolating"
+    for left, picture in ((SIDE, truth), (SIDE + 320 + GAP, read_png(pred / "0000.png"))):
+        panel = sheet[HEADING : HEADING + 320, left : left + 320]
+        np.testing.assert_array_equal(panel[5::10, 5::10], picture)
 
     # What is only half there is named, and all else is scored.
     lost = sorted((root / "data/mine/variants").glob("*/records/**/0001.json"))
