@@ -93,7 +93,7 @@ MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
 
 
 def check_spp(spp: int) -> None:
-    """Raises a HyalineError for too few samples per pixel, or too many."""
+    """Raises a HyalineError if the number of samples per pixel is too small or too large."""
     if not 2 <= spp <= MAX_SPP:
         raise HyalineError(f"spp: is {spp}; expected 2 to {MAX_SPP:,} samples per pixel")
 

@@ -202,7 +202,7 @@ def _is_metric(frame: Frame, layout: Layout) -> bool:
 
 
 def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
-    """The views of one file by role: as its lists of names say (`train_filenames`), or else each eighth for tests."""
+    """The views of one file by role: by its lists of names (`train_filenames`), or else every eighth for tests."""
     if f"{ROLES[0]}_filenames" not in file.content:
         return split_evenly(views)
     paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
@@ -217,7 +217,7 @@ def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[Vi
 
 
 def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
-    """Each eighth view, from the first on, is for tests."""
+    """Assigns every eighth view, starting with the first, to tests."""
     train = tuple(view for place, view in enumerate(views) if place % EVERY)
     return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 

@@ -44,7 +44,7 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     """
     hush(False)
     if isinstance(sys.stdout, io.TextIOWrapper) and codecs.lookup(sys.stdout.encoding).name != "utf-8":
-        sys.stdout.reconfigure(errors="backslashreplace")  # Arrows in tables on a terminal that knows only ASCII.
+        sys.stdout.reconfigure(errors="backslashreplace")  # Tables contain arrows, which ASCII lacks.
     try:
         if "--version" in arguments:
             print(f"hyaline {VERSION}", flush=True)

@@ -137,7 +137,7 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
 
 
 def _with_flag(error: HyalineError, command: Command) -> HyalineError:
-    """The error of a record that begins with the name of a field, with its flag instead."""
+    """Replaces a field's name at the start of a record's error by its flag."""
     name, colon, rest = str(error).partition(": ")
     flag = next((flag for flag, field in flags_of(command).items() if colon and field == name), None)
     return error if flag is None else type(error)(f"--{flag}: {rest}")

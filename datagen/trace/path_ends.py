@@ -1,6 +1,6 @@
 """The ends of light paths, picked from a tracer's outputs and listed ray by ray (datagen/trace/light_path.py).
 
-They are picked where they were traced: of all branches few are there, so that a GPU has little to hand over.
+They are picked where they were traced: few of all possible branches exist, so a GPU has little to hand over.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -78,7 +78,8 @@ def pack_ends(
 
     num_slots = dr.width(outputs["end"])
     num_traced = num_slots // branches
-    traced, named = (dr.opaque(mi.UInt32, count) for count in (num_traced, len(rays)))  # Or each needs a kernel.
+    # Opaque, because each literal would need a kernel of its own.
+    traced, named = (dr.opaque(mi.UInt32, count) for count in (num_traced, len(rays)))
     slot = dr.arange(mi.UInt32, num_slots)
     ray, branch = slot // branches, slot % branches
     place = branch * traced + ray
@@ -91,7 +92,7 @@ def pack_ends(
     def rows(chosen: "mi.Bool", *names: str) -> Arrays:
         listed = dr.compress(chosen)
         components = {name: dr.width(outputs[name]) // num_slots for name in names}
-        if not dr.width(listed):  # Dr.Jit gathers nothing from nowhere.
+        if not dr.width(listed):  # Dr.Jit 1.5 cannot gather with an empty index.
             empty = {name: np.zeros((0, count), np.float32) for name, count in components.items()}
             return {**empty, "end": np.zeros((0, 1), np.uint32), "ray": rays[:0]}
         index = dr.gather(mi.UInt32, place, listed)

@@ -122,7 +122,7 @@ def _gains(scaled: Sequence[tuple[VariantScores, Enlarged]]) -> list[str]:
 
 
 def _picture(scene: SceneScores) -> bytes | None:
-    """What the runs drew at the largest size."""
+    """The runs' pictures at the largest size."""
     from eval.figures import comparison_sheet
 
     largest = max(_score_larger(scene), key=lambda scored: scored.variant.config.resolution.pixels, default=None)

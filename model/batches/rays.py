@@ -210,7 +210,7 @@ def read_stack(
         )
     kept_id = object_id[:max_layers]
     uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
-    # A pixel's layers side by side in memory, or a batch of random pixels misses the caches for each of them.
+    # Contiguous layers per pixel: otherwise a random batch misses the cache once per layer.
     return np.ascontiguousarray(uv), np.ascontiguousarray(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
 
 

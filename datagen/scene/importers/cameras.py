@@ -301,7 +301,7 @@ def _image_lines(path: Path) -> list[str]:
 
 
 def _lines(path: Path) -> list[str]:
-    """The lines but comments, empty ones included."""
+    """All lines except comments; empty ones are kept."""
     text = read_foreign(path).decode(errors="replace")
     return [line for line in text.splitlines() if not line.startswith("#")]
 

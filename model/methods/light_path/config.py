@@ -20,7 +20,7 @@ SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
 """Default height in texels of the learned sky's finest map, and its limit where the scene has an environment map."""
 
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
-"""Default rays per pixel while rendering: of all pixels, and the further ones of those whose rays differ."""
+"""Default rays per pixel while rendering: for all pixels, and in addition for those whose rays differ."""
 
 
 @dataclass(frozen=True, kw_only=True)

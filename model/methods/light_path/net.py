@@ -315,8 +315,8 @@ def draw_refined(
 def is_doubtful(radiance: Float32[Tensor, "pixel sample 3"]) -> Bool[Tensor, " pixel"]:
     """True where the standard error of the mean over a pixel's rays exceeds `MOST_DOUBT` in any channel.
 
-    The rays lie on a grid, whose mean is exact where radiance changes linearly over the pixel. So only what differs
-    from the plane through a pixel's rays counts as error.
+    The rays lie on a grid, whose mean is exact where radiance changes linearly over the pixel. So only deviations from
+    the best-fitting plane count as error.
     """
     samples = radiance.shape[1]
     if samples == 1:
@@ -331,7 +331,7 @@ def is_doubtful(radiance: Float32[Tensor, "pixel sample 3"]) -> Bool[Tensor, " p
 
 @functools.cache
 def _off_plane(samples: int, device: torch.device) -> Float32[Tensor, "sample sample"]:
-    """Takes from values on a pixel's grid of rays the plane that fits them best."""
+    """The matrix that subtracts the best-fitting plane from values on a pixel's grid of rays."""
     plane = np.column_stack([np.ones(samples), subpixel_offsets(samples)])
     with torch.inference_mode(False):
         return torch.from_numpy(np.eye(samples) - plane @ np.linalg.pinv(plane)).float().to(device)
