@@ -108,7 +108,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
         ("paper --preset=best", 2, "model train paper --preset is now part of the method's name: `model"),
         ("paper --width 8", 2, "model train paper --width is now --hidden"),
         ("--method paper", 2, "model train --method is not needed: the method is the first word"),
-        ("paper --steps 0", 1, "steps: is 0; expected at least 1"),
+        ("paper --steps 0", 1, "--steps: is 0; expected at least 1"),
     ],
 )
 def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str) -> None:
