@@ -54,7 +54,7 @@ OURS, DEFAULTS, CYCLES = "datagen build", "mitsuba's defaults", "Cycles"
 LAMP_WIDTH, LAMP_HEIGHT = 0.05, 1.0
 """In metres: side of the square lamp, and its height above the point that the cameras look at."""
 LAMP_RADIANCE, DIM = 600.0, 0.1
-"""The lamp's radiance, which gives an irradiance of 1.5 straight below, and the factor by which the sky is dimmed."""
+"""Radiance of the lamp (an irradiance of 1.5 directly below it), and the factor that dims the sky."""
 
 
 @dataclass(frozen=True, kw_only=True)

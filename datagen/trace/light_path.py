@@ -218,7 +218,7 @@ class LightPathTracer:
             return self._run(origins[rays], directions[rays], limits, kept, seed=seed, facets=facets, channel=channel)
 
         outputs = run(slice(None), stacked, facets, GREEN)
-        disperses = outputs["disperses"].numpy() if self._tables.disperses else np.zeros(count, np.uint32)
+        disperses = outputs["disperses"].numpy() if self._tables.disperses else np.zeros(0, np.uint32)
         parted = np.flatnonzero(disperses)
         if not len(parted):
             parts = [pack_ends(outputs, limits.max_branches, np.arange(count), self._object_id, None)]

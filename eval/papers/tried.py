@@ -1,6 +1,7 @@
 """What the paper tried without success: DeepVoxels (section 5.1), and larger pictures (section 8)."""
 
 import dataclasses
+import functools
 import math
 from collections.abc import Sequence
 
@@ -100,7 +101,9 @@ def larger_grid(scene: SceneScores) -> Grid:
     return dataclasses.replace(grid, rows=rows, notes=(note, *grid.notes, data_note(scene)))
 
 
+@functools.lru_cache(maxsize=8)
 def _score_larger(scene: SceneScores) -> list[VariantScores]:
+    """The scores of larger pictures, which a scene's table and its sheet share."""
     errors: list[HyalineError] = []
     found = [scored for scored in score_variants(scene, errors, Kept(None)) if is_larger(scored.variant)]
     if errors:
