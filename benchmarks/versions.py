@@ -92,7 +92,7 @@ class Version:
     def train(self, method: str, out: str, steps: int, *flags: str) -> list[str]:
         """The words of a training."""
         plain = method.removesuffix("-best")
-        words = ["--steps", str(steps), "--out", f"runs/{out}", *flags]
+        words = ["--steps", str(steps), "--out", f"runs/glass_table/{out}", *flags]
         if not self.has_flags:
             return ["model", "train", method, PLAIN, *words]
         return ["model", "train", plain, "--dataset", PLAIN, *(["--preset", "best"] if plain != method else []), *words]

@@ -85,22 +85,18 @@ def score_edits(
     return tuple(found)
 
 
-def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[Split, float | None]]:
-    """PSNR in dB where the edited objects are or were, mean over a scene's edits, by the run's name and the split.
+def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[str, dict[Split, float | None]]]:
+    """PSNR in dB where the edited objects are or were, by the run's name, the edit and the split.
 
     None if a split does not show any edited object.
     """
-    scores: dict[str, dict[Split, list[float]]] = {}
+    scores: dict[str, dict[str, dict[Split, float | None]]] = {}
     for edit in drawn:
         for row in edit.rows:
             if row.scene == "edited":
-                for split in TEST_SPLITS:
-                    if (value := row.psnr_db[("object", split)]) is not None:
-                        scores.setdefault(row.run, {}).setdefault(split, []).append(value)
-    return {
-        run: {split: float(np.mean(own[split])) if split in own else None for split in TEST_SPLITS}
-        for run, own in scores.items()
-    }
+                values: dict[Split, float | None] = {split: row.psnr_db[("object", split)] for split in TEST_SPLITS}
+                scores.setdefault(row.run, {})[edit.edited.name] = values
+    return scores
 
 
 def _score_edit(scene: SceneScores, scored: VariantScores, kept: Kept) -> EditScores:

@@ -5,6 +5,7 @@ super-resolution (predictions at twice the size and more).
 """
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,16 +52,20 @@ class VariantScores:
 
 
 def score_variants(
-    scene: SceneScores, errors: list[HyalineError], kept: Kept, *, edits_alone: bool = False
+    scene: SceneScores, errors: list[HyalineError], kept: Kept, *, of: Callable[[Dataset], bool] = lambda _: True
 ) -> list[VariantScores]:
-    """The scores of each variant that a run has predicted; problems of pictures or truth are added to `errors`."""
+    """The scores of each variant that a run has predicted; problems of pictures or truth are added to `errors`.
+
+    Args:
+        of: true for variants to score.
+    """
     scored = []
     for name in list_variants(scene.dataset.root):
         if not any((variant_root(scores.run.folder, name) / "predictions").is_dir() for scores in scene.runs):
             continue
         try:
             variant = open_variant(scene.dataset, name)
-            if edits_alone and variant.edit is None:
+            if not of(variant):
                 continue
             if (found := _score(scene, variant, errors, kept)).runs:
                 scored.append(found)

@@ -1,7 +1,9 @@
 """The report: finds the runs, scores them, prints tables, writes results.json and pictures."""
 
+import dataclasses
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -9,7 +11,6 @@ from pathlib import Path
 
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
-from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
@@ -27,7 +28,7 @@ from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
 from eval.tables.grids import TABLE_WIDTH
 from eval.tables.looks import grid_text, tables_text
-from eval.tables.named import TABLES
+from eval.tables.named import TABLES, EditedPsnr
 from eval.tables.published import published_grid, published_json
 from eval.tables.results import grid_json, results_csv, results_json
 
@@ -145,7 +146,7 @@ def make_tables(
     scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
         hint = (
-            f"; make them with `{_sweep_command(tables[0], only)}`"
+            f"; make them with `model sweep {tables[0]}`"
             if tables[0] in TABLES.built_in and asked[tables[0]].is_swept
             else ""
         )
@@ -175,44 +176,26 @@ def make_tables(
         raise errors[-1]
 
 
-def _sweep_command(table: str, only: Path | None) -> str:
-    datasets = list_datasets() if only is None else [only]
-    return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
-
-
-def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> dict[str, dict[Split, float | None]]:
-    """PSNR where edited objects are or were, by the run's name and the split."""
-    edits = score_variants(scene, errors, kept, edits_alone=True)
+def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> EditedPsnr:
+    """PSNR where edited objects are or were."""
+    edits = score_variants(scene, errors, kept, of=lambda variant: variant.edit is not None)
     return object_psnr(score_edits(scene, edits, errors, kept))
-
-
-def _check_holds_scenes(runs_root: Path, folders: Sequence[Path]) -> None:
-    """Refuses the folder of one run, or of one scene's runs; `folders` are those below the scenes."""
-    if has_predictions(runs_root):
-        raise HyalineError(f"{runs_root}: is a run; name the folder that holds SCENE/NAME, as `report runs` does")
-    if any((folder / "predictions").is_dir() for folder in folders):
-        return
-    if any(has_predictions(folder) for folder in runs_root.glob("*") if folder.is_dir()):
-        raise HyalineError(
-            f"{runs_root}: holds the runs of one scene; name the folder around it, {runs_root.resolve().parent}, and "
-            "--dataset for one dataset alone"
-        )
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
     """The runs that can be opened, and the errors of the others; with `only`, just those of one dataset."""
-    folders = list_run_folders(runs_root, besides=out)
-    _check_holds_scenes(runs_root, folders)
+    if has_predictions(runs_root):
+        raise HyalineError(f"{runs_root}: is a run; name a folder of runs, such as {runs_root.resolve().parent}")
     dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
-    for folder in folders:
+    for folder in list_run_folders(runs_root, besides=out):
         is_own = dataset is None or folder.parent.name == dataset.name
         try:
             if has_predictions(folder):
                 run = open_run(folder, data_root, dataset if is_own else None)
                 if dataset is None or run.dataset.seal == dataset.seal:
                     runs.append(run)
-            elif is_own and not (folder / FIT).is_file():
+            elif is_own and not any((folder / name).is_file() for name in (FIT, "results.json")):
                 say(f"{folder}: no predictions yet; skipped")
         except HyalineError as error:
             if is_own:
@@ -229,12 +212,24 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> li
     names = [dataset.name for dataset in ordered]
     scenes = []
     for dataset in ordered:
-        here = [run for run in runs if run.dataset.seal == dataset.seal]
+        here = _with_own_names([run for run in runs if run.dataset.seal == dataset.seal])
         # Two datasets with the same name (an old and a new one) are distinguished by their folders.
         title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
-        if scored := _score_scene(dataset, title, here, errors, kept):
-            scenes.append(scored)
+        try:
+            if scored := _score_scene(dataset, title, here, errors, kept):
+                scenes.append(scored)
+        except HyalineError as error:
+            errors.append(error)
     return scenes
+
+
+def _with_own_names(runs: list[Run]) -> list[Run]:
+    """The runs of a dataset; where two have one name, their folders' names come before it."""
+    counts = Counter(run.name for run in runs)
+    return [
+        run if counts[run.name] == 1 else dataclasses.replace(run, name=f"{run.folder.parent.name}/{run.name}")
+        for run in runs
+    ]
 
 
 def _score_scene(

@@ -55,7 +55,19 @@ def _psnr(split: Split) -> Measure:
 
 
 def _edited(split: Split) -> Measure:
-    return lambda group, edited: spread([edited.get(run.run.name, {}).get(split) for run in group.runs])
+    return lambda group, edited: spread([_mean_of_edits(edited, run.run.name, split) for run in group.runs])
+
+
+def _mean_of_edits(edited: EditedPsnr, name: str, split: Split) -> float | None:
+    values = [value for by_split in edited.get(name, {}).values() if (value := by_split[split]) is not None]
+    return sum(values) / len(values) if values else None
+
+
+def _shared_edits(edited: EditedPsnr, groups: Sequence[SeedGroup]) -> EditedPsnr:
+    """The edits that all runs of these groups have drawn."""
+    names = [run.run.name for group in groups for run in group.runs]
+    shared = set.intersection(*(set(edited.get(name, {})) for name in names))
+    return {name: {edit: edited[name][edit] for edit in sorted(shared)} for name in names if name in edited}
 
 
 def _pair(first: Line, second: Line, varied: str | None = None) -> Comparison:
@@ -193,6 +205,7 @@ def _find_pairs(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[tup
 
 def _try(claim: Claim, scene: str, first: Entry, second: Entry, edited: EditedPsnr) -> Finding | None:
     """None where a score is missing."""
+    edited = _shared_edits(edited, (first.group, second.group))
     numbers, holds, is_clear = [], [], []
     for condition in claim.conditions:
         one, other = (condition.measure(entry.group, edited) for entry in (first, second))

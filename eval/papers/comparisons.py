@@ -198,7 +198,11 @@ def verdicts(comparison: Comparison, parts: Sequence[Sequence[Entry]]) -> tuple[
     A difference has the size of the paper's if it is within half of that, or within twice its standard error.
     """
     found: dict[str, list[str]] = {}
-    groups = {entry.line.title: entry.group for entry in (parts[0] if parts else ())}
+    groups: dict[str, SeedGroup] = {}
+    for entry in parts[0] if parts else ():  # Of several in a line, the one with the fewest flags.
+        known = groups.setdefault(entry.line.title, entry.group)
+        if len(entry.group.first.flags or ()) < len(known.first.flags or ()):
+            groups[entry.line.title] = entry.group
     published = {line.title: line.published for line in comparison.lines}
     for contrast in comparison.contrasts:
         name = f"{contrast.first} against {contrast.second}"

@@ -10,7 +10,7 @@ import numpy as np
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_proxy_records
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, is_fitted
 from datagen.pages.charts import COLORS
 from eval.papers.comparisons import (
     NOT_RUN,
@@ -64,8 +64,12 @@ def proxy_error(dataset: Dataset, geometry: str) -> ProxyError:
 
 
 def find_ladder(scene: SceneScores) -> list[tuple[Entry, ProxyError]]:
-    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first."""
-    entries = [entry for part in find_entries(LADDER, group_seeds(scene.runs)) for entry in part]
+    """The runs of the proxy ladder, method by method, the geometry nearest to the truth first.
+
+    Fitted glass is left out: `model fit` does not measure its distance from the truth.
+    """
+    measured = [scores for scores in scene.runs if not is_fitted(scores.run.geometry or "")]
+    entries = [entry for part in find_entries(LADDER, group_seeds(measured)) for entry in part]
     with_errors = [(entry, proxy_error(scene.dataset, entry.group.first.geometry or "")) for entry in entries]
     return sorted(with_errors, key=lambda pair: (LADDER.lines.index(pair[0].line), pair[1].mean_mm))
 

@@ -105,7 +105,7 @@ def larger_grid(scene: SceneScores) -> Grid:
 def _score_larger(scene: SceneScores) -> list[VariantScores]:
     """The scores of larger pictures, which a scene's table and its sheet share."""
     errors: list[HyalineError] = []
-    found = [scored for scored in score_variants(scene, errors, Kept(None)) if is_larger(scored.variant)]
+    found = score_variants(scene, errors, Kept(None), of=is_larger)
     if errors:
         raise errors[0]
     return found

@@ -79,12 +79,19 @@ class Run:
 
 
 def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
-    """Every folder RUNS/SCENE/NAME, sorted; links to neighbours (such as `latest`) are left out.
+    """Every folder RUNS/SCENE/NAME, and runs at RUNS/NAME (`model train --out`), sorted.
+
+    Links to neighbours (such as `latest`) are left out.
 
     Args:
         besides: the report's own folder, which is left out.
     """
-    folders = [path for path in root.glob("*/*") if path.is_dir() and not path.name.startswith(".")]
+    direct = {path for path in root.glob("*") if (path / "run.json").is_file() or (path / "predictions").is_dir()}
+    folders = [
+        path
+        for path in (*direct, *root.glob("*/*"))
+        if path.is_dir() and path.parent not in direct and not path.name.startswith(".")
+    ]
     own = real_path(besides)
     return sorted(
         path
@@ -110,8 +117,12 @@ def has_predictions(folder: Path) -> bool:
     return bool(splits)
 
 
-def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
-    """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE."""
+def open_run(folder: Path, data_root: Path, given: Dataset | None = None, *, is_trusted: bool = True) -> Run:
+    """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE.
+
+    Args:
+        is_trusted: False: the given dataset or none, whatever run.json names.
+    """
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
     seal = None
@@ -123,6 +134,8 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     named = _optional(record, "dataset", str, path)
     places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
     places.append(data_root / folder.parent.name)
+    if given is not None and not is_trusted:
+        places = [given.root]
     dataset = _find_dataset(folder, places, _optional(record, "dataset_seal", str, path))
     return Run(
         folder=folder,

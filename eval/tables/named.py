@@ -9,8 +9,8 @@ from eval.score.runs import Run
 from eval.score.scores import SceneScores
 from eval.tables.grids import Grid
 
-EditedPsnr = Mapping[str, Mapping[Split, float | None]]
-"""PSNR in dB of edited scenes where the edited object is or was, by the run's name and the split."""
+EditedPsnr = Mapping[str, Mapping[str, Mapping[Split, float | None]]]
+"""PSNR in dB where the edited object is or was, by the run's name, the edit and the split; None where none is seen."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -254,6 +254,19 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
 
+def test_verdicts_are_about_the_run_with_the_fewest_flags(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "dnr", "dnr", 5, 40)
+    write_run(dataset, tmp_path, "paper", paper(), 10, 12)
+    write_run(dataset, tmp_path, "quick", paper(steps=100), 90, 90)
+    tables(dataset, tmp_path, "table2")
+    text = capsys.readouterr().out
+    assert [row[1] for row in rows_of(text) if row[0] == "paper"] == ["paper", "quick"]
+    for split, ours in (("inter", decibels(5) - decibels(10)), ("extra", decibels(40) - decibels(12))):
+        assert f"DNR against paper, {split}, {ours:+.2f} " in text
+
+
 def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_published(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -304,6 +317,8 @@ def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
         write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
         best = dataclasses.replace(BEST, geometry=geometry)
         write_run(copy, tmp_path / "runs", f"paper-best-{geometry}", best, level - 1, level)
+    write_proxies(copy, "fitted", meshes, (None, None), assignment=("fitted", "truth"))
+    write_run(copy, tmp_path / "runs", "fitted", dataclasses.replace(LIGHT, geometry="fitted"), 4, 4)
     tables(copy, tmp_path / "runs", "proxies")
     rows = rows_of(capsys.readouterr().out)[1:]
     order, methods = ["truth", "noise-0.01", "hull", "box"], ("light-path", "paper-best", "paper")
@@ -448,9 +463,13 @@ def test_edited_scenes_decide_whether_zero_layers_help(
     write_run(dataset, tmp_path, "without", paper(), 10, 11)
     write_run(dataset, tmp_path, "with", paper(zero_layer=True), 10, 11)
     make = claims.claims_grid
+    easy = dict.fromkeys(TEST_SPLITS, 40.0)  # An edit that one of them alone has drawn.
     for edited, verdict in ((24.0, "confirmed"), (22.0, "contradicted")):
         scores = {
-            "synthetic": {"with": dict.fromkeys(TEST_SPLITS, edited), "without": dict.fromkeys(TEST_SPLITS, 23.0)}
+            "synthetic": {
+                "with": {"remove-ball": dict.fromkeys(TEST_SPLITS, edited)},
+                "without": {"remove-ball": dict.fromkeys(TEST_SPLITS, 23.0), "remove-pane": easy},
+            }
         }
         monkeypatch.setattr("eval.papers.claims.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
         tables(dataset, tmp_path, "claims")

@@ -328,18 +328,49 @@ def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
         report(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("place", "message"),
-    [("synthetic/grey", "is a run; name the folder"), ("synthetic", "holds the runs of one scene")],
-)
-def test_a_folder_below_that_of_all_runs_is_told_from_it(copy: Path, place: str, message: str) -> None:
-    predictions = copy / "runs" / "synthetic" / "grey" / "predictions"
-    shutil.copytree(
-        predictions / "interpolating", variant_root(predictions.parent, ANGLES) / "predictions" / "extrapolating-10deg"
-    )
-    answer = call(f"report {copy / 'runs' / place}")
-    assert answer.status == 1 and message in answer.error
+def test_the_folder_of_one_run_is_refused(copy: Path) -> None:
+    run = copy / "runs" / "synthetic" / "grey"
+    shutil.copytree(run / "predictions", variant_root(run, ANGLES) / "predictions")
+    answer = call(f"report {run}")
+    assert answer.status == 1 and "is a run; name a folder of runs" in answer.error
     assert "skipped" not in answer.err
+
+
+def test_the_runs_of_one_scene_can_be_reported_alone(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    make_report(copy / "runs" / "synthetic", copy / "data", copy / "out", output_format="csv")
+    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_run_that_was_put_beside_those_of_scenes_is_reported(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(made / "runs" / "synthetic" / "grey", tmp_path / "mine")
+    shutil.copytree(made / "runs" / "synthetic" / "perfect", tmp_path / "synthetic" / "perfect")
+    make_report(tmp_path, made / "data", tmp_path / "out", output_format="csv")
+    out, err = capsys.readouterr()
+    assert list(csv_rows(out)) == ["mine", "perfect", CEILING]
+    assert "skipped" not in err
+
+
+def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(copy / "runs" / "synthetic" / "grey", copy / "runs" / "again" / "perfect")
+    record = copy / "runs" / "again" / "perfect" / "run.json"
+    record.write_text(json.dumps(json.loads(record.read_text()) | {"dataset": str(copy / "data" / "synthetic")}))
+    report(copy)
+    rows = csv_rows(capsys.readouterr().out)
+    assert list(rows) == ["again/perfect", "foreign_nerf", "grey", "synthetic/perfect", CEILING]
+    assert rows["again/perfect"]["psnr_db_interpolating"] == rows["grey"]["psnr_db_interpolating"]
+    assert rows["synthetic/perfect"]["psnr_db_interpolating"] == "inf"
+
+
+def test_a_dataset_without_truth_does_not_hide_the_others(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    dataset = write_synthetic_dataset(copy / "data" / "hidden", train_views=3)
+    write_predictions(dataset, copy / "runs" / "hidden" / "mine", "interpolating", darken)
+    shutil.rmtree(dataset.root / "records" / "interpolating")
+    with pytest.raises(HyalineError, match=r"hidden/records/interpolating/0000\.json"):
+        report(copy)
+    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
 
 
 def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:
