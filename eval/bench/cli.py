@@ -87,13 +87,20 @@ def submit(
         )
     if out is not None and method is None:
         raise UsageError("--out: goes with a method; name one")
-    packed = 0
-    for name in sorted(found) if method is None else [choose("method", method, found)]:
-        place = out or BENCH / preset / "submissions" / f"{name}.tar"
+    names = sorted(found) if method is None else [choose("method", method, found)]
+    places = {name: out or BENCH / preset / "submissions" / f"{name}.tar" for name in names}
+    for name in names:
         with left_out() if method is None else nullcontext():
-            tell(str(pack(found[name], preset=preset, track=track, out=place, protocol=protocol, overwrite=overwrite)))
-            packed += 1
-    if not packed:
+            place = pack(
+                found[name], preset=preset, track=track, out=places[name], protocol=protocol, overwrite=overwrite
+            )
+            tell(str(place))
+            del places[name]
+    if stale := [str(place) for place in places.values() if place.exists()]:
+        raise HyalineError(
+            f"{', '.join(stale)}: from earlier predictions or code; replace by --overwrite, or remove if incomplete now"
+        )
+    if len(places) == len(names):
         raise HyalineError(f"{runs}: no method has all predictions that {preset} asks for")
     next_command(f"hyaline-bench score --preset {preset}")
 
@@ -130,11 +137,20 @@ def score(
     asked = sorted(folder.glob("*.tar")) if submission is None else [submission]
     if not asked:
         raise HyalineError(f"{folder}: has no submission; make one with `hyaline-bench submit --preset {preset}`")
+    errors: list[HyalineError] = []
     for path in asked:
-        place = out or BENCH / read_submission(path).preset / "scores" / f"{path.stem}.json"
-        found = score_submission(path, data, place, protocol, overwrite=overwrite)
+        try:
+            place = out or BENCH / read_submission(path).preset / "scores" / f"{path.stem}.json"
+            found = score_submission(path, data, place, protocol, overwrite=overwrite)
+        except HyalineError as error:
+            errors.append(error)
+            continue
         sys.stdout.write(grid_text(scene_grid(found, protocol), "table", width=TABLE_WIDTH) + "\n")
         say(f"{place}: track {found.track}, {len(found.scenes)} scenes")
+    for error in errors[:-1]:
+        say(f"error: {error}")
+    if errors:
+        raise errors[-1]
     if submission is None:
         next_command(f"hyaline-bench leaderboard --preset {preset}")
 

@@ -11,7 +11,7 @@ from typing import cast
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
-from datagen.data.paths import is_fitted
+from datagen.data.paths import MIXED, is_fitted
 from datagen.data.variants import ANGLES
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, from_json, load_toml
@@ -150,6 +150,11 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
     return True
 
 
+def has_usual_name(dataset: Dataset) -> bool:
+    """True for a dataset in a folder SCENE-PRESET, as `model sweep bench` names them."""
+    return dataset.name == f"{dataset.config.scene}-{dataset.config.preset}"
+
+
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     """The first track that allows what a run was told, by its record; None if the record does not say."""
     pictures, masks, proxies, shapes, materials = tracks
@@ -159,7 +164,9 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     if (known := knowledge_of(run)) is not None:
         return told[known]
     assert run.geometry != NO_GEOMETRY and not is_fitted(run.geometry)
-    return materials if run.method == "light-path" else proxies
+    if run.method == "light-path":
+        return materials
+    return shapes if run.geometry.startswith(MIXED) else proxies  # A mixture may hold true meshes.
 
 
 def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:

@@ -14,14 +14,15 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import list_datasets
+from datagen.data.variants import list_variants, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
 from datagen.disk.records import Json, from_json, to_json
-from datagen.disk.storage import commit_sealed, load_sealed, sha256_file
+from datagen.disk.storage import commit_sealed, load_sealed, sha256, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
-from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission
+from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission, read_submission
 from eval.score.kept import Kept
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, read_costs, read_prediction
@@ -107,6 +108,8 @@ class Scored:
     """Version of the code that scored it."""
     scenes: dict[str, SceneResult]
     failures: tuple[Failure, ...]
+    truths: str = ""
+    """Digest of the datasets and variants that it was scored against; empty in files of earlier versions."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -131,8 +134,8 @@ def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol,
         HyalineError: the submission is damaged or incomplete, or `out` has another one's scores.
     """
     if out.is_file() and not overwrite:
-        before = read_scored(out)
-        if (before.submission, before.scored_by) == (sha256_file(path), code_version()):
+        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root))
+        if (before.submission, before.scored_by, before.truths) == (sha256_file(path), code_version(), truths):
             say(f"{out}: is finished")
             return before
         refuse_file(out)
@@ -157,6 +160,15 @@ def find_truths(root: Path) -> dict[str, Dataset]:
     return found
 
 
+def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset]) -> str:
+    seals: list[str] = []
+    for seal in index.datasets.values():
+        if seal in truths:
+            root = truths[seal].root
+            seals += [seal, *(open_variant(truths[seal], name).seal for name in list_variants(root))]
+    return sha256(" ".join(seals).encode())
+
+
 def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Protocol) -> Scored:
     scenes, worst = {}, []
     for scene, run in track(runs.items(), label=f"scoring {index.name}", total=len(runs)):
@@ -166,14 +178,18 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
             )
         splits: dict[str, SplitResult] = {}
         shown: list[tuple[float, Run, Split, int]] = []
+        edits: set[str] = set()
         for part, names in list_predictions(run, protocol):
             home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
+            edits |= {part.dataset.name} if home else set()
             for split, (truth, scores) in _score_part(part, names):
                 splits[f"{home}{split}"] = _result(f"{path}: {scene}: {home}{split}", truth, scores)
                 if scene in protocol.public_scenes(index.preset) and not home:
                     for view, value in enumerate(scores.images["psnr_db"]):
                         if value is not None:
                             shown.append((value, part, split, view))
+        if edits != set(protocol.edit_variants(scene)):  # Means over some edits cannot be compared.
+            splits = {name: result for name, result in splits.items() if "/" not in name}
         scenes[scene] = SceneResult(
             dataset=run.dataset.seal,
             seed=run.seed,
@@ -195,6 +211,7 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
         scored_by=code_version(),
         scenes=scenes,
         failures=tuple(sorted(worst, key=lambda failure: failure.psnr_db)[:MOST_FAILURES]),
+        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}),
     )
 
 

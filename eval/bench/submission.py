@@ -39,7 +39,7 @@ from datagen.export.archive import (
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say
 from eval.analyses.variants import run_of_variant
-from eval.bench.protocol import Protocol, choose_track, is_of_preset, left_out, load_protocol
+from eval.bench.protocol import Protocol, choose_track, has_usual_name, is_of_preset, left_out, load_protocol
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run, read_prediction
 
 INDEX = "hyaline-submission.json"
@@ -101,7 +101,8 @@ def _paths_of(scene: str, name: str, protocol: Protocol) -> str:
 def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> dict[str, dict[str, Run]]:
     """The runs on datasets of a preset, by their name and scene.
 
-    A run that cannot be opened, or whose dataset has another size, is named and left out.
+    A run that cannot be opened, or whose dataset has another size, is named and left out; so is a second run on a
+    scene beside that on the dataset SCENE-PRESET.
     """
     runs: list[Run] = []
     for folder in list_run_folders(root, besides=root / "report"):
@@ -109,12 +110,14 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
             if has_predictions(folder) and is_of_preset((run := open_run(folder, data_root)).dataset, preset, protocol):
                 runs.append(run)
     found: dict[str, dict[str, Run]] = {}
-    for run in runs:
-        scene, of_name = run.dataset.config.scene, found.setdefault(run.name, {})
-        if scene in of_name:
-            other = of_name[scene].folder
-            raise HyalineError(f"{run.folder}: is a second run of {run.name} on {scene}, beside {other}")
-        of_name[scene] = run
+    for run in sorted(runs, key=lambda run: not has_usual_name(run.dataset)):
+        scene = run.dataset.config.scene
+        first = found.setdefault(run.name, {}).setdefault(scene, run)
+        if first is not run:
+            double = f"{run.folder}: is a second run of {run.name} on {scene}, beside {first.folder}"
+            if not has_usual_name(first.dataset):
+                raise HyalineError(double)
+            say(f"left out: {double}")
     return found
 
 
@@ -243,7 +246,8 @@ def _open_runs(index: Submission, root: Path, truths: Mapping[str, Dataset]) -> 
     for scene, seal in index.datasets.items():
         folder = root / scene / index.name
         folder.mkdir(parents=True, exist_ok=True)  # Without any file, its predictions are missing below.
-        runs[scene] = run = open_run(folder, root, truths[seal])
+        # A record that names another dataset must not choose the truth.
+        runs[scene] = run = open_run(folder, root, truths[seal], is_trusted=False)
         choose_track(run, index.track, load_protocol().tracks)
     return runs
 

@@ -31,7 +31,7 @@ from eval.bench.floors import nearest_view
 from eval.bench.leaderboard import track_grid
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
 from eval.bench.score import mean_interval, read_scored, summarise
-from eval.bench.submission import INDEX
+from eval.bench.submission import INDEX, submit
 from eval.score.runs import open_run
 
 SUBMISSION = Path("bench/tiny/submissions/nearest-view.tar")
@@ -135,6 +135,56 @@ def test_a_foreign_method_names_its_track_and_need_not_predict_edits(here: Path)
     assert row is not None and ">1.50<" in row[0] and ">5.00<" in row[0]
 
 
+def test_a_submission_does_not_choose_its_truth(packed: Path, small_protocol: Protocol) -> None:
+    scene = Path("runs/random-7100-tiny/mine")
+    shutil.copytree("runs/random-7100-tiny/mean-picture/predictions", scene / "predictions")
+    runs = {"random-7100": open_run(scene, Path("data"))}
+    other = open_dataset(Path("data/synthetic-tiny"))
+    record = {"dataset": str(other.root.resolve()), "dataset_seal": other.seal}
+    (scene / "run.json").write_text(json.dumps(record))
+    submit(runs, preset="tiny", track="masks", out=Path("mine.tar"), protocol=small_protocol, overwrite=False)
+    answer = call("hyaline-bench score mine.tar --preset tiny --out mine.json")
+    assert answer.status == 1 and "the predictions are for other data" in answer.error
+    assert not Path("mine.json").exists()
+
+
+def test_a_second_dataset_of_a_scene_is_left_out(packed: Path) -> None:
+    before = tree(packed)
+    shutil.copytree("data/synthetic-tiny", "data/synthetic")
+    shutil.copytree("runs/synthetic-tiny", "runs/synthetic")
+    for path in Path("runs/synthetic").glob("*/run.json"):
+        path.write_text(path.read_text().replace("data/synthetic-tiny", "data/synthetic"))
+    run("hyaline-bench floors --preset tiny")
+    answer = call("hyaline-bench submit --preset tiny")
+    assert answer.status == 0 and "left out: runs/synthetic/mean-picture: is a second run" in answer.err
+    shutil.rmtree("data/synthetic")
+    shutil.rmtree("runs/synthetic")
+    assert tree(packed) == before
+
+
+def test_submissions_of_earlier_predictions_are_named_and_replaced_on_demand(packed: Path) -> None:
+    before = SUBMISSION.read_bytes()
+    for name in ("synthetic", "random-7100"):
+        (Path(f"runs/{name}-tiny/nearest-view") / "costs.json").write_text('{"cpu_seconds": 90}')
+    answer = call("hyaline-bench submit --preset tiny")
+    assert answer.status == 1 and f"{SUBMISSION}: from earlier predictions or code; replace" in answer.error
+    assert SUBMISSION.read_bytes() == before
+    run("hyaline-bench submit --preset tiny --overwrite")
+    assert SUBMISSION.read_bytes() != before
+
+
+def test_truth_that_came_later_asks_for_new_scores(packed: Path) -> None:
+    variant = Path("data/synthetic-tiny/variants/remove-pane")
+    shutil.move(variant, "kept")
+    run("hyaline-bench score --preset tiny")
+    assert not read_scored(SCORES).scenes["synthetic"].values(EDITS)
+    shutil.move("kept", variant)
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 1 and answer.err.count("is there already; pass --overwrite") == 2
+    run("hyaline-bench score --preset tiny --overwrite")
+    assert read_scored(SCORES).scenes["synthetic"].values(EDITS)
+
+
 def test_scores_of_another_submission_stay(packed: Path) -> None:
     run(f"hyaline-bench score {SUBMISSION} --preset tiny --out kept.json")
     before = Path("kept.json").read_bytes()
@@ -162,6 +212,8 @@ def test_incomplete_predictions_are_not_packed(packed: Path, file: str, message:
     run("hyaline-bench submit --preset tiny")  # The other floor is complete.
     assert not SUBMISSION.exists()
     shutil.rmtree("runs/synthetic-tiny/mean-picture/predictions")
+    assert "mean-picture.tar: from earlier predictions" in call("hyaline-bench submit --preset tiny").error
+    shutil.rmtree("runs/random-7100-tiny/mean-picture/predictions")
     assert "no method has all predictions" in call("hyaline-bench submit --preset tiny").error
 
 
