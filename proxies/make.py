@@ -64,9 +64,9 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
     Returns:
         True if they were made, False if they were kept.
     """
-    if dataset.edit is not None:
-        # Its proxies are those of the base, moved like their objects: new fits would have different texels.
-        raise HyalineError(f"{dataset.root}: is an edit; make proxies of the dataset around it, which edits them along")
+    if dataset.variant is not None:
+        # An edit's proxies are those of the base, moved like their objects: new fits would have different texels.
+        raise HyalineError(f"{dataset.root}: is a variant; make proxies of the dataset around it, which it shares")
     root = geometry_root(dataset.root, spec.geometry)
     truths = read_meshes(dataset, TRUTH)
     assignment = spec.assignment if isinstance(spec, MixedSpec) else None

@@ -20,6 +20,7 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from datagen.build.build import peel_dataset
+from datagen.build.build_variant import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
 from datagen.data.images import to_8bit
@@ -109,6 +110,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         folder.finish(summary(dataset, found))
     if has_layers(dataset):
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
+        peel_variants(dataset, workers=1)
 
 
 def _find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:

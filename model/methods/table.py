@@ -8,7 +8,7 @@ import re
 import shlex
 from typing import TYPE_CHECKING
 
-from datagen.data.paths import is_fitted
+from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.plugins import Group
 from model.methods.protocol import Inputs, MethodConfig
@@ -76,7 +76,7 @@ def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inpu
     """What a method is given of a dataset."""
     if not config.reads_layers:
         seal = dataset.seal
-        if is_fitted(geometry):
+        if config.uses_geometry and geometry != TRUTH:
             from datagen.data.geometries import geometry_digest  # Not before: lists of methods need no NumPy.
 
             seal = geometry_digest(dataset, geometry)

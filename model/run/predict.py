@@ -5,6 +5,7 @@ RUN/predictions.json               with checksum, written last: SHA-256 of each 
 RUN/variants/NAME/...              the same for a variant
 """
 
+import contextlib
 import dataclasses
 import itertools
 import shlex
@@ -25,6 +26,7 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
 from datagen.data.variants import variant_root
 from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.ownership import remove_files
 from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
@@ -41,6 +43,7 @@ from model.run.run_folder import (
     drawn_along,
     is_drawn,
     prediction_seals,
+    read_prediction_hashes,
     write_prediction_hashes,
 )
 from model.settings.runtime import keep_freed_memory
@@ -187,6 +190,8 @@ def check_draws_cameras(run: Path, config: TrainConfig) -> None:
 
 def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) -> None:
     folder = variant_root(run, variant.name)
+    with contextlib.suppress(HyalineError):  # The variant may have had more views.
+        remove_files(folder, read_prediction_hashes(folder))
     (folder / PREDICTIONS).unlink(missing_ok=True)
     files = render_views(renderer, config, variant, folder)
     write_prediction_hashes(folder, files, **prediction_seals(run, variant))

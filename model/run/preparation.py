@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import nn
 
 from datagen.data.cameras import Cameras
+from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.meshes import face_areas, is_there
@@ -27,13 +28,21 @@ from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
+from model.settings.losses import LEAST_PATCH
 from model.settings.optimisation import PixelOptimisation
 from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
 
 
-def check_inpainting(config: TrainConfig) -> None:
-    """Raises a HyalineError if in-painting is on and the method has no stored layers to count texel visits with."""
+def check_losses(config: TrainConfig, resolution: Resolution) -> None:
+    """Raises a HyalineError if the method cannot be trained with the losses that were asked for."""
+    crop = getattr(config.net, "crop", None)  # Of U-Nets; 0: whole pictures.
+    side = min(config.loss.patch if crop is None else crop or resolution.shorter, resolution.shorter)
+    if config.loss.adversarial and side < LEAST_PATCH:
+        raise HyalineError(
+            f"adversarial: patches are {side} pixels wide; the discriminator needs at least {LEAST_PATCH}, so use "
+            "larger crops or pictures"
+        )
     if config.loss.inpaint and config.net.traces_layers:
         raise HyalineError(
             "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "

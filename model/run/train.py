@@ -34,7 +34,7 @@ from model.run.logs import LogChoices, Logs
 from model.run.optimizer import Optimizer, make_optimizer
 from model.run.preparation import (
     build_renderer,
-    check_inpainting,
+    check_losses,
     count_parameters,
     describe_run,
     load_training,
@@ -82,7 +82,7 @@ def train(
     prepare_processor(config, device)
     check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
-    check_inpainting(config)
+    check_losses(config, dataset.config.resolution)
 
     renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
@@ -100,8 +100,8 @@ def train(
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    # Processes average whole tables of gradients, so several move no texture lazily.
-    lazy_in = renderer if processes.count == 1 else None
+    # Processes average whole tables of gradients, so several move no texture lazily; in-painting masks a table's own.
+    lazy_in = renderer if processes.count == 1 and not config.loss.inpaint else None
     size = config.batch // config.updates
     optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=lazy_in, pixels=size)
     run = Run(

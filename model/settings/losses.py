@@ -50,6 +50,13 @@ class LossConfig:
         check_limits(self)
         if not 0 < self.adversarial_lr <= 1:
             raise HyalineError(f"adversarial_lr: is {self.adversarial_lr}; expected a learning rate in (0, 1]")
+        for name, is_used, flag in (
+            ("vgg", self.has_vgg, "--vgg-weights"),
+            ("adversarial_from", self.adversarial > 0, "--adversarial"),
+            ("patch", self.has_vgg or self.adversarial > 0, "--vgg-weights or --adversarial"),
+        ):
+            if not is_used and getattr(self, name) != getattr(type(self), name):
+                raise HyalineError(f"{name}: has no effect without {flag}")
         if self.inpaint and not self.adversarial:
             raise HyalineError("inpaint: needs the discriminator's judgement; give --adversarial, such as 0.01")
         if self.perceptual != type(self).perceptual and not self.has_vgg:

@@ -33,15 +33,9 @@ class Objects {
   copy(index, step) {
     const original = this.all[index];
     if (this.all.length >= this.listed.length + MAX_COPIES || !this.hasRoomFor(original)) return undefined;
-    const name = this.freeName(this.listed[original.of].name);
+    const name = freeName(this.listed[original.of].name, this.all);
     this.all.push({ ...structuredClone(original), name, offset: add(original.offset, step) });
     return this.all.length - 1;
-  }
-
-  freeName(name) {
-    let count = 1;
-    while (this.all.some((item) => item.name === `${name}_copy${count}`)) count++;
-    return `${name}_copy${count}`;
   }
 
   // Takes a copy away; an object of the scene is hidden.
@@ -73,18 +67,24 @@ class Objects {
   // ---- As text: what differs from the page as it opens
 
   write(parts) {
-    this.all.slice(this.listed.length).forEach((item) => parts.append("copy", this.listed[item.of].name));
-    for (const item of this.all) {
-      const text = textOf(item);
-      if (this.isCopy(this.all.indexOf(item)) || text !== textOf(this.fresh(item.of, item.name))) parts.set(item.name, text);
+    // Copies go by the names that `read` gives them: an earlier copy may have been taken away.
+    const named = this.all.slice(0, this.listed.length);
+    for (const item of this.all.slice(this.listed.length)) {
+      const original = this.listed[item.of].name;
+      parts.append("copy", original);
+      named.push({ name: freeName(original, named) });
     }
+    this.all.forEach((item, index) => {
+      const text = textOf(item);
+      if (this.isCopy(index) || text !== textOf(this.fresh(item.of, item.name))) parts.set(named[index].name, text);
+    });
   }
 
   read(parts) {
     this.reset();
     for (const name of parts.getAll("copy").slice(0, MAX_COPIES)) {
       const of = this.listed.findIndex((item) => item.name === name);
-      if (of >= 0) this.all.push(this.fresh(of, this.freeName(name)));
+      if (of >= 0) this.all.push(this.fresh(of, freeName(name, this.all)));
     }
     this.all.forEach((item, index) => this.readOne(index, (parts.get(item.name) || "").split(" ").map(Number)));
   }
@@ -97,6 +97,12 @@ class Objects {
     Object.assign(this.all[index], change);
     if (this.listed[this.all[index].of].wall) this.all[index].wall = Math.min(WALLS.most, Math.max(WALLS.least, wall));
   }
+}
+
+function freeName(name, items) {
+  let count = 1;
+  while (items.some((item) => item.name === `${name}_copy${count}`)) count++;
+  return `${name}_copy${count}`;
 }
 
 const short = (value) => Number(value.toPrecision(6)).toString();

@@ -125,8 +125,9 @@ class Page {
   }
 
   remove() {
+    const isCopy = this.objects.isCopy(this.chosen);
     this.objects.remove(this.chosen);
-    if (this.chosen >= this.objects.all.length) this.chosen = -1;
+    if (isCopy) this.chosen = -1;
     this.panel.listObjects();
     this.update();
   }

@@ -1,5 +1,6 @@
 """Tests of the command `proxies`: what it writes, keeps, makes anew and refuses."""
 
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
@@ -11,10 +12,13 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
+from datagen.data.metadata import Variant
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from proxies.cli import main
+from proxies.make import make_proxies
 from proxies.meshing import meshlab
-from proxies.spec import FITTERS
+from proxies.spec import FITTERS, ProxySpec
 
 
 @pytest.fixture
@@ -271,3 +275,11 @@ def test_fitting_imports_neither_renderer_nor_network() -> None:
     heavy = {"mitsuba", "torch", "model", "eval", "pymeshlab"}
     code = f"import sys, proxies.make; sys.exit(bool({heavy} & set(sys.modules)))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_variant_shares_the_proxies_of_its_dataset(here: Path) -> None:
+    dataset = open_dataset(here / "data" / "one")
+    variant = dataclasses.replace(dataset, variant=Variant(of=dataset.seal, splits=("extrapolating",), edit=None))
+    with pytest.raises(HyalineError, match="is a variant; make proxies of the dataset around it"):
+        make_proxies(variant, ProxySpec(kind="box"), overwrite=False)
+    assert list_geometries(dataset) == ["truth"]

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Split, square
+from datagen.data.config import Resolution, Split, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -203,8 +203,16 @@ def build(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxels:
     return DeepVoxels(config, origin=torch.from_numpy(origin).float(), edge=edge)
 
 
+def _check_size(config: DeepVoxelsConfig, found: Resolution) -> None:
+    size = square(config.image_size)
+    if found != size:
+        raise HyalineError(
+            f"camera: is {found} pixels; deepvoxels draws {size}, the size that its networks were made for"
+        )
+
+
 def load(
-    config: DeepVoxelsConfig,  # noqa: ARG001
+    config: DeepVoxelsConfig,
     inputs: Inputs,
     split: Split,
     views: Sequence[int],
@@ -212,14 +220,10 @@ def load(
     with_images: bool,
     mapped: bool,  # noqa: ARG001
 ) -> Views:
+    _check_size(config, inputs.dataset.config.resolution)
     return load_views(inputs.dataset, split, views, with_images=with_images)
 
 
 def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001
-    size = config.image_size
-    if (cameras.width, cameras.height) != (size, size):
-        raise HyalineError(
-            f"camera: is {cameras.width} x {cameras.height} pixels; deepvoxels draws {size} x {size}, the size that "
-            "its networks were made for"
-        )
+    _check_size(config, Resolution(width=cameras.width, height=cameras.height))
     return Views(rgb=black(cameras), cameras=cameras)

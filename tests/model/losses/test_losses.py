@@ -30,8 +30,10 @@ from model.losses.patch_losses import (
     vgg_layers,
 )
 from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
+from model.methods.dnr.config import DnrConfig
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer
+from model.run.preparation import check_losses
 from model.run.run_folder import TrainConfig, check_same_run, read_run
 from model.run.train import train
 from model.settings.losses import LossConfig
@@ -191,7 +193,6 @@ def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
     from model.methods.authors_code.config import AuthorsConfig
-    from model.methods.dnr.config import DnrConfig
 
     net = {
         "paper": NET,
@@ -216,6 +217,11 @@ def test_impossible_losses_are_refused() -> None:
         LossConfig(perceptual=0.1)
     with pytest.raises(HyalineError, match="patch: is 16; expected at least 32"):
         LossConfig(patch=16)
+    with pytest.raises(HyalineError, match="patch: has no effect without --vgg-weights or --adversarial"):
+        LossConfig(patch=32)
+    small = dataclasses.replace(SMALL, method="dnr", net=DnrConfig(crop=16), loss=LossConfig(adversarial=0.01))
+    with pytest.raises(HyalineError, match="adversarial: patches are 16 pixels wide; the discriminator needs at least"):
+        check_losses(small, square(32))
 
 
 # In-painting.
@@ -291,6 +297,9 @@ def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     make_inpainter(dataset, build(NET, dataset))  # Skips where Mitsuba cannot.
+    # Textures of any size are moved as a whole: lazy moves would also reach the texels that training has seen.
+    monkeypatch.setattr("model.run.optimizer.TEXELS_A_PIXEL", 0)
+    monkeypatch.setattr("model.run.optimizer.LazyAdam", None)
     terms = LossConfig(adversarial=0.01, adversarial_from=0.3, inpaint=True, patch=32)
     config = dataclasses.replace(SMALL, loss=terms)
     assert_resumes(monkeypatch, config, dataset, tmp_path, stop=4)

@@ -23,7 +23,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model.batches.view_batches import Views, load_views
 from model.methods.deepvoxels.config import DeepVoxelsConfig
-from model.methods.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates
+from model.methods.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates, load
 from model.methods.table import open_inputs
 from model.nets.voxel_grid import (
     VoxelGrid,
@@ -257,6 +257,12 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
     assert both.shape == (2 * 64 * 64, 3) and ((both >= 0) & (both <= 1)).all()
     torch.testing.assert_close(both[64 * 64 :], net(views.take(torch.arange(2 * 64 * 64, 3 * 64 * 64), None)))
     assert torch.equal(net.get_buffer("volume"), kept)
+
+
+def test_pictures_of_another_size_than_that_of_training_are_refused(dataset: Dataset) -> None:
+    large = dataclasses.replace(TINY, image_size=128)
+    with pytest.raises(HyalineError, match="is 64 x 64 pixels; deepvoxels draws 128 x 128"):
+        load(large, open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False, mapped=False)
 
 
 @pytest.mark.parametrize("size", [32, 64, 128])

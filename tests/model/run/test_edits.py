@@ -35,7 +35,7 @@ if use_mitsuba(quiet=True).startswith("scalar"):
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.run.predict import render_predictions, render_variant
-from model.run.run_folder import TrainConfig, is_drawn
+from model.run.run_folder import TrainConfig, is_drawn, read_prediction_hashes, write_prediction_hashes
 from model.run.train import train
 
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
@@ -153,8 +153,14 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     picture = made / "runs" / "edit" / "paper" / "variants" / "remove-ball" / "predictions" / SPLIT / "0001.png"
     drawn = picture.read_bytes()
     picture.unlink()
+    # A picture of an earlier version of the variant, which had more views.
+    folder = picture.parents[2]
+    files = read_prediction_hashes(folder) | {f"predictions/{SPLIT}/0007.png": sha256(drawn)}
+    picture.with_name("0007.png").write_bytes(drawn)
+    seals = {key: load_sealed(folder / "predictions.json")[key] for key in ("dataset_seal", "run_seal")}
+    write_prediction_hashes(folder, files, **seals)  # pyright: ignore[reportArgumentType]
     assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
-    assert picture.read_bytes() == drawn
+    assert picture.read_bytes() == drawn and not picture.with_name("0007.png").exists()
     refused = call("datagen add edit --edit remove:ball --spp 8")
     assert (refused.status, refused.out) == (2, "")
     assert "error: datagen add: no flag --spp" in refused.error

@@ -182,6 +182,22 @@ def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     assert np.allclose(restored[0], camera, atol=1e-4)
 
 
+def test_a_link_keeps_a_copy_of_which_an_earlier_one_was_taken_away(page: "Page") -> None:
+    kept, restored = page.evaluate(
+        """async () => {
+            const { objects } = await hyaline;
+            objects.copy(4, [0.1, 0, 0]);
+            objects.copy(4, [0.2, 0, 0]);
+            objects.remove(7);
+            const kept = objects.all[7].offset, parts = new URLSearchParams();
+            objects.write(parts);
+            objects.read(parts);
+            return [kept, objects.all.slice(7).map((item) => item.offset)];
+        }"""
+    )
+    assert restored == [kept] and kept[0] == pytest.approx(0.2)
+
+
 def test_a_click_tells_the_layers_that_python_peels_and_the_branches_of_light(page: "Page") -> None:
     page.check("#follow")
     x, y = center(page, "#view")
