@@ -70,19 +70,19 @@ METHODS = {
 def main() -> None:
     choices = parse()
     dataset = choices.dataset if choices.dataset.is_dir() else Path("data") / choices.dataset
-    scene = json.loads((dataset / "dataset.json").read_text())["config"]["scene"]
-    folder = choices.out or Path("runs") / scene / choices.method
+    name = dataset.resolve().name
+    folder = choices.out or Path("runs") / name / choices.method
     if folder.exists():
         raise SystemExit(f"{folder}: exists; remove it, or set another --out")
     python = install(choices.environment)
-    pictures = Path("exports") / f"{scene}-nerfstudio"
+    pictures = Path("exports") / f"{name}-nerfstudio"
     words = ("export", dataset, "--format", "nerfstudio", "--out", pictures)
     subprocess.run([sys.executable, "-m", "datagen", *words], check=True, stdout=sys.stderr)
     add_angles(dataset, pictures)
-    work = Path("exports") / f"{scene}-{choices.method}"
+    work = Path("exports") / f"{name}-{choices.method}"
     seconds = train(python, pictures, work, choices)
     draw(python, work, choices.method)
-    keep(work, folder, choices, seconds)
+    keep(work, folder, dataset, choices, seconds)
     print(folder)
 
 
@@ -94,7 +94,7 @@ def parse() -> argparse.Namespace:
     parser.add_argument("dataset", type=Path, help="a dataset's folder, or its name under data/")
     parser.add_argument("--method", choices=[*METHODS], default="nerfacto", help="default: nerfacto")
     parser.add_argument("--steps", type=int, help="default: 1500 for nerfacto, 30000 for splatfacto")
-    parser.add_argument("--out", type=Path, help="folder of the run; default: runs/SCENE/METHOD")
+    parser.add_argument("--out", type=Path, help="folder of the run; default: runs/DATASET/METHOD")
     parser.add_argument(
         "--environment",
         type=Path,
@@ -173,7 +173,7 @@ def call(python: Path, name: str, *words: object) -> None:
     subprocess.run(list(map(str, command)), check=True, env=environment, stdout=sys.stderr)
 
 
-def keep(work: Path, folder: Path, choices: argparse.Namespace, seconds: float) -> None:
+def keep(work: Path, folder: Path, dataset: Path, choices: argparse.Namespace, seconds: float) -> None:
     """Copies the pictures to where `report` expects them, with what its tables print beside the scores."""
     for picture in sorted((work / "test" / "rgb").glob("*.png")):
         split, number = picture.stem.split("_")
@@ -185,6 +185,7 @@ def keep(work: Path, folder: Path, choices: argparse.Namespace, seconds: float) 
         "method": choices.method,
         "geometry": "none",
         "knowledge": "cameras only",
+        "dataset": str(dataset),
         "config": {"package": NERFSTUDIO, "steps": choices.steps, "flags": choices.flags},
     }
     (folder / "run.json").write_text(json.dumps(run, indent=2) + "\n")

@@ -8,6 +8,7 @@ from jaxtyping import Float, Real
 
 from datagen.data.cameras import Camera, check_camera, look_at
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
 
 
 def camera_from_intrinsics(
@@ -31,7 +32,13 @@ def camera_from_intrinsics(
     Raises:
         HyalineError: pixels that are not square, or an invalid camera.
     """
-    (focal_x, skew, center_x), (_, focal_y, center_y), _ = np.asarray(intrinsics, np.float64)
+    matrix = np.asarray(intrinsics, np.float64)
+    if matrix.shape != (3, 3) or (matrix[2] != (0, 0, 1)).any() or matrix[1, 0] != 0:
+        raise HyalineError(
+            f"intrinsics: are {shown(matrix.tolist())}; expected a 3 x 3 matrix with zeros below its diagonal and 1 as "
+            "its last number"
+        )
+    (focal_x, skew, center_x), (_, focal_y, center_y), _ = matrix
     if not math.isclose(focal_x, focal_y, rel_tol=1e-4) or abs(skew) > 1e-4 * abs(focal_x):
         raise HyalineError(
             f"intrinsics: focal lengths {focal_x:g}, {focal_y:g} and skew {skew:g}; expected square "

@@ -12,6 +12,7 @@ from datagen.data import paths as finding
 from datagen.data.cameras import Camera, check_camera
 from datagen.data.config import Resolution, Split, square
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
+from datagen.data.layer_writing import check_settings
 from datagen.data.layers import Layers, round_mantissa
 from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.terminal.command import say_all
@@ -71,7 +72,7 @@ class Dataset(contract.Dataset):
 
     def views(self, split: Split) -> list[View]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Every view of a split, in order."""
-        return [self.view(split, index) for index in range(self.num_views[split])]
+        return [self.view(split, view.index) for view in super().views(split)]
 
     @naming_parts("hyaline.Dataset.layers")
     def layers(self, camera: Camera, geometry: str = TRUTH, num_layers: int | None = None) -> Layers:
@@ -88,6 +89,7 @@ class Dataset(contract.Dataset):
             HyalineError: a camera that cannot render, or a geometry that was not made.
         """
         check_camera(camera)
+        check_settings(num_layers=1 if num_layers is None else num_layers, workers=1)
         if num_layers is None:
             is_peeled = contract.has_layers(self) if geometry == TRUTH else True
             num_layers = self.layer_store(geometry).head.num_layers if is_peeled else NUM_LAYERS

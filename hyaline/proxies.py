@@ -2,15 +2,17 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PIL import Image
 
+from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
-from datagen.data.paths import PROXY_KINDS, TRUTH
+from datagen.data.paths import PROXY_KINDS, TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.distribution import naming_parts
-from hyaline.datasets import NUM_LAYERS, Dataset
+from hyaline.datasets import NUM_LAYERS, Dataset, opened
 from hyaline.pictures import in_a_row, sketch
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ class Proxies:
 
 @naming_parts("proxies")
 def make_proxies(
-    dataset: Dataset,
+    dataset: Dataset | Path | str,
     kind: str = "ellipsoid",
     *,
     num_layers: int = NUM_LAYERS,
@@ -59,6 +61,7 @@ def make_proxies(
         run = hyaline.train("paper", dataset, geometry=proxies.geometry)
 
     Args:
+        dataset: a dataset, its name under data/, or its folder.
         kind: box, ellipsoid, hull, blocks, wrap, lowpoly, or noise-0.01 with the displacement in parts of each object's
             diagonal.
         num_layers: layers kept per ray.
@@ -74,5 +77,7 @@ def make_proxies(
     spec = parse_part(kind)
     if spec is None:
         raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(PROXY_KINDS)}")
+    if isinstance(dataset, (str, Path)):
+        dataset = opened(open_dataset(find_dataset(str(dataset))))
     reports = make_and_peel(dataset, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
     return Proxies(dataset=dataset, geometry=spec.geometry, reports=reports)

@@ -11,7 +11,7 @@ from datagen.data.config import MAX_VIEWS
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from hyaline.runs import RUNS, Run, list_runs
+from hyaline.runs import RUNS, Run
 
 if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
@@ -30,7 +30,8 @@ class Report:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """What `report --format csv` prints: a row for each run, and one for each scene's noise ceiling."""
+        """What `report --format csv` prints: a row for each run, two for each group of seeds (mean and deviation), and
+        one for each scene's noise ceiling."""
         return list(csv.DictReader(io.StringIO(self._csv())))
 
     def to_frame(self) -> "pandas.DataFrame":
@@ -58,10 +59,11 @@ class Report:
 
 
 def report(
-    runs: Sequence[Run | Path | str] | None = None,
+    runs: Run | Path | str | Sequence[Run | Path | str] | None = None,
     out: Path | str | None = None,
     *,
     root: Path | str = RUNS,
+    data: Path | str = DATA_ROOT,
     views: int = 3,
 ) -> Report:
     """Scores runs against the truth and writes a page of them, as `eval report` does.
@@ -70,31 +72,38 @@ def report(
         report.to_frame()[["run", "psnr_db_interpolating"]]
 
     Args:
-        runs: opened runs, or folders of 8-bit sRGB pictures of any method, SCENE/NAME with
+        runs: opened runs (or one), or folders of 8-bit sRGB pictures of any method, SCENE/NAME with
             predictions/SPLIT/0000.png; all runs under `root` unless given.
-        out: folder of the page; `report` beside the scenes' folders of the first run unless given.
+        out: folder of the page; unless given, `report` in `root`, or beside the scenes' folders of the first run.
         root: folder of the runs.
+        data: folder with the datasets, DATA/SCENE, of runs that name none.
         views: views of each split and run on the page, the worst, the median and the best first.
 
     Raises:
-        HyalineError: no run, one that cannot be scored, or something else in `out`.
+        HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
     """
     from eval.analyses.fits import read_fits
     from eval.page.report import score_runs, write_page
     from eval.page.report_folder import check_report_folder, kept_in
-    from eval.score.runs import open_run
+    from eval.score.runs import has_predictions, list_run_folders, open_run
 
     if not 1 <= views <= MAX_VIEWS:
         raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
-    given = [Path(root) / name for name in list_runs(root)] if runs is None else list(runs)
+    every = list_run_folders(Path(root), besides=Path(out or Path(root) / "report")) if runs is None else []
+    asked = [runs] if isinstance(runs, (Run, str, Path)) else runs
+    given = list(filter(has_predictions, every)) if asked is None else list(asked)
     if not given:
-        raise HyalineError(f"{root}: no run there; make one with hyaline.train")
+        raise HyalineError(f"{root}: no run there has pictures; make one with hyaline.train")
     folders = [item.folder if isinstance(item, Run) else Path(item) for item in given]
+    for folder in folders:
+        if not has_predictions(folder):
+            raise HyalineError(f"{folder}: has no predictions; expected predictions/SPLIT/0000.png, ...")
     datasets = [item.dataset if isinstance(item, Run) else None for item in given]
-    place = Path(out) if out is not None else folders[0].parent.parent / "report"
+    beside = Path(root) if runs is None else folders[0].parent.parent
+    place = Path(out) if out is not None else beside / "report"
     check_report_folder(place)
     kept, errors = kept_in(place), []
-    opened = [open_run(folder, DATA_ROOT, dataset) for folder, dataset in zip(folders, datasets, strict=True)]
+    opened = [open_run(folder, Path(data), dataset) for folder, dataset in zip(folders, datasets, strict=True)]
     fits = read_fits(Path(root), errors, besides=place) if runs is None else []
     scored = score_runs(opened, errors, kept, fits, made_by={"command": "hyaline.report"})
     for error in errors[:-1] if scored is None else errors:

@@ -57,7 +57,7 @@ class Run:
 
     @property
     def label(self) -> str:
-        """The run's name in tables."""
+        """What the list of runs and pages add to the run's name."""
         return self.record.label
 
     @property
@@ -172,12 +172,12 @@ def train(
         dataset: a dataset, its name under data/, or its folder.
         geometry: whose layers the method sees: `truth`, or proxies such as `ellipsoid`.
         out: folder of the run; runs/SCENE/METHOD unless given, with a suffix for each setting that is not the default.
-        label: what tables call the run; the folder's name unless given.
+        label: what the list of runs and pages add to the run's name, its folder's; that name unless given.
         seed: of all random numbers.
         device: auto (a GPU where there is one), cpu or cuda.
         overwrite: delete the run in `out` and start over.
-        settings: the flags of `model train METHOD` with _ for -, such as `steps`, `batch`, `lr` and `texture_size`; for
-            a record, those of its optimisation.
+        settings: flags of the method and its optimisation in `model train METHOD`, with _ for -, such as `steps`,
+            `batch`, `lr` and `texture_size`; for a record, those of its optimisation.
 
     Raises:
         HyalineError: no such method or setting, a value out of range, or another run in `out`.
@@ -206,19 +206,20 @@ def train(
     )
     config, _ = configure(method, asked)
     from model.run.complete import complete_run  # Not before: it imports torch.
-    from model.settings.runtime import choose_device
+    from model.settings.runtime import choose_device, leaving_settings
 
     place = RUNS / dataset.name / folder_name(method, asked) if out is None else Path(out)
     try:
-        complete_run(
-            config,
-            dataset,
-            place,
-            label=label or place.name,
-            device=choose_device(device),
-            memory=run.memory,
-            overwrite=overwrite,
-        )
+        with leaving_settings():
+            complete_run(
+                config,
+                dataset,
+                place,
+                label=label or place.name,
+                device=choose_device(device),
+                memory=run.memory,
+                overwrite=overwrite,
+            )
     except Stopped as stopped:
         if stopped.status != 128 + signal.SIGINT:
             raise

@@ -81,7 +81,7 @@ class Hemisphere:
     target: Vector | None = None
     """What the cameras look at, in metres; the middle of the glass unless given."""
     radius: float | None = None
-    """Metres from there; as near as shows all of the glass unless given."""
+    """Metres from there; as near as shows all of the glass, in pictures at least as high as wide, unless given."""
     elevation_deg: tuple[float, float] = (5.0, 65.0)
     """Lowest and highest elevation above the horizon."""
     azimuth_deg: tuple[float, float] | None = None
@@ -153,6 +153,8 @@ def _described_scene(given: Scene) -> description.Scene:
     from datagen.scene.mending import mend_scene
     from datagen.scene.soundness import check_scene
 
+    if not given.objects:
+        raise HyalineError(f"scene {printable(given.name)}: has no objects; expected at least one")
     read = [_described(item) for item in given.objects]
     objects = tuple(item for item, _ in read)
     scene = description.Scene(
@@ -201,8 +203,13 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         return SceneObject(name=item.name, mesh=item.mesh, material=item.material), bool(item.mesh.uv.any())
     if isinstance(item.mesh, (str, Path)):
         vertices, faces, uv = _read_file(Path(item.mesh))
-    elif isinstance(item.mesh, tuple):
+    elif isinstance(item.mesh, (tuple, list)) and len(item.mesh) == 2:
         (vertices, faces), uv = item.mesh, None
+    elif not (hasattr(item.mesh, "vertices") and hasattr(item.mesh, "faces")):
+        raise HyalineError(
+            f"{where}: its mesh is a {type(item.mesh).__name__}; expected one mesh with vertices and faces (of a "
+            "trimesh.Scene, its to_mesh()), a pair of arrays, or a file"
+        )
     else:
         vertices, faces = item.mesh.vertices, item.mesh.faces
         uv = getattr(getattr(item.mesh, "visual", None), "uv", None)

@@ -44,15 +44,17 @@ def score(
         mask: pixels for `masked_psnr_db`, for example `view.mask("glass")`.
 
     Raises:
-        HyalineError: pictures that are not 8-bit, or whose sizes differ.
+        HyalineError: pictures that are not 8-bit, a mask that is not bool, or sizes that differ.
     """
     for name, picture in (("pred", pred), ("target", target)):
         if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[-1] != 3:
             raise HyalineError(f"{name}: is {picture.dtype} of shape {picture.shape}; expected uint8 of (h, w, 3)")
     if pred.shape != target.shape:
         raise HyalineError(f"pred: has shape {pred.shape}; expected {target.shape}, that of target")
-    if mask is not None and mask.shape != target.shape[:2]:
-        raise HyalineError(f"mask: has shape {mask.shape}; expected {target.shape[:2]}")
+    if mask is not None and (mask.shape != target.shape[:2] or mask.dtype != bool):
+        raise HyalineError(
+            f"mask: is {mask.dtype} of shape {mask.shape}; expected bool of {target.shape[:2]}, such as mask > 127"
+        )
     is_large = min(target.shape[:2]) >= metrics.SSIM_WINDOW
     return Scores(
         psnr_db=metrics.psnr(pred, target),

@@ -45,7 +45,7 @@ class ViewDataset(data.Dataset):
     """The geometry of the layers: truth, or a kind of proxy such as box."""
 
     def __len__(self) -> int:
-        return self.dataset.num_views[self.split]
+        return len(self.dataset.views(self.split))
 
     def __getitem__(self, index: int) -> ViewItem:
         if not 0 <= index < len(self):

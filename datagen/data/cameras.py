@@ -165,7 +165,7 @@ class Cameras(Lens):
         return len(self.world_from_camera)
 
     def __getitem__(self, view: int) -> Camera:
-        return self.camera(self.world_from_camera[view])
+        return self.camera(self.world_from_camera[view].copy())
 
 
 def look_at(

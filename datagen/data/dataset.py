@@ -134,20 +134,25 @@ class Dataset:
 
     def view(self, split: Split, index: int) -> "View":
         """One view; nothing is read yet."""
-        if split not in self.splits:
-            raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
+        self._check_split(split)
         if not isinstance(index, Integral):
             raise HyalineError(f"{self.root}: view {index!r} of {split}: expected an integer")
         if not 0 <= index < self.num_views[split]:
             raise HyalineError(f"{self.root}: {split} has no view {index}; expected 0 to {self.num_views[split] - 1}")
         return View(dataset=self, split=split, index=index)
 
+    def _check_split(self, split: Split) -> None:
+        if split not in self.splits:
+            raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
+
     def views(self, split: Split) -> "list[View]":
         """Every view of a split, in order."""
+        self._check_split(split)
         return [self.view(split, index) for index in range(self.num_views[split])]
 
     def cameras(self, split: Split) -> Cameras:
         """The cameras of one split, verified against the head."""
+        self._check_split(split)
         file = TRANSFORMS_FILES[split]
         return self._opened.get(self.root / file, lambda: self._read_cameras(file))
 

@@ -38,7 +38,7 @@ def check_settings(*, num_layers: int, workers: int) -> None:
     Raises:
         HyalineError: naming the number.
     """
-    if not 1 <= num_layers <= 255:
+    if not isinstance(num_layers, int) or not 1 <= num_layers <= 255:
         raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
     if workers < 1:
         raise HyalineError(f"workers: is {workers}; expected at least 1")

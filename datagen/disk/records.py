@@ -69,6 +69,8 @@ def to_json(value: object) -> Json:
         return value
     if isinstance(value, Path):
         return value.as_posix()
+    if (tolist := getattr(value, "tolist", None)) is not None:  # Numbers and arrays of NumPy.
+        return to_json(tolist())
     raise TypeError(f"{value!r}: a {type(value).__name__} has no JSON form here")
 
 

@@ -151,8 +151,8 @@ class ViewQuantities:
 
     @property
     def glass(self) -> Bool[np.ndarray, "h w"]:
-        """True where the ray hits glass first; the same as `view.mask("glass")`."""
-        return self.surfaces.is_glass[self.object_id]
+        """True where the ray hits glass first; imported masks where the dataset has some, as `view.mask("glass")`."""
+        return self.view.mask("glass")
 
     def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
         """True where the ray hits the object of this name first."""

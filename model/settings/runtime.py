@@ -1,11 +1,14 @@
 """Where torch computes; settings of the C libraries beneath it and Numba that keep training fast and repeatable."""
 
+import contextlib
 import ctypes
 import os
 import warnings
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, get_args
 
 from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose
 from model.settings.run_flags import Device
 
 if TYPE_CHECKING:
@@ -85,14 +88,34 @@ def use_few_threads(pixels: int) -> None:
         start_numba_threads()
 
 
+@contextlib.contextmanager
+def leaving_settings() -> Iterator[None]:
+    """Leaves the process as it was: numbers of torch's and Numba's threads, and torch's deterministic mode."""
+    import numba
+    import torch
+
+    threads, loops = torch.get_num_threads(), numba.get_num_threads()
+    in_order, warns = (
+        torch.are_deterministic_algorithms_enabled(),
+        torch.is_deterministic_algorithms_warn_only_enabled(),
+    )
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(in_order, warn_only=warns)
+        numba.set_num_threads(loops)
+        torch.set_num_threads(threads)
+
+
 def choose_device(name: Device) -> "torch.device":
     """The device that `--device` means.
 
     Raises:
-        HyalineError: there is no GPU, but one was asked for.
+        HyalineError: there is no GPU, but one was asked for; or another name.
     """
     import torch
 
+    choose("device", name, get_args(Device))
     if name == "cuda" and not torch.cuda.is_available():
         raise HyalineError("device: torch finds no CUDA device; use --device cpu")
     return torch.device("cuda" if name != "cpu" and torch.cuda.is_available() else "cpu")

@@ -33,6 +33,9 @@ def test_a_dataset_is_opened_by_name_folder_and_alone(dataset: hyaline.Dataset, 
     assert {hyaline.open_dataset(given).seal for given in ("glass_table", folder, str(folder), None)} == {dataset.seal}
     with pytest.raises(hyaline.HyalineError, match="no dataset"):
         hyaline.open_dataset("nothing")
+    for take in (dataset.views, dataset.cameras, dataset.noise_ceiling_db):
+        with unchecked(), pytest.raises(hyaline.HyalineError, match="has no split 'trian'; expected one of train"):
+            take("trian")  # pyright: ignore[reportArgumentType]
 
 
 def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None:
@@ -47,6 +50,8 @@ def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None
     assert torch.equal(ray["color"], batch["image"][3][:, row, column])
     assert torch.equal(ray["direction"], batch["directions"][3][:, row, column])
     assert torch.equal(ray["origin"], batch["origin"][3])
+    view.camera.world_from_camera[2, 3] += 1  # A camera of one's own.
+    assert torch.equal(ray["origin"], torch.tensor(dataset.view("train", 3).camera.world_from_camera[:3, 3]).float())
     with pytest.raises(IndexError, match="expected 0 to 7"):
         views[8]
 
@@ -62,8 +67,9 @@ def test_a_score_is_that_of_another_library_and_refuses_what_is_no_pair() -> Non
     for wrong in (pred[:5], pred.astype(np.float32), pred[..., 0]):
         with unchecked(), pytest.raises(hyaline.HyalineError, match=r"^pred: "):
             hyaline.score(wrong, target)
-    with unchecked(), pytest.raises(hyaline.HyalineError, match=r"^mask: "):
-        hyaline.score(pred, target, np.ones((3, 3), bool))
+    for wrong in (np.ones((3, 3), bool), np.ones((24, 20), np.uint8)):
+        with unchecked(), pytest.raises(hyaline.HyalineError, match=r"^mask: "):
+            hyaline.score(pred, target, wrong)
 
 
 def test_importing_it_brings_neither_torch_nor_mitsuba() -> None:

@@ -2,6 +2,7 @@
 
 import csv
 import io
+import shutil
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -20,6 +21,7 @@ from support.commands import call
 import datagen.build.build
 import hyaline as hy
 from datagen.data.images import read_png
+from datagen.disk.records import to_json
 from datagen.terminal.command import track
 from model.batches.plain_rays import PlainRayPixels, PlainRays, load_rays, rays_of
 from model.methods.protocol import Inputs, MethodConfig
@@ -105,6 +107,8 @@ def test_what_cannot_be_a_scene_is_refused_in_one_line(tmp_path: Path) -> None:
         ((vertices, faces + 100), "expected 0 to 161"),
         ((vertices[:, :2], faces), r"vertices are float64 of shape \(162, 2\)"),
         ((vertices * np.nan, faces), "not all finite"),
+        (trimesh.Scene([ball()]), "its mesh is a Scene; expected one mesh"),
+        ((vertices, faces, faces), "its mesh is a tuple; expected one mesh"),
         (tmp_path / "nothing.glb", "nothing.glb"),
         (tmp_path / "cut.ply", "truncated|cut"),
         ("ball.blend", "can be imported"),
@@ -112,8 +116,16 @@ def test_what_cannot_be_a_scene_is_refused_in_one_line(tmp_path: Path) -> None:
         with unchecked(), pytest.raises(hy.HyalineError, match=said) as caught:
             scene_of(wrong).described()
         assert "\n" not in str(caught.value)
+    with pytest.raises(hy.HyalineError, match="has no objects"):
+        hy.Scene(objects=[]).described()
     with unchecked(), pytest.raises(hy.HyalineError, match="object ball: its material is a str"):
         hy.Object("ball", ball(), "glass")  # pyright: ignore[reportArgumentType]
+
+
+def test_numbers_of_numpy_describe_a_scene() -> None:
+    with unchecked():
+        glass, floor = hy.Dielectric(ior=np.float32(1.5)), hy.Diffuse(color=np.array([0.1, 0.2, 0.3]))  # pyright: ignore
+    assert to_json(glass)["ior"] == 1.5 and to_json(floor)["color"] == [0.1, 0.2, 0.3]
 
 
 def test_a_view_has_the_layers_that_its_camera_has(dataset: hy.Dataset) -> None:
@@ -121,6 +133,8 @@ def test_a_view_has_the_layers_that_its_camera_has(dataset: hy.Dataset) -> None:
     stored, traced = view.layers(), dataset.layers(view.camera)
     for name in ("uv", "object_id", "depth"):
         assert np.array_equal(getattr(stored, name), getattr(traced, name))
+    with pytest.raises(hy.HyalineError, match="num_layers: is 0; expected 1 to 255"):
+        dataset.layers(view.camera, num_layers=0)
     fewer = dataset.layers(hy.orbit(view.camera, (0, 0, 0), count=3)[1], num_layers=2)
     assert fewer.object_id.shape == (2, 16, 16) and (fewer.object_id[0] == 1).any()
 
@@ -152,6 +166,7 @@ def test_a_setting_that_is_none_is_refused_with_the_nearest_one(dataset: hy.Data
         ({"stepz": 3}, "'stepz': .*did you mean 'steps'"),
         ({"steps": "3"}, "steps: is '3'; expected"),
         ({"lr": 5.0}, "lr: is 5.0; expected a learning rate"),
+        ({"device": "gpu"}, "device 'gpu'"),
     ):
         with unchecked(), pytest.raises(hy.HyalineError, match=said):
             hy.train("paper", dataset, **settings)
@@ -209,13 +224,29 @@ def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.
 
 
 def test_a_report_is_a_table_rows_and_a_page(run: hy.Run, home: Path) -> None:
-    report = hy.report([run], home / "report")
+    with pytest.raises(hy.HyalineError, match="nothing: has no predictions"):
+        hy.report("nothing", home / "report")
+    report = hy.report(run, home / "report")
     assert report.page == home / "report" / "index.html" and "boxes" in report.page.read_text()
     assert [row["run"] for row in report.rows] == ["boxes", "truth's noise (ceiling)"]
     view = run.dataset.view("interpolating", 0)
     score = hy.score(run.render(view.camera), view.image)
     assert float(report.rows[0]["psnr_db_interpolating"]) == pytest.approx(score.psnr_db)
     assert "<table" in report._repr_html_() and "boxes" in report._repr_html_()
+
+
+def test_a_report_of_all_runs_lists_foreign_ones_and_none_without_pictures(
+    run: hy.Run, home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(home)
+    shutil.copytree(run.folder, tmp_path / run.dataset.name / "boxes")
+    shutil.copytree(run.folder / "predictions", tmp_path / run.dataset.name / "foreign" / "predictions")
+    shutil.copytree(run.folder, tmp_path / "unfinished", ignore=shutil.ignore_patterns("predictions"))
+    shutil.copytree(run.folder, tmp_path / "mine")
+    (tmp_path / run.dataset.name / "latest").symlink_to("boxes")
+    report = hy.report(root=tmp_path)
+    assert report.page == tmp_path / "report" / "index.html"
+    assert [row["run"] for row in report.rows] == ["boxes", "foreign", "mine", "truth's noise (ceiling)"]
 
 
 def test_a_frame_needs_pandas(run: hy.Run, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -164,6 +164,9 @@ def test_intrinsics_give_the_camera_that_has_them_or_are_refused() -> None:
         wrong[row, column] += 3
         with pytest.raises(hyaline.HyalineError, match="expected square pixels"):
             hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
+    for wrong in (camera.intrinsics.T, 2 * camera.intrinsics, np.eye(4)):
+        with unchecked(), pytest.raises(hyaline.HyalineError, match="expected a 3 x 3 matrix with zeros below"):
+            hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
 
 
 def test_the_examples_of_the_documentation_print_what_they_say(
