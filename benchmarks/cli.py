@@ -23,7 +23,6 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "house": house,
         "peel": peel,
         "truth": truth,
         "scale": scale,
@@ -43,17 +42,6 @@ def commands() -> CommandGroup:
         "screenshot": screenshot,
     }
     return group(DESCRIPTION, by_name, {})
-
-
-def house() -> None:
-    """Count the files, lines and imports of the installed packages."""
-    import tempfile
-
-    from benchmarks.house import measure_house
-
-    with tempfile.TemporaryDirectory() as scratch:
-        for what, count in measure_house(Path(scratch)).items():
-            print(f"{count:>7,}  {what}")
 
 
 def peel(

@@ -5,6 +5,7 @@ import functools
 import importlib
 import inspect
 import io
+import re
 import shlex
 import sys
 from dataclasses import dataclass
@@ -58,7 +59,7 @@ def parsed(line: str) -> dict[str, object]:
     Raises:
         UsageError: the line is not one of ours.
     """
-    program, *words = shlex.split(line.replace("eval report", "report", 1))
+    program, *words = shlex.split(re.sub("^(eval|python -m) ", "", line))
     module = importlib.import_module(MAINS[program])
     asked = parse(program, module.report if program == "report" else module.commands(), words)
     assert isinstance(asked, functools.partial)
