@@ -40,7 +40,7 @@ HOMES = {
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {
         *("datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"),
-        "model/fit/handles.py",
+        *("datagen/data/meshes.py", "model/fit/handles.py"),
     },
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},

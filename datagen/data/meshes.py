@@ -21,6 +21,9 @@ NUM_POINTS_A_PART = 16
 MAX_SHARE_INSIDE = 0.005
 """Largest share of a surface that may lie inside the rest of it; good assets have 0."""
 
+FOLDED = 1e-6
+"""Share of a polygon's area that a triangle of its fan may cover the wrong way round: more is no rounding."""
+
 _POINTS_AT_ONCE = 1 << 20
 
 
@@ -178,6 +181,47 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         np.add.at(sums, faces[:, corner], face_normals)
     lengths = np.linalg.norm(sums, axis=-1, keepdims=True)
     return np.where(lengths > 0, sums / np.where(lengths > 0, lengths, 1), [0.0, 0.0, 1.0])
+
+
+def unfolded(
+    positions: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], fans: Int[np.ndarray, " polygon"]
+) -> Int[np.ndarray, "face 3"]:
+    """The triangles of polygons, each of which covers its own area once.
+
+    A fan around the first corner leaves a concave polygon and folds back into it; such polygons are triangulated in
+    the plane that they face most.
+
+    Args:
+        faces: the polygons as fans around their first corners, one after the other.
+        fans: the number of triangles of each polygon.
+    """
+    fans = fans[fans > 0]
+    if fans.max(initial=0) < 2:
+        return faces
+    a, b, c = np.moveaxis(positions[faces].astype(np.float64), 1, 0)
+    first = np.cumsum(fans) - fans
+    with np.errstate(over="ignore", invalid="ignore"):  # Of coordinates that are refused later.
+        normals = np.cross(b - a, c - a)
+        normal = np.add.reduceat(normals, first)
+        along = np.einsum("fi,fi->f", normals, np.repeat(normal, fans, axis=0))
+        is_folded = np.minimum.reduceat(along, first) < -FOLDED * np.einsum("pi,pi->p", normal, normal)
+    faces = faces.copy()
+    for polygon in np.flatnonzero(is_folded):
+        part = slice(first[polygon], first[polygon] + fans[polygon])
+        loop = np.array([*faces[part][0, :2], *faces[part][:, 2]])
+        axis = int(np.abs(normal[polygon]).argmax())
+        flat = np.roll(positions[loop].astype(np.float64) - positions[loop[0]], -1 - axis, axis=1)[:, :2]
+        triangles = _triangulated(flat if normal[polygon, axis] > 0 else flat[:, ::-1])
+        if len(triangles) == fans[polygon]:
+            faces[part] = loop[triangles]
+    return faces
+
+
+def _triangulated(loop: Float[np.ndarray, "point 2"]) -> Int[np.ndarray, "face 3"]:
+    """The triangles of a polygon that runs counter-clockwise."""
+    import manifold3d
+
+    return np.asarray(manifold3d.triangulate([loop]), np.int64).reshape(-1, 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,12 +2,13 @@
 
 import io
 import re
+from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
-from datagen.data.meshes import Mesh, vertex_normals
+from datagen.data.meshes import Mesh, unfolded, vertex_normals
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular, shown
 
@@ -78,7 +79,7 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
         _check_indices(ours.faces, len(ours.vertices), where=path)
         return ours, True
     _check_header(data, where=path)
-    data = triangulated(data, where=path)
+    data, fans = triangulated(data, where=path)
     # Slow to import, and not needed for what was written here.
     import trimesh
 
@@ -103,6 +104,10 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
     uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
     uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
     _check_indices(faces, len(loaded.vertices), where=path)
+    if isinstance(lists := raw["face"].get("data"), dict):  # A file in words.
+        faces, fans = _fans_of(lists, faces)
+    if fans is not None:
+        faces = unfolded(np.asarray(loaded.vertices, np.float64), faces, fans)
     if {"nx", "ny", "nz"} <= set(names):
         normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=-1)
     else:
@@ -145,6 +150,25 @@ def _check_header(data: bytes, *, where: Path) -> None:
             )
 
 
+def _fans_of(lists: Mapping[str, np.ndarray], triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """The faces that trimesh read from a file in words as fans, and how many triangles each has; or its triangles."""
+    polygons = lists.get("vertex_index", lists.get("vertex_indices"))
+    if polygons is None:
+        return triangles, None
+    sizes = np.array([len(polygon) for polygon in polygons])
+    if sizes.max() < 4:
+        return triangles, None
+    fans = np.maximum(sizes - 2, 0)
+    corners = np.repeat(np.cumsum(sizes) - sizes, fans)[:, None] + _corners_of(fans)
+    return np.concatenate(polygons).astype(np.int64)[corners], fans
+
+
+def _corners_of(fans: np.ndarray) -> np.ndarray:
+    """The corners of the triangles of fans, counted from the first of their polygon."""
+    corner = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans) + 1
+    return np.stack([np.zeros_like(corner), corner, corner + 1], axis=-1)
+
+
 def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None:
     if len(faces) and (faces.min() < 0 or faces.max() >= num_vertices):
         raise HyalineError(
@@ -177,8 +201,10 @@ PLY_TYPES = {
 """NumPy's names for PLY's types of numbers."""
 
 
-def triangulated(data: bytes, *, where: Path) -> bytes:
-    """A binary PLY with its polygons as triangles around their first corners; any other file unchanged.
+def triangulated(data: bytes, *, where: Path) -> tuple[bytes, np.ndarray | None]:
+    """A binary PLY with its polygons as fans around their first corners, and how many triangles each has.
+
+    Any other file is unchanged, without these numbers.
 
     trimesh 5.2 reads binary faces only if all have the same number of corners; Blender mixes triangles and quads.
     """
@@ -189,37 +215,35 @@ def triangulated(data: bytes, *, where: Path) -> bytes:
     order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
     starts = [place for place, word in enumerate(words) if word[:1] == ["element"] and len(word) == 3]
     if order is None or not begin or [words[place][1] for place in starts[:2]] != ["vertex", "face"]:
-        return data
+        return data, None
     bounds = [*starts, len(words)][:3]
     vertex, face = ([word for word in words[a:b] if word[:1] == ["property"]] for a, b in pairwise(bounds))
     lists = [place for place, word in enumerate(face) if len(word) == 5 and word[1] == "list"]
     if len(lists) != 1:
-        return data
+        return data, None
     (place,) = lists
     numbers = (vertex, face[:place], face[place + 1 :])
     kinds = [word[1] if len(word) == 3 else "" for part in numbers for word in part] + face[place][2:4]
     if not set(kinds) <= PLY_TYPES.keys():
-        return data
+        return data, None
     size_type, index_type = (np.dtype(order + PLY_TYPES[kind]) for kind in face[place][2:4])
     if "f" in size_type.kind + index_type.kind:
-        return data
+        return data, None
     stride, before, after = (sum(np.dtype(PLY_TYPES[word[1]]).itemsize for word in part) for part in numbers)
     num_vertices, num_faces = (int(words[line][2]) for line in starts[:2])
     first_face = begin + num_vertices * stride
     if _are_triangles(data, first_face, num_faces, size_type, before, 3 * index_type.itemsize + after):
-        return data
+        return data, None
     _check_number(num_faces, where=where)
     found = _list_places(data, first_face, num_faces, size_type, index_type.itemsize, before, after)
     if found is None:
-        return data
+        return data, None
     places, sizes, rest = found
     if rest and len(starts) == 2:
-        return data  # Its counts are wrong, which trimesh says.
+        return data, None  # Its counts are wrong, which trimesh says.
     fans = np.maximum(sizes - 2, 0)
     _check_number(int(fans.sum()), where=where)
-    corner = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans) + 1
-    corners = np.stack([np.zeros_like(corner), corner, corner + 1], axis=-1)
-    at = np.repeat(places, fans)[:, None] + index_type.itemsize * corners
+    at = np.repeat(places, fans)[:, None] + index_type.itemsize * _corners_of(fans)
     indices = np.frombuffer(data, np.uint8)[at[..., None] + np.arange(index_type.itemsize)].view(index_type)[..., 0]
     triangles = np.empty(len(indices), np.dtype([("count", "u1"), ("indices", order + "i4", 3)]))
     triangles["count"], triangles["indices"] = 3, indices
@@ -229,7 +253,7 @@ def triangulated(data: bytes, *, where: Path) -> bytes:
         ["property", "list", "uchar", "int", "vertex_indices"],
     ]
     header = "".join(" ".join(line) + "\n" for line in [*head, ["end_header"]])
-    return header.encode("latin-1") + data[begin:first_face] + triangles.tobytes()
+    return header.encode("latin-1") + data[begin:first_face] + triangles.tobytes(), fans
 
 
 def _are_triangles(data: bytes, at: int, count: int, size_type: np.dtype, before: int, after: int) -> bool:

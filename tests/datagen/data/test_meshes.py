@@ -18,6 +18,7 @@ from datagen.data.meshes import (
     face_corners,
     open_edges,
     signed_volume,
+    unfolded,
     winding_number,
 )
 from datagen.data.ply import read_ply, write_ply
@@ -62,6 +63,26 @@ def test_every_truncation_of_a_ply_file_is_refused(tmp_path: Path) -> None:
             path.write_bytes(data[:end])
             with pytest.raises(HyalineError, match=r"ball\.ply"):
                 read_ply(path)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_polygons_of_any_shape_are_covered_once(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    positions, faces, area = [], [], 0.0
+    sizes = rng.integers(3, 12, 20)
+    for size in sizes:
+        angle = np.arange(size) * 2 * np.pi / size
+        x, y = rng.uniform(0.1, 1, size) * [np.cos(angle), np.sin(angle)]
+        area += (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() / 2
+        first = sum(map(len, positions))
+        positions.append(np.stack([x, y, 0 * x], axis=-1) @ turn.T + rng.normal(size=3))
+        faces += [(first, first + corner, first + corner + 1) for corner in range(1, size - 1)]
+    found = unfolded(np.concatenate(positions), np.array(faces), sizes - 2)
+    a, b, c = np.moveaxis(np.concatenate(positions)[found], 1, 0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2 == pytest.approx(area)
+    own = np.repeat(np.arange(20), sizes)[found]
+    assert (own == np.repeat(np.arange(20), sizes - 2)[:, None]).all()
 
 
 def test_volume_and_openness_of_known_shapes() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.meshes import unfolded
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import shown
@@ -80,7 +81,9 @@ class _Text:
     names: dict[str, str] = field(default_factory=lambda: {"o": "", "g": "", "usemtl": ""})
     """The object, group and material of the next faces."""
     faces: dict[tuple[str, str], list[tuple[Corner, Corner, Corner]]] = field(default_factory=dict)
-    """Triangles by the names of their object and of their material."""
+    """Polygons by the names of their object and of their material, as triangles around their first corners."""
+    fans: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    """The number of triangles of each of these polygons."""
     materials: dict[str, ForeignMaterial] = field(default_factory=dict)
     num_faces: int = 0
 
@@ -120,7 +123,7 @@ def _add_materials(text: _Text, path: Path, name: str, remarks: Remarks, *, wher
 
 
 def _add_face(text: _Text, words: list[str], *, where: str) -> None:
-    """A polygon as triangles around its first corner."""
+    """A polygon as triangles around its first corner; `unfolded` mends those of concave ones."""
     place = text.names["o"] or text.names["g"], text.names["usemtl"]
     if not 3 <= len(words) <= MAX_CORNERS:
         raise HyalineError(f"{where}: is a face of {len(words)} corners; expected 3 to {MAX_CORNERS}")
@@ -132,6 +135,7 @@ def _add_face(text: _Text, words: list[str], *, where: str) -> None:
         raise HyalineError(f"{where}: is triangle {text.num_faces:,}; expected at most {MAX_TRIANGLES:,}")
     triangles = pairwise(corners[1:])
     text.faces.setdefault(place, []).extend((corners[0], second, third) for second, third in triangles)
+    text.fans.setdefault(place, []).append(len(corners) - 2)
 
 
 def _corner(text: _Text, word: str, *, where: str) -> Corner:
@@ -162,16 +166,18 @@ def _objects(text: _Text, path: Path, remarks: Remarks) -> list[ForeignObject]:
     objects = []
     arrays = [np.array(listed, np.float64) for listed in text.numbers.values()]
     for (name, material), faces in text.faces.items():
+        fans = np.array(text.fans[name, material])
         if material and material not in text.materials:
             remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
         corners = np.array(faces, np.int64).reshape(-1, 3)
         used, index = np.unique(corners, axis=0, return_inverse=True)
         has_uv, has_normals = (used[:, 1] >= 0).all(), (used[:, 2] >= 0).all()
+        positions = arrays[0][used[:, 0]]
         objects.append(
             ForeignObject(
                 name=name or material or path.stem,
-                positions=arrays[0][used[:, 0]],
-                faces=index.reshape(-1, 3),
+                positions=positions,
+                faces=unfolded(positions, index.reshape(-1, 3), fans),
                 normals=arrays[2][used[:, 2]] if has_normals else None,
                 uv=arrays[1][used[:, 1]] if has_uv else None,
                 material=text.materials.get(material, PLAIN),

@@ -61,6 +61,38 @@ def test_an_obj_of_quads_with_indices_from_both_ends_is_a_closed_cube(tmp_path: 
     assert solid_volume(item) == pytest.approx(1)
 
 
+L_SHAPE = ((2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0))
+"""Around its first corner, triangles would leave it."""
+
+
+def l_prism(kind: str) -> bytes:
+    """A prism over an L, one unit high."""
+    points = [(x, y, z) for z in (0, 1) for x, y in L_SHAPE]
+    sides = [(i, (i + 1) % 6, (i + 1) % 6 + 6, i + 6) for i in range(6)]
+    faces = [(6, 7, 8, 9, 10, 11), (0, 5, 4, 3, 2, 1), *sides]
+    if kind == "obj":
+        lines = ["v {} {} {}\n".format(*point) for point in points]
+        lines += ["f " + " ".join(str(corner + 1) for corner in face) + "\n" for face in faces]
+        return "".join(lines).encode()
+    axes = "".join(f"property float {axis}\n" for axis in "xyz")
+    counts = f"element vertex 12\n{axes}element face 8\nproperty list uchar int vertex_indices\n"
+    if kind == "ascii":
+        rows = [*points, *((len(face), *face) for face in faces)]
+        body = "".join(" ".join(map(str, row)) + "\n" for row in rows).encode()
+    else:
+        body = np.array(points, "<f4").tobytes()
+        body += b"".join(bytes([len(face)]) + np.array(face, "<i4").tobytes() for face in faces)
+    return f"ply\nformat {kind} 1.0\n{counts}end_header\n".encode() + body
+
+
+@pytest.mark.parametrize("kind", ["obj", "ascii", "binary_little_endian"])
+def test_a_concave_polygon_is_covered_once_by_triangles_inside_it(kind: str, tmp_path: Path) -> None:
+    (item,) = read(tmp_path / f"l.{'obj' if kind == 'obj' else 'ply'}", l_prism(kind)).objects
+    a, b, c = np.moveaxis(item.positions[item.faces], 1, 0)
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2 == pytest.approx(3 + 3 + 8)
+    assert len(item.faces) == 20 and solid_volume(item) == pytest.approx(3)
+
+
 def test_an_obj_is_parted_by_objects_and_materials_and_keeps_uv_and_normals(tmp_path: Path) -> None:
     (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl clear\nillum 4\nNi 1.33\n")
     text = (
