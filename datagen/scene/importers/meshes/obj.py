@@ -4,15 +4,16 @@ Source: the OBJ and MTL specifications of 1995, and MTL's physically based exten
 """
 
 import math
+import re
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
 
 import numpy as np
 
 from datagen.data.meshes import unfolded
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
+from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
@@ -57,6 +58,9 @@ OPTION_VALUES = {
     "-cc": 1,
 }
 """How many words follow each option of an image."""
+VECTORS = ("-o", "-s", "-t")
+"""Options whose second and third number may be left out."""
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 IGNORED = {
     "map_bump": "a bump map",
     "bump": "a bump map",
@@ -64,7 +68,13 @@ IGNORED = {
     "disp": "a displacement map",
     "map_ks": "a map of highlights",
     "map_ke": "a map of glow",
+    "map_ns": "a map of glossiness",
+    "map_ps": "a map of sheen",
+    "map_tr": "a map of transparency (map_Tr)",
+    "refl": "a map of reflections",
 }
+COATS = {"pc": "a clear coat", "ps": "sheen"}
+"""Weights of what is left out."""
 FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 Entry = dict[str, list[str]]
 """The words of a material of an MTL by their key."""
@@ -90,7 +100,7 @@ class _Text:
 
 def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
     """The surfaces of an OBJ file, with the materials of the MTL files that it names."""
-    text = _Text()
+    text, has_colors = _Text(), False
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
@@ -101,25 +111,45 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
             # The v of a texture may be left out.
             words = [*rest[:2], "0"] if key == "vt" else rest
             text.numbers[key].append(floats(words, WIDTHS[key], where=where))
+            has_colors |= key == "v" and len(words) >= 6
         elif key == "f":
             _add_face(text, rest, where=where)
         elif key in text.names:
             text.names[key] = " ".join(rest)
         elif key == "mtllib" and has_materials:
-            _add_materials(text, path, file_named(rest), remarks, where=where)
+            _add_materials(text, path, rest, remarks, where=where)
         elif key in ("l", "p", "curv", "surf"):
             remarks.approximate(path.name, "has points, lines or curves, which are left out")
     if not text.faces:
         raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
+    if has_colors:
+        remarks.approximate(path.name, "has colours at its vertices, which are left out")
     return ForeignScene(objects=tuple(_objects(text, path, remarks)), up="y")
 
 
-def _add_materials(text: _Text, path: Path, name: str, remarks: Remarks, *, where: str) -> None:
+def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
+    """Adds the materials of one file, whose name may have spaces, or of several."""
+    names = [file_named(words)]
+    if _find(path, names[0], where=where) is None:
+        each = [file_named([word]) for word in words]
+        names = each if any(_find(path, name, where=where) for name in each) else names
+    for name in names:
+        if (found := _find(path, name, where=where)) is not None:
+            text.materials |= read_mtl(found, remarks)
+        else:
+            remarks.approximate(
+                path.name, f"names {shown(name)}, which is not in its folder; drawn without these materials"
+            )
+
+
+def _find(path: Path, name: str, *, where: str) -> Path | None:
+    """The file of this name in the folder of another; None if it is not there, or the name is a path out of it."""
+    try:
+        check_relative(name, where=where)
+    except HyalineError:  # Exporters write paths of the machine that they run on.
+        return None
     found = find_file(path.parent, name, where=where)
-    if not found.exists():
-        remarks.approximate(path.name, f"names {shown(name)}, which is not there; drawn without its materials")
-        return
-    text.materials |= read_mtl(found, remarks)
+    return found if found.exists() else None
 
 
 def _add_face(text: _Text, words: list[str], *, where: str) -> None:
@@ -210,8 +240,14 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     for key, what in IGNORED.items():
         if key in entry:
             remarks.approximate(name, f"has {what}, which is left out")
+    for key, what in COATS.items():
+        if number(key, 0.0) > 0:
+            remarks.approximate(name, f"has {what}, which is left out")
     if "ke" in entry and max(_color(entry, "ke", (0, 0, 0), where=where)) > 0:
         remarks.approximate(name, "glows, which is left out")
+    if entry.get("d", [])[:1] == ["-halo"]:
+        remarks.approximate(name, "is more opaque at its outline (d -halo), which is left out")
+        entry = {**entry, "d": entry["d"][1:]}
     dissolve = number("d", 1.0 - number("tr", 0.0))
     model = number("illum", 2.0)
     filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
@@ -279,11 +315,14 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
     if not words:
         return None
     while words and words[0] in OPTION_VALUES:
-        remarks.approximate(name, f"has an image with the option {words[0]}, which is left out")
-        words = words[1 + OPTION_VALUES[words[0]] :]
-    found = find_file(path.parent, file_named(words), where=f"{path}: material {name}")
-    if not found.exists():
-        remarks.approximate(name, f"has an image that is not there ({found.name}); drawn without it")
+        option, *words = words
+        remarks.approximate(name, f"has an image with the option {option}, which is left out")
+        values = words[: OPTION_VALUES[option]]
+        values = list(takewhile(NUMBER.fullmatch, values)) if option in VECTORS else values
+        words = words[len(values) :]
+    found = _find(path, file := file_named(words), where=f"{path}: material {name}")
+    if found is None:
+        remarks.approximate(name, f"has the image {shown(file)}, which is not in its folder; drawn without it")
         return None
     return ForeignImage(name=name, data=read_foreign(found))
 

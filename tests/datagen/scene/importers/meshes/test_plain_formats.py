@@ -19,7 +19,7 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from datagen.scene.foreign_files import READERS
-from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from datagen.scene.importers.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import made_sound, mesh_of
 
@@ -148,14 +148,67 @@ def test_glass_of_index_1_is_drawn_as_glass_and_said(tmp_path: Path) -> None:
     assert [line.what for line in remarks.lines] == ["is glass with an index of refraction of 1; drawn with 1.5"]
 
 
-def test_an_image_is_found_after_its_options_and_one_outside_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("options", ["-s 2 2 1 -clamp on", "-s 2 2", "-o .5", "-t 1e-1 -2 -mm 0 1", "-bm 1"])
+def test_an_image_is_found_after_its_options(options: str, tmp_path: Path) -> None:
     (tmp_path / "a b.png").write_bytes(b"picture")
-    assert material_of(tmp_path, "map_Kd -s 2 2 1 -clamp on a b.png").image is not None
+    assert material_of(tmp_path, f"map_Kd {options} a b.png").image is not None
+
+
+@pytest.mark.parametrize("name", ["gone.png", "../secret.png", "/etc/passwd", "C:\\wood.png", "-s 1 1 1", "."])
+def test_an_image_that_is_not_in_the_folder_is_left_out_and_that_is_said(name: str, tmp_path: Path) -> None:
+    (tmp_path / "secret.png").write_bytes(b"picture")
+    (tmp_path / "in").mkdir()
     remarks = Remarks()
-    assert material_of(tmp_path, "map_Kd gone.png", remarks).image is None
-    assert "not there" in remarks.lines[0].what
-    with pytest.raises(HyalineError, match="expected a file inside the folder"):
-        material_of(tmp_path, "map_Kd ../../etc/passwd")
+    assert material_of(tmp_path / "in", f"map_Kd {name}", remarks).image is None
+    assert "which is not in its folder; drawn without it" in remarks.lines[-1].what
+
+
+@pytest.mark.parametrize("name", ["../m.mtl", '"../m.mtl"', "/etc/passwd", '""', "", "gone.mtl lost.mtl"])
+def test_a_library_that_is_not_in_the_folder_is_left_out_and_that_is_said(name: str, tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_text("newmtl m\nKd 1 0 0\n")
+    (tmp_path / "in").mkdir()
+    remarks = Remarks()
+    (item,) = read(tmp_path / "in" / "a.obj", f"mtllib {name}\nusemtl m\n{CUBE}", remarks).objects
+    assert item.material == PLAIN
+    assert "which is not in its folder; drawn without these materials" in remarks.lines[0].what
+    assert [line.what for line in remarks.lines[1:]] == ["names the material 'm', which is not there; drawn grey"]
+
+
+def test_a_line_may_name_several_libraries(tmp_path: Path) -> None:
+    for name, red in (("a", 0.25), ("m", 0.5)):
+        (tmp_path / f"{name}.mtl").write_text(f"newmtl {name}\nKd {red} 0 0\n")
+    remarks = Remarks()
+    material = read(tmp_path / "a.obj", f"mtllib a.mtl m.mtl\nusemtl m\n{CUBE}", remarks).objects[0].material
+    assert isinstance(material, ForeignMaterial) and material.base_color == (0.5, 0, 0) and remarks.lines == []
+
+
+def test_opacity_that_grows_towards_the_outline_is_that_of_the_middle(tmp_path: Path) -> None:
+    remarks = Remarks()
+    assert material_of(tmp_path, "d -halo 0.5", remarks).transmission == 1
+    assert [line.what for line in remarks.lines] == ["is more opaque at its outline (d -halo), which is left out"]
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        *(("Pc 0.5", "a clear coat"), ("Ps 1", "sheen"), ("map_Ps a.png", "a map of sheen")),
+        *(("map_Ns a.png", "a map of glossiness"), ("map_Tr a.png", "a map of transparency (map_Tr)")),
+        ("refl -type sphere a.png", "a map of reflections"),
+    ],
+)
+def test_what_is_left_out_of_a_material_is_said(text: str, what: str, tmp_path: Path) -> None:
+    remarks = Remarks()
+    material_of(tmp_path, text, remarks)
+    assert [line.what for line in remarks.lines] == [f"has {what}, which is left out"]
+    remarks = Remarks()
+    material_of(tmp_path, "Pc 0\nPs 0.0", remarks)
+    assert remarks.lines == []
+
+
+def test_colours_at_vertices_of_an_obj_are_left_out_and_that_is_said(tmp_path: Path) -> None:
+    remarks = Remarks()
+    read(tmp_path / "a.obj", "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n", remarks)
+    assert [line.what for line in remarks.lines] == ["has colours at its vertices, which are left out"]
 
 
 BALL = trimesh.creation.icosphere(2, 0.5)
@@ -236,17 +289,12 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "vertex of words": ("a.obj", "v x y z\n"),
     "uv of words": ("a.obj", "vt x\n"),
     "normal of one number": ("a.obj", "vn 1\n"),
-    "a library outside": ("a.obj", "mtllib ../m.mtl\n" + FACE + "f 1 2 3\n"),
-    "a library outside, in quotes": ("a.obj", 'mtllib "../m.mtl"\n' + FACE + "f 1 2 3\n"),
-    "a library from the root": ("a.obj", "mtllib /etc/passwd\n" + FACE + "f 1 2 3\n"),
     "a library that is a folder": ("a.obj", "mtllib folder\n" + FACE + "f 1 2 3\n"),
     "a library that is a link out": ("a.obj", "mtllib link.mtl\n" + FACE + "f 1 2 3\n"),
     "a colour of words": ("bad1/a.obj", MTL),
     "a colour of nan": ("bad2/a.obj", MTL),
     "a spectral colour": ("bad3/a.obj", MTL),
-    "an image from the root": ("bad4/a.obj", MTL),
-    "an empty name of a library in quotes": ("a.obj", 'mtllib ""\n' + FACE + "f 1 2 3\n"),
-    "an empty name of a library": ("a.obj", "mtllib \n" + FACE + "f 1 2 3\n"),
+    "an image that is a link out": ("bad4/a.obj", MTL),
     "empty stl": ("a.stl", b""),
     "stl of few bytes": ("a.stl", b"x" * 83),
     "stl of 2**32 - 1 triangles": ("a.stl", stl(2**32 - 1, 1)),
@@ -272,7 +320,7 @@ LIBRARIES = {
     "bad1": "Kd red green blue",
     "bad2": "Kd nan 0 0",
     "bad3": "Kd spectral a.rfl",
-    "bad4": "map_Kd /etc/passwd",
+    "bad4": "map_Kd link.png",
 }
 
 
@@ -285,6 +333,7 @@ def test_a_broken_file_is_refused_in_one_line(name: str, tmp_path: Path) -> None
     (root / "folder").mkdir()
     (tmp_path / "m.mtl").write_text("newmtl m\n")
     (root / "link.mtl").symlink_to(tmp_path / "m.mtl")
+    (root / "bad4" / "link.png").symlink_to(tmp_path / "m.mtl")
     file, data = BROKEN[name]
     with soon(), pytest.raises(HyalineError) as refused:
         read(root / file, data() if callable(data) else data)
