@@ -36,7 +36,7 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
                 raise HyalineError(
                     f"{where}: is {image.width} x {image.height} pixels; expected at most {MAX_PIXELS:,} pixels"
                 )
-            yield image
+            yield _in_8_bits(image)
     except (HyalineError, MemoryError):
         raise
     except UnidentifiedImageError as error:  # Its text contains the buffer's address.
@@ -44,6 +44,15 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
     # Pillow raises many kinds of exceptions on broken files (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
         raise HyalineError(f"{where}: not an image that can be read ({type(error).__name__}: {error})") from error
+
+
+def _in_8_bits(image: "Image.Image") -> "Image.Image":
+    """The image, scaled if it is grey of 16 bits, which Pillow would clip."""
+    from PIL import Image
+
+    if not image.mode.startswith("I"):
+        return image
+    return Image.fromarray(np.rint(np.asarray(image) / np.float32(257)).astype(np.uint8))
 
 
 def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_w 3"]:

@@ -14,12 +14,16 @@ from support.scenes import WHITE, rendered, scene_of
 from support.synthetic import look_at, synthetic_scene
 
 from datagen.data.cameras import Cameras
+from datagen.data.images import linear_from_srgb, png_bytes
 from datagen.data.meshes import Mesh, check_mesh, face_areas
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.cutouts import Cut, corner_uv_of, cut_out, opacity_of
 from datagen.scene.description import SceneObject
 from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.images import linear_pixels
+from datagen.scene.importers.foreign import ForeignImage
+from datagen.scene.importers.pictures import decoded
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import ball, sheet
 
@@ -226,3 +230,11 @@ def test_a_mesh_without_uv_has_nothing_to_lay_the_image_on(tmp_path: Path) -> No
 def test_opacity_is_alpha_and_else_brightness() -> None:
     for mode in ("RGBA", "L"):
         assert opacity_of(png(leaf(), mode), where="x") == pytest.approx(leaf(), abs=1 / 500)
+
+
+def test_grey_of_16_bits_is_scaled_to_8() -> None:
+    data = png_bytes(np.array([[0, 20000], [40000, 65535]], np.uint16))
+    encoded = np.array([[0, 78], [156, 255]]) / 255
+    assert opacity_of(data, where="x") == pytest.approx(encoded)
+    assert linear_pixels(data, where="x")[..., 1] == pytest.approx(linear_from_srgb(encoded))
+    assert decoded(ForeignImage(name="x", data=data))[..., 2] == pytest.approx(linear_from_srgb(encoded))
