@@ -29,6 +29,7 @@ from datagen.import_dataset.layouts import (
     ROLES,
     ForeignView,
     Role,
+    about_unlisted,
     find_named,
     frame_size,
     picture_orientation,
@@ -42,6 +43,8 @@ from datagen.scene.importers.importing import unique_names
 
 PICTURES, MASKS, FOUND = "images", "masks", "colmap"
 ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
+OTHER_ENDINGS = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp")
+"""Pictures of kinds that are not read."""
 POINTS = ("points3d.ply", "sparse_pc.ply")
 """Files of points beside a transforms file that names none."""
 ONE_OBJECT = "glass"
@@ -106,14 +109,30 @@ def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"],
 
 def find_pictures(root: Path) -> list[Path]:
     """The pictures in images/, or else in the folder itself, by name."""
-    folder = root / PICTURES if (root / PICTURES).is_dir() else root
-    found = [path for path in _pictures_below(folder) if path.relative_to(root).parts[0] != MASKS]
+    found = _listed(root, ENDINGS)
     if not 3 <= len(found) <= MAX_VIEWS:
-        raise HyalineError(f"{folder}: has {len(found)} pictures; expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files")
+        others = f" beside {kinds}" if (kinds := _other_kinds(root)) else ""
+        expected = f"expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files"
+        raise HyalineError(f"{_folder_of(root)}: has {len(found)} pictures{others}; {expected}")
     for path in found:
         check_regular(path, root, where=str(root))
         _check_upright(path)
     return found
+
+
+def _folder_of(root: Path) -> Path:
+    return root / PICTURES if (root / PICTURES).is_dir() else root
+
+
+def _listed(root: Path, endings: tuple[str, ...]) -> list[Path]:
+    return [path for path in _pictures_below(_folder_of(root), endings) if path.relative_to(root).parts[0] != MASKS]
+
+
+def _other_kinds(root: Path) -> str:
+    """How many pictures are of kinds that are not read, and which; empty without any."""
+    found = _listed(root, OTHER_ENDINGS)
+    kinds = ", ".join(sorted({path.suffix.lower() for path in found}))
+    return f"{len(found)} of other kinds ({kinds})" if found else ""
 
 
 def _check_upright(picture: Path) -> None:
@@ -127,9 +146,9 @@ def _check_upright(picture: Path) -> None:
         )
 
 
-def _pictures_below(folder: Path) -> list[Path]:
+def _pictures_below(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Path]:
     """The pictures in a folder and the folders in it, except hidden ones, such as macOS leaves."""
-    found = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in endings)
     return sorted(path for path in found if not any(part[0] == "." for part in path.relative_to(folder).parts))
 
 
@@ -228,6 +247,7 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
     if len(files) == 1:
         listed = split_listed(first, listed["train"])
+        remarks += about_unlisted(first, listed)
     points_file = _points_file(root, first)
     return Folder(
         root=root,
@@ -270,11 +290,13 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
             f"{shown(next(iter(listed)))}; expected those below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
-    remarks = ()
+    remarks = []
+    if others := _other_kinds(root):
+        remarks.append(f"pictures: {others} were left out; convert them to PNG or JPEG")
     if lost:
-        remarks = (
+        remarks.append(
             f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
-            f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})",
+            f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})"
         )
     points = colmap_points(root)
     points_file = None if len(points) else _points_file(root)
@@ -286,5 +308,5 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
         has_unit=False,
         cameras="COLMAP",
         points_file=points_file,
-        remarks=remarks,
+        remarks=tuple(remarks),
     )

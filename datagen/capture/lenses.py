@@ -90,10 +90,11 @@ def lens_of_frame(file: Transforms, frame: Frame, find_size: Callable[[Frame], t
 
     model = str(frame.data.get("camera_model", file.content.get("camera_model", "")))
     is_rational = model.upper() == "FULL_OPENCV"
-    if file.is_fisheye(frame) or (not is_rational and abs(number("k4")) > 1e-9):
+    # nerfstudio writes k4 for fisheyes alone.
+    if other := file.other_model(frame) or "k4" * (not is_rational and abs(number("k4")) > 1e-9):
         raise HyalineError(
-            f"{frame.where}: its lens is a fisheye's ({model or 'is_fisheye, or k4'}); expected "
-            "PINHOLE or OPENCV: undistort the pictures first (`colmap image_undistorter`)"
+            f"{frame.where}: its camera is not a pinhole camera ({other}); expected PINHOLE or OPENCV: undistort the "
+            "pictures first (`colmap image_undistorter`)"
         )
     size = find_size(frame)
     width, height = number("w", size[0]), number("h", size[1])

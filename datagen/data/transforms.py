@@ -32,7 +32,9 @@ TRANSFORMS_FILES: dict[Split, str] = {
 CONVENTION = "transform_matrix is world_from_camera, OpenGL: +x right, +y up, looks along -z; world +z up; m"
 
 DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
-LENS_KEYS = ("camera_angle_x", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
+LENS_KEYS = ("camera_model", "is_fisheye", "camera_angle_x", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
+PINHOLES = ("PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
+"""Camera models, as COLMAP and NeRF tools name them, of pinholes with or without distortion."""
 DISTORTED = "have a distorted lens; drawn as pinholes"
 NOT_SQUARE = "have pixels that are not square; drawn square, as wide as they are"
 
@@ -109,10 +111,13 @@ class Transforms:
             raise HyalineError(f"{where}: is {shown(frame)}; expected an object")
         return Frame(data=frame, where=where)
 
-    def is_fisheye(self, frame: Frame) -> bool:
-        """True for a fisheye's lens, as COLMAP and nerfstudio name it or as instant-ngp marks it."""
+    def other_model(self, frame: Frame) -> str:
+        """The camera model of a frame that is not a pinhole, such as a fisheye or a panorama; empty for a pinhole."""
         both = {**self.content, **frame.data}
-        return "fisheye" in str(both.get("camera_model", "")).lower() or both.get("is_fisheye") is True
+        name = str(both.get("camera_model") or "")
+        if name and name.upper() not in PINHOLES:
+            return shown(name)
+        return "is_fisheye" if both.get("is_fisheye") is True else ""  # As instant-ngp marks it.
 
     def pose(self, frame: Frame) -> np.ndarray:
         """world_from_camera of a frame, in the file's units."""
@@ -147,15 +152,16 @@ class Transforms:
         frame = frame or Frame(data={}, where=self.where)
         number = partial(self.number, frame=frame)
         bent = [key for key in DISTORTION if abs(number(key, 0.0)) > 1e-9]
-        bent += ["fisheye"] * self.is_fisheye(frame)
+        other = self.other_model(frame)
         focal = number("fl_x", 0.0)
         is_square = focal <= 0 or abs(number("fl_y", focal) / focal - 1) <= TOLERANCE
         if left_out is not None:
-            left_out += [DISTORTED] * bool(bent) + [NOT_SQUARE] * (not is_square)
-        elif bent:
+            left_out += [DISTORTED] * bool(bent or other) + [NOT_SQUARE] * (not is_square)
+        elif bent or other:
+            what = f"camera is not a pinhole camera ({other})" if other else f"lens is distorted ({', '.join(bent)})"
             raise HyalineError(
-                f"{frame.where}: its lens is distorted ({', '.join(bent)}); expected straight lines, undistort the "
-                "pictures first (`colmap image_undistorter`)"
+                f"{frame.where}: its {what}; expected straight lines, undistort the pictures first (`colmap "
+                "image_undistorter`)"
             )
         elif not is_square:
             raise HyalineError(

@@ -10,7 +10,7 @@ Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pyt
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -47,6 +47,8 @@ class ForeignView:
     depth: Path | None
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
+    npy_unit: float = 1.0
+    """What 1 in a NumPy file of depth is in the folder's units."""
 
 
 View = TypeVar("View", bound=ForeignView)
@@ -88,6 +90,8 @@ class ForeignDataset:
 
 
 ONE_FILE = "transforms.json"
+MILLIMETRE = 0.001
+"""nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
 EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
@@ -182,6 +186,7 @@ def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
 
 def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, ...]:
     views = []
+    unit = MILLIMETRE if layout == "nerfstudio" else 1.0
     for frame in file.frames:
         mask = depth = None
         if layout == "openmaterial":
@@ -191,12 +196,13 @@ def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, .
         if "depth_file_path" in frame and _is_metric(frame, layout):
             depth = find_named(root, frame, "depth_file_path")
         picture = find_named(root, frame, "file_path")
-        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=file.pose(frame)))
+        pose = file.pose(frame)
+        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=pose, npy_unit=unit))
     return tuple(views)
 
 
 def _is_metric(frame: Frame, layout: Layout) -> bool:
-    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs in millimetres."""
+    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs."""
     file = frame.text("depth_file_path")
     return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
 
@@ -214,6 +220,12 @@ def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[Vi
         wanted = {str(name).removeprefix("./") for name in named}
         found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
     return found
+
+
+def about_unlisted(file: Transforms, found: Mapping[Role, Sequence[ForeignView]]) -> list[str]:
+    """A line if the lists of a file leave out some of its views."""
+    count = len(file.frames) - len({view for role in ROLES for view in found[role]})
+    return [f"splits: {count} of {len(file.frames)} pictures are in none of the file's lists; left out"] * bool(count)
 
 
 def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
@@ -266,7 +278,12 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
         lines.append("mask_path: selects what nerfstudio trains on, not glass; left out")
     if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.content:
         lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
+    if layout == "nerfstudio":
+        lines += about_unlisted(train, views)
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]
     if any(has_masks) and not all(has_masks):
         lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
+    has_depth = [view.depth is not None for role in ROLES for view in views[role]]
+    if any(has_depth) and not all(has_depth):
+        lines.append(f"depth: {has_depth.count(False)} of {len(has_depth)} pictures have none; all of it was left out")
     return tuple(lines)

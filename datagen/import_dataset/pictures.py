@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
-from PIL import Image, UnidentifiedImageError
+from PIL import Image, ImageCms, UnidentifiedImageError
 
 from datagen.data.config import Resolution
 from datagen.data.images import (
@@ -22,13 +22,14 @@ from datagen.data.images import (
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.layouts import ForeignView
+from datagen.import_dataset.layouts import MILLIMETRE, ForeignView
 from datagen.scene.importers.foreign import MAX_FILE_BYTES
 
 FORMATS = ["PNG", "JPEG", "WEBP"]
 BACKGROUND = {"white": 255.0, "black": 0.0}
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
-MILLIMETRE = 0.001
+PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
+"""What a profile of grey or CMYK converts, by the mode of its picture."""
 
 
 def view_files(
@@ -62,10 +63,27 @@ def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoice
 def on_background(
     picture: Image.Image, path: Path, background: Literal["white", "black"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """An 8-bit picture in sRGB over its background."""
+    """An 8-bit picture over its background, in sRGB whatever its colour profile."""
     if picture.mode not in EIGHT_BITS:
         raise HyalineError(f"{path}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
-    return _over(np.asarray(picture.convert("RGBA")), BACKGROUND[background])
+    return _over(np.asarray(_in_srgb(picture, path)), BACKGROUND[background])
+
+
+def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
+    """RGBA in sRGB; a picture may have another profile, such as the Display P3 of phones."""
+    rgba = picture.convert("RGBA")
+    if not (icc := picture.info.get("icc_profile")):
+        return rgba
+    mode = "RGB" if icc[16:20] == b"RGB " else PROFILED.get(picture.mode, "RGB")  # The pixels that a profile is for.
+    pixels = rgba.convert("RGB") if mode == "RGB" else picture.convert(mode)
+    try:
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(icc))
+        converted = ImageCms.profileToProfile(pixels, profile, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (OSError, ImageCms.PyCMSError) as error:
+        raise HyalineError(f"{path}: has a colour profile that cannot be used ({error}); convert it to sRGB") from None
+    assert converted is not None, "None is for pictures that are changed in place"
+    converted.putalpha(rgba.getchannel("A"))
+    return converted
 
 
 def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
@@ -75,11 +93,11 @@ def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
 
 
 def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
-    """Depth in the folder's units: of a NumPy file, or of a PNG in thousandths."""
+    """Depth in the folder's units: of a NumPy file in the view's unit, or of a PNG in thousandths."""
     assert view.depth is not None
     where = str(view.depth)
     if view.depth.suffix == ".npy":
-        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where)
+        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where) * np.float32(view.npy_unit)
     else:
         depth = np.asarray(opened(view.depth, (size.width, size.height))).astype(np.float64) * MILLIMETRE
     if depth.shape != size.shape or depth.min() < 0:

@@ -14,7 +14,7 @@ from support.commands import call
 from support.traced_dataset import write_traced_dataset
 
 from datagen.build.verify import verify_dataset
-from datagen.capture.folder import Masks, read_capture
+from datagen.capture.folder import Masks, find_pictures, read_capture
 from datagen.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from datagen.capture.outlines import Outline
 from datagen.capture.panes import Pane
@@ -357,6 +357,25 @@ def test_the_lists_of_a_transforms_file_say_what_is_for_tests(own: Path, tmp_pat
     assert open_dataset(tmp_path / "out").num_views == {"train": 15, "interpolating": 2, "extrapolating": 1}
 
 
+def test_pictures_in_none_of_a_files_lists_are_counted(own: Path) -> None:
+    names = [frame["file_path"] for frame in json.loads((own / "transforms.json").read_text())["frames"]]
+    edit(own, train_filenames=names[5:], test_filenames=names[:3])
+    remarks = read_capture(own, lambda *_: None).remarks
+    assert remarks == ("splits: 2 of 18 pictures are in none of the file's lists; left out",)
+
+
+def test_pictures_of_kinds_that_are_not_read_are_counted(tmp_path: Path) -> None:
+    write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
+    for name in ("a.HEIC", "b.heic", "c.tif"):
+        (tmp_path / "images" / name).touch()
+    remarks = read_capture(tmp_path, lambda *_: None).remarks
+    assert remarks == ("pictures: 3 of other kinds (.heic, .tif) were left out; convert them to PNG or JPEG",)
+    for path in (tmp_path / "images").glob("*.png"):
+        path.unlink()
+    with pytest.raises(HyalineError, match=r"has 0 pictures beside 3 of other kinds \(\.heic, \.tif\); expected 3"):
+        find_pictures(tmp_path)
+
+
 def test_points_beside_a_model_of_colmap_without_points_are_read(tmp_path: Path) -> None:
     write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
@@ -499,6 +518,10 @@ def with_a_fisheye_of_instant_ngp(root: Path) -> None:
     edit(root, is_fisheye=True, k1=0.05)
 
 
+def with_a_panorama(root: Path) -> None:
+    edit(root, camera_model="EQUIRECTANGULAR")
+
+
 def in_kilometres(root: Path) -> None:
     frames = json.loads((root / "transforms.json").read_text())["frames"]
     for frame in frames:
@@ -529,8 +552,9 @@ def edit(root: Path, **more: object) -> None:
         (without_pictures, "has 0 pictures; expected 3 to"),
         (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read (no PNG, JPEG or WebP)"),
         (stored_on_its_side, "is stored turned or mirrored (EXIF orientation 6), which some tools undo"),
-        (with_a_fisheye, "its lens is a fisheye's (OPENCV_FISHEYE); expected PINHOLE or OPENCV"),
-        (with_a_fisheye_of_instant_ngp, "its lens is a fisheye's (is_fisheye, or k4); expected PINHOLE or OPENCV"),
+        (with_a_fisheye, "its camera is not a pinhole camera ('OPENCV_FISHEYE'); expected PINHOLE or OPENCV"),
+        (with_a_fisheye_of_instant_ngp, "is not a pinhole camera (is_fisheye); expected PINHOLE or OPENCV"),
+        (with_a_panorama, "its camera is not a pinhole camera ('EQUIRECTANGULAR'); expected PINHOLE or OPENCV"),
         (
             in_kilometres,
             "ball is 0.19 mm large by its masks and cameras; expected at least 4 mm: give the cameras' unit",

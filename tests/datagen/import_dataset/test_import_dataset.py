@@ -1,14 +1,16 @@
 """Tests that other projects' datasets are taken over whole, and that what nobody knows of them is called unknown."""
 
+import io
 import json
 import math
 import shutil
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 from support.commands import call
 from support.meshes import polygon_ply
 from support.traced_dataset import write_traced_dataset
@@ -23,6 +25,7 @@ from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.import_dataset.import_dataset import plan_import, write_import
+from datagen.import_dataset.pictures import on_background, opened
 from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
@@ -277,6 +280,61 @@ def test_a_single_transforms_file_is_split_as_it_says_or_else_each_eighth_pictur
     assert take_over(root, tmp_path / "two").num_views == {"train": 10, "interpolating": 4, "extrapolating": 1}
 
 
+def test_depth_of_nerfstudio_is_in_millimetres_in_numpy_files_too_and_a_gap_in_it_is_named(tmp_path: Path) -> None:
+    write_frames(tmp_path, "transforms.json", [f"{place}.png" for place in range(9)])
+    edit_json(lambda data: [frame.update(depth_file_path="depth.npy") for frame in data["frames"]], "transforms.json")(
+        tmp_path
+    )
+    np.save(tmp_path / "depth.npy", np.full((SIDE, SIDE), 2000, np.float32))
+    plan = plan_import(tmp_path, DatasetImportChoices())
+    assert np.load(io.BytesIO(plan.files("train", 0)[".depth.npy"])) == pytest.approx(2)
+    edit_json(lambda data: data["frames"][5].pop("depth_file_path"), "transforms.json")(tmp_path)
+    imported = plan_import(tmp_path, DatasetImportChoices()).imported
+    assert not imported.has_depth and "depth: 1 of 9 pictures have none; all of it was left out" in imported.remarks
+
+
+def test_pictures_in_none_of_a_files_lists_are_counted(tmp_path: Path) -> None:
+    files = [f"{place}.png" for place in range(9)]
+    write_frames(tmp_path, "transforms.json", files, train_filenames=files[:3], test_filenames=files[3:5])
+    remarks = plan_import(tmp_path, DatasetImportChoices()).imported.remarks
+    assert "splits: 4 of 9 pictures are in none of the file's lists; left out" in remarks
+
+
+def display_p3() -> bytes:
+    """The ICC profile of sRGB with the primaries of Display P3, adapted to D50."""
+    data = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    primaries = {
+        b"rXYZ": (0.51512, 0.24120, -0.00105),
+        b"gXYZ": (0.29198, 0.69225, 0.04189),
+        b"bXYZ": (0.15710, 0.06657, 0.78407),
+    }
+    for entry in range(struct.unpack_from(">I", data, 128)[0]):
+        name, offset, _ = struct.unpack_from(">4sII", data, 132 + 12 * entry)
+        if name in primaries:
+            struct.pack_into(">3i", data, offset + 8, *(round(value * 65536) for value in primaries[name]))
+    return bytes(data)
+
+
+def test_pictures_are_converted_from_their_colour_profiles_to_srgb(tmp_path: Path) -> None:
+    path = tmp_path / "phone.png"
+
+    def read(color: tuple[int, ...], mode: str, profile: bytes) -> list[int]:
+        Image.new(mode, (2, 2), color).save(path, icc_profile=profile)
+        return on_background(opened(path), path, "white")[1, 1].tolist()
+
+    # By colour-science 0.4.7: RGB_to_RGB(..., "Display P3", "sRGB", apply_cctf_decoding=True, apply_cctf_encoding=True)
+    assert read((60, 160, 90), "RGB", display_p3()) == pytest.approx([0, 163, 82], abs=1)
+    assert read((200, 60, 40, 255), "RGBA", display_p3()) == pytest.approx([217, 42, 23], abs=1)
+    assert read((200, 60, 40, 0), "RGBA", display_p3()) == [255, 255, 255]
+    assert read((77,), "L", display_p3()) == [77, 77, 77]
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    assert read((60, 160, 90), "RGB", srgb) == [60, 160, 90]
+    with pytest.raises(
+        HyalineError, match=r"phone\.png: has a colour profile that cannot be used .*convert it to sRGB"
+    ):
+        read((1, 2, 3), "RGB", b"junk")
+
+
 def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> None:
     export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False, overwrite=False)
     dataset = take_over(tmp_path / "exported", tmp_path / "out")
@@ -348,6 +406,10 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
     ),
     "a camera of words": (set_first(transform_matrix="here"), "transform_matrix: "),
     "a distorted lens": (set_first(k1=0.2), "its lens is distorted .k1.; expected straight lines"),
+    "a panorama": (
+        edit_json(lambda data: data["frames"][1].update(camera_model="EQUIRECTANGULAR")),
+        "frames.1.: its camera is not a pinhole camera .'EQUIRECTANGULAR'.; expected straight lines",
+    ),
     "two lenses": (
         edit_json(lambda data: data["frames"][1].update(camera_angle_x=0.3)),
         "expected one lens for all",
