@@ -72,8 +72,8 @@ def report(
         report.to_frame()[["run", "psnr_db_interpolating"]]
 
     Args:
-        runs: opened runs (or one), or folders of 8-bit sRGB pictures of any method, SCENE/NAME with
-            predictions/SPLIT/0000.png; all runs under `root` unless given.
+        runs: opened runs (or one), names under `root`, or folders of 8-bit sRGB pictures of any method, SCENE/NAME
+            with predictions/SPLIT/0000.png; all runs under `root` unless given.
         out: folder of the page; unless given, `report` in `root`, or beside the scenes' folders of the first run.
         root: folder of the runs.
         data: folder with the datasets, DATA/SCENE, of runs that name none.
@@ -94,7 +94,7 @@ def report(
     given = list(filter(has_predictions, every)) if asked is None else list(asked)
     if not given:
         raise HyalineError(f"{root}: no run there has pictures; make one with hyaline.train")
-    folders = [item.folder if isinstance(item, Run) else Path(item) for item in given]
+    folders = [item.folder if isinstance(item, Run) else _folder(item, Path(root)) for item in given]
     for folder in folders:
         if not has_predictions(folder):
             raise HyalineError(f"{folder}: has no predictions; expected predictions/SPLIT/0000.png, ...")
@@ -112,3 +112,7 @@ def report(
         raise errors[-1]
     page = write_page(scored, place, kept, most_views=views, are_all=runs is None)
     return Report(page=page, scored=scored)
+
+
+def _folder(name: Path | str, root: Path) -> Path:
+    return Path(name) if Path(name).is_dir() else root / name

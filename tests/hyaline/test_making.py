@@ -224,6 +224,8 @@ def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.
 
 
 def test_a_report_is_a_table_rows_and_a_page(run: hy.Run, home: Path) -> None:
+    name = run.folder.relative_to(run.folder.parents[1])
+    assert len(hy.report(str(name), home / "report", root=run.folder.parents[1]).rows) == 2
     with pytest.raises(hy.HyalineError, match="nothing: has no predictions"):
         hy.report("nothing", home / "report")
     report = hy.report(run, home / "report")
