@@ -36,7 +36,7 @@ class ImportChoices:
     """Merge all surfaces of a material into one object: a scene has at most 255 objects."""
     crease: float | None = None
     """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
-    every face flat. Default: the file's normals, or 40 degrees if it has none."""
+    every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY, STL and 3MF."""
     max_triangles: int | None = None
     """Reduce surfaces until the scene has about this many triangles, each by the same share; needs the extra `proxies`.
     Surfaces with images keep theirs. A solid may change its volume by 5 %."""

@@ -104,7 +104,7 @@ def corner_normals(
     one = np.repeat(np.arange(len(at)), counts)
     other = order[np.repeat(starts, counts) + np.arange(counts.sum()) - np.repeat(np.cumsum(counts) - counts, counts)]
     is_smooth = np.einsum("pi,pi->p", normals[one // 3], normals[other // 3]) >= np.cos(np.radians(crease_deg))
-    is_smooth |= areas[one // 3] == 0
+    is_smooth |= (areas[one // 3] == 0) | (one == other)  # At 0 degrees, rounding excludes a corner's own face.
     sums = np.zeros((len(at), 3))
     for axis in range(3):
         values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)

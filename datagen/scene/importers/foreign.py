@@ -15,6 +15,7 @@ from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Material
+from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
@@ -112,6 +113,8 @@ class ForeignObject:
     uv: Float[np.ndarray, "vertex 2"] | None
     """Texture coordinates of the material's image; v points up."""
     material: ForeignMaterial | Material
+    crease_deg: float = CREASE_DEG
+    """Without normals, faces that meet at more than this angle get a hard edge; 0 makes every face flat."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -223,9 +226,10 @@ def substance_of(name: str) -> str | None:
 
 def merged_by_material(parts: tuple[ForeignObject, ...], remarks: Remarks, *, where: str) -> tuple[ForeignObject, ...]:
     """One object for each material, and for whether it brings normals and uv."""
-    groups: dict[tuple[ForeignMaterial | Material, bool, bool], list[ForeignObject]] = {}
+    groups: dict[tuple[ForeignMaterial | Material, bool, float, bool], list[ForeignObject]] = {}
     for part in parts:
-        groups.setdefault((part.material, part.normals is None, part.uv is None), []).append(part)
+        key = part.material, part.normals is None, part.crease_deg, part.uv is None
+        groups.setdefault(key, []).append(part)
     remarks.note(where, f"its {len(parts):,} objects became {len(groups)}, one a material")
     return tuple(_merged(group) for group in groups.values())
 
@@ -245,4 +249,5 @@ def _merged(group: list[ForeignObject]) -> ForeignObject:
         normals=np.concatenate(normals) if normals else None,
         uv=np.concatenate(uv) if uv else None,
         material=first.material,
+        crease_deg=first.crease_deg,
     )

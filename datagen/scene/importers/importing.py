@@ -268,7 +268,8 @@ def scene_object(
         kept_share: share of its triangles to keep.
     """
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
-    mesh = mesh_of(elementwise(part.positions, linear, offset), part.faces, normals, part.uv, where=name)
+    positions = elementwise(part.positions, linear, offset)
+    mesh = mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
     mesh = made_sound(mesh, remarks, where=name)
     mesh, mended = mend_surface(mesh, is_solid=True)
     for line in mended:

@@ -45,6 +45,7 @@ def mesh_of(
     normals: Float[np.ndarray, "vertex 3"] | None,
     uv: Float[np.ndarray, "vertex 2"] | None,
     *,
+    crease_deg: float = CREASE_DEG,
     where: str,
 ) -> Mesh:
     """A mesh of these arrays without collapsed faces; without normals it is shaded smoothly but for creases."""
@@ -60,7 +61,7 @@ def mesh_of(
         normals=np.zeros_like(vertices) if normals is None else _unit(normals),
         uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
     )
-    return mesh if normals is not None else with_new_normals(mesh, crease_deg=CREASE_DEG)
+    return mesh if normals is not None else with_new_normals(mesh, crease_deg=crease_deg)
 
 
 def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:

@@ -129,6 +129,16 @@ def test_fillets_are_arcs_that_touch_both_sides() -> None:
     np.testing.assert_allclose(arc[[0, -1]], [[0.75, 0], [1, 0.25]], atol=1e-12)
 
 
+def test_a_crease_angle_of_0_makes_every_face_flat() -> None:
+    """Although rounding leaves some unit normals a little shorter than 1."""
+    round_one = ball(1.0, subdivisions=2)
+    gem = shaded(round_one.vertices.astype(np.float64), round_one.faces, crease_deg=0)
+    corners = face_corners(gem)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    np.testing.assert_allclose(gem.normals[gem.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-5)
+
+
 def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
     corners = np.array(list(np.ndindex(2, 2, 2)), np.float64)
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],

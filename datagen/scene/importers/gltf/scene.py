@@ -1,5 +1,6 @@
 """glTF and GLB files: every surface that a viewer would show, in the file's world."""
 
+import dataclasses
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -174,6 +175,7 @@ def _surfaces(
             normals=attributes.get("NORMAL"),
             uv=uv,
             material=material,
+            crease_deg=0.0,  # Source: glTF 2.0 section 3.7.2.1, "MUST calculate flat normals".
         )
 
 
@@ -227,11 +229,10 @@ def _placed(part: ForeignObject, name: str, world: np.ndarray) -> ForeignObject:
     normals = None
     if part.normals is not None:
         normals = elementwise(part.normals, np.linalg.inv(linear).T, np.zeros(3))
-    return ForeignObject(
+    return dataclasses.replace(
+        part,
         name=name,
         positions=elementwise(part.positions, linear, world[:3, 3]),
         faces=part.faces[:, ::-1] if determinant < 0 else part.faces,
         normals=normals,
-        uv=part.uv,
-        material=part.material,
     )

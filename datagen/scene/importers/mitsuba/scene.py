@@ -185,18 +185,34 @@ def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
     found = []
     for item in SHAPES[node.plugin](node, remarks):
         turned = (np.linalg.det(world[:3, :3]) < 0) != is_flipped
-        normals = None if item.normals is None or node.flag("face_normals") else item.normals
-        if normals is not None:
+        positions = elementwise(item.positions, world[:3, :3], world[:3, 3])
+        faces = item.faces[:, ::-1] if turned else item.faces
+        normals, crease_deg = item.normals, item.crease_deg
+        if node.flag("face_normals"):
+            normals, crease_deg = None, 0.0
+        elif normals is not None:
             normals = elementwise(normals, np.linalg.inv(world[:3, :3]).T, np.zeros(3)) * (-1 if is_flipped else 1)
+        elif node.plugin in ("obj", "ply", "serialized"):
+            normals = _smooth_normals(positions, faces)
         found.append(
-            dataclasses.replace(
-                item,
-                positions=elementwise(item.positions, world[:3, :3], world[:3, 3]),
-                faces=item.faces[:, ::-1] if turned else item.faces,
-                normals=normals,
-            )
+            dataclasses.replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg)
         )
     return found
+
+
+def _smooth_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals as Mitsuba computes missing ones, over every edge: weighted by the angles of a vertex's faces."""
+    corners = positions[faces]
+    normals, sums = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])), 0 * positions
+    for corner in range(3):
+        one, other = (_unit(corners[:, (corner + step) % 3] - corners[:, corner]) for step in (1, 2))
+        angle = np.arccos(np.clip((one * other).sum(axis=-1, keepdims=True), -1, 1))
+        np.add.at(sums, faces[:, corner], angle * normals)
+    return _unit(sums)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 def _from_mesh(node: Node, mesh: Mesh, uv: np.ndarray | None = None) -> ForeignObject:

@@ -9,13 +9,18 @@ import pytest
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear
 
-from datagen.data.meshes import signed_volume, welded
+from datagen.data.images import png_bytes
+from datagen.data.meshes import face_corners, signed_volume, welded
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
-from datagen.scene.importers.foreign import ForeignObject, ForeignScene
+from datagen.scene.images import bilinear, linear_pixels, look_up
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.gltf.scene import read_gltf
+from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import mesh_of
+from datagen.scene.modelling import ball
 
 CORNERS = BOX.vertices[BOX.faces]
 
@@ -179,6 +184,18 @@ def test_a_texture_transform_moves_uv_as_its_extension_says(tmp_path: Path) -> N
     u, v = 3 * uv[:, 1] + 0.5, -2 * uv[:, 0] + 0.25
     assert found is not None
     np.testing.assert_allclose(found, np.stack([u, 1 - v], axis=-1), atol=1e-6)
+
+
+def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
+    gem = ball(1.0, subdivisions=1)  # Its faces meet at 18 to 22 degrees.
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(gem), scale=[-0.1, 0.2, 0.1])
+    del builder.content["meshes"][0]["primitives"][0]["attributes"]["NORMAL"]
+    mesh = import_scene(builder.written(tmp_path), ImportChoices(ground="never")).scene.objects[0].mesh
+    corners = face_corners(mesh).astype(np.float64)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
 def test_only_the_files_own_scene_is_read(tmp_path: Path) -> None:

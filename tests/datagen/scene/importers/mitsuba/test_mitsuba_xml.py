@@ -9,18 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
 
 from benchmarks.sky import radiance_of_map
 from datagen.data.images import encode_float_exr
-from datagen.data.meshes import signed_volume
+from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import EnvironmentMap, SoftEnvironment
-from datagen.scene.images import read_map
+from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
@@ -148,6 +150,28 @@ def test_a_checkerboard_is_an_image_with_its_first_colour_at_the_origin_of_uv(tm
     pixels = np.asarray(Image.open(io.BytesIO(item.material.image.data)))
     assert [pixels[0, 0, 0], pixels[0, -1, 0], pixels[-1, 0, 0], pixels[-1, -1, 0]] == [0, 255, 255, 0]
     np.testing.assert_allclose(np.ptp(item.uv, axis=0), [4, 2])
+
+
+def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Path) -> None:
+    """Smooth over sharp edges, or flat where the file asks for it."""
+    gem = trimesh.creation.icosphere(subdivisions=1).apply_scale((1, 1.5, 0.2))
+    gem.export(tmp_path / "gem.ply", vertex_normal=False)
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    center = gem.triangles_center.T.astype(np.float32)
+    normal = gem.face_normals.T.astype(np.float32)
+    for is_flat in ("true", "false"):
+        name = '<string name="filename" value="gem.ply"/>'
+        body = f'{SENSOR}<shape type="ply">{name}<boolean name="face_normals" value="{is_flat}"/></shape>'
+        (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+        mesh = import_scene(tmp_path / "a.xml", ImportChoices()).scene.objects[0].mesh
+        np.testing.assert_allclose(face_corners(mesh).mean(axis=1), center.T, atol=1e-5)
+        ours = mesh.normals[mesh.faces].mean(axis=1)
+        ours /= np.linalg.norm(ours, axis=-1, keepdims=True)
+        origin = mi.Point3f(*(center + 0.1 * normal))
+        si = mi.load_file(str(tmp_path / "a.xml")).ray_intersect(mi.Ray3f(origin, mi.Vector3f(*-normal)))
+        np.testing.assert_allclose(ours, np.array(si.sh_frame.n).T, atol=1e-3)
 
 
 def test_cameras_and_lights_stand_where_the_file_puts_them(tmp_path: Path) -> None:
