@@ -99,8 +99,8 @@ def _ior(node: Node, key: str, default: str) -> float:
     return node.number(key, 1.5)
 
 
-def _ratio(node: Node) -> float:
-    ratio = _ior(node, "int_ior", "bk7") / max(_ior(node, "ext_ior", "air"), 1e-9)
+def _ratio(node: Node, inside: str = "bk7") -> float:
+    ratio = _ior(node, "int_ior", inside) / max(_ior(node, "ext_ior", "air"), 1e-9)
     if not 1 <= ratio < 10:
         raise HyalineError(f"{node.where}: its indices of refraction have the ratio {ratio:.4g}; expected 1 to 10")
     return ratio
@@ -123,12 +123,16 @@ def _facets(node: Node, remarks: Remarks) -> float:
     return math.sqrt(min(max(_alpha(node, 0.1), 0.0), 1.0))
 
 
+def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
+    """A line for a reflectance or transmittance that the file scales."""
+    if node.child(key) is not None or node.color(key, 1.0) != (1, 1, 1):
+        remarks.approximate(node.name, f"scales its {key.removeprefix('specular_')}, which is left out")
+
+
 def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
-    for key in ("specular_reflectance", "specular_transmittance"):
-        if key in node and (node.child(key) is not None or node.color(key, 1.0) != (1, 1, 1)):
-            if key == "specular_transmittance" and node.child(key) is None:
-                continue
-            remarks.approximate(node.name, f"scales its {key.removeprefix('specular_')}, which is left out")
+    _remark_on_scale(node, "specular_reflectance", remarks)
+    if node.child("specular_transmittance") is not None:
+        _remark_on_scale(node, "specular_transmittance", remarks)
     rough = node.plugin == "roughdielectric"
     is_thin = node.plugin == "thindielectric"
     key = "specular_transmittance"
@@ -153,19 +157,21 @@ def _diffuse(node: Node, remarks: Remarks) -> FoundMaterial:
 def _plastic(node: Node, remarks: Remarks) -> FoundMaterial:
     if not node.flag("nonlinear"):
         remarks.approximate(node.name, "has a base without colour shifts from light below its coat; drawn with them")
+    _remark_on_scale(node, "specular_reflectance", remarks)
     roughness = _facets(node, remarks) if node.plugin == "roughplastic" else 0.0
-    material = ForeignMaterial(name=node.name, roughness=roughness, ior=max(_ratio(node), 1.0001), is_base=True)
+    ior = max(_ratio(node, "polypropylene"), 1.0001)
+    material = ForeignMaterial(name=node.name, roughness=roughness, ior=ior, is_base=True)
     return _colored(material, node, "diffuse_reflectance", 0.5, remarks)
 
 
 def _conductor(node: Node, remarks: Remarks) -> FoundMaterial:
-    if "eta" in node and "k" in node:
+    if "eta" in node:
         eta, k = node.color("eta", 0.0), node.color("k", 1.0)
         # Fresnel's reflectance of a metal at normal incidence.
         red, green, blue = (((n - 1) ** 2 + x * x) / ((n + 1) ** 2 + x * x) for n, x in zip(eta, k, strict=True))
         color, name = (red, green, blue), "eta and k"
     else:
-        name = node.text("material", "Cu")
+        name = node.text("material", "none")
         if name not in METALS:
             raise HyalineError(f"{node.where}: is the metal {shown(name)}; expected one of {', '.join(METALS)}")
         color = METALS[name]
@@ -185,13 +191,15 @@ def _principled(node: Node, remarks: Remarks) -> FoundMaterial:
     for key in ("clearcoat", "sheen", "flatness", "anisotropic", "spec_tint"):
         if key in node and (node.child(key) is not None or node.number(key, 0.0) > 0):
             remarks.approximate(node.name, f"has {key}, which is left out")
+    specular = min(max(node.number("specular", 0.5), 1e-3), 1.0)
+    eta = node.number("eta", 2 / (1 - math.sqrt(0.08 * specular)) - 1)
     material = ForeignMaterial(
         name=node.name,
         metallic=min(max(node.number("metallic", 0.0), 0.0), 1.0),
         roughness=min(max(node.number("roughness", 0.5), 0.0), 1.0),
         transmission=min(max(node.number("spec_trans", 0.0), 0.0), 1.0),
         is_volume=True,
-        ior=min(max(node.number("eta", 1.5), 1.0), 9.0),
+        ior=min(max(eta, 1.0), 9.0),
     )
     return _colored(material, node, "base_color", 0.5, remarks)
 

@@ -28,6 +28,8 @@ REFUSED = {
     "alias": "gives a second name to an object",
 }
 """Tags that no scene needs which is complete in its folder."""
+EQUAL_ENERGY = (1.20479, 0.948291, 0.908916)
+"""Linear sRGB of light that is equally strong at all wavelengths, as Mitsuba 3.9 converts it."""
 
 
 class Node:
@@ -64,9 +66,12 @@ class Node:
         return self.props.get(key, default) is True
 
     def color(self, key: str, default: float) -> Color:
-        """A number or three, none below 0."""
+        """A number, three, or a spectrum with one value, none below 0."""
         value = self.props.get(key, default)
         values = (value,) * 3 if isinstance(value, int | float) else self._listed(value)
+        if getattr(value, "is_uniform", bool)():  # A spectrum. Its class in 3.9 is not `mi.Spectrum`.
+            level, white = getattr(value, "values", (0.0,))[0], EQUAL_ENERGY if key == "radiance" else (1, 1, 1)
+            values = [level * c for c in white]
         if values is None or len(values) != 3 or not all(0 <= c < MAX_VALUE for c in values):
             raise HyalineError(f"{self.where}: {key} is {shown(str(value))}; expected a colour of three numbers")
         red, green, blue = (float(c) for c in values)

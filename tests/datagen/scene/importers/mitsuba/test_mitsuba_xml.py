@@ -30,6 +30,7 @@ from datagen.scene.importers.mitsuba.scene import read_mitsuba
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import mesh_of
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
+from datagen.scene.values import Color
 
 SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>
 <transform name="to_world"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform>
@@ -130,6 +131,48 @@ def test_a_metal_of_eta_and_k_mirrors_as_fresnel_says_straight_on(tmp_path: Path
     )
     expected = [(0.64 + 9) / (1.44 + 9), 0.0, (4 + 4) / (16 + 4)]
     np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inner", "expected"),
+    [
+        ("", (1, 1, 1)),  # Mitsuba 3.9 prints eta = 0, k = 1 for it: everything is mirrored.
+        ('<rgb name="k" value="0.5,1,2"/>', (1, 1, 1)),
+        ('<rgb name="eta" value="1,2,3"/>', (1 / 5, 2 / 10, 5 / 17)),
+    ],
+)
+def test_a_conductor_without_a_material_has_mitsubas_eta_and_k(inner: str, expected: Color, tmp_path: Path) -> None:
+    for plugin in ("conductor", "roughconductor"):
+        entry = material_of(tmp_path, f'<bsdf type="{plugin}">{inner}</bsdf>')
+        np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("plugin", ["plastic", "roughplastic"])
+def test_plastic_has_mitsubas_index_and_a_scaled_highlight_is_told(plugin: str, tmp_path: Path) -> None:
+    remarks = Remarks()
+    highlight = '<rgb name="specular_reflectance" value="0"/>'
+    entry = material_of(tmp_path, f'<bsdf type="{plugin}">{highlight}</bsdf>', remarks)
+    assert entry.ior == pytest.approx(1.48959, abs=1e-5), "as Mitsuba 3.9 prints it"
+    assert "scales its reflectance, which is left out" in [line.what for line in remarks.lines]
+
+
+@pytest.mark.parametrize("specular", [0.001, 0.2, 1.0])
+def test_specular_is_the_reflectance_straight_on_in_parts_of_0_08(specular: float, tmp_path: Path) -> None:
+    ior = material_of(tmp_path, f'<bsdf type="principled"><float name="specular" value="{specular}"/></bsdf>').ior
+    assert ((ior - 1) / (ior + 1)) ** 2 == pytest.approx(0.08 * specular)
+
+
+def test_a_spectrum_with_one_value_is_the_colour_that_mitsuba_makes_of_it(tmp_path: Path) -> None:
+    paint = '<shape type="cube"><bsdf type="diffuse"><spectrum name="reflectance" value="0.3"/></bsdf></shape>'
+    emitter = '<emitter type="area"><spectrum name="radiance" value="5"/></emitter>'
+    scene = read(tmp_path, f'{paint}<shape type="rectangle">{emitter}</shape>')
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    theirs = mi.traverse(mi.load_file(str(tmp_path / "a.xml")).emitters()[0])["radiance.value"]
+    np.testing.assert_allclose(scene.lights[0].radiance, np.array(theirs).reshape(3), rtol=1e-5)
+    assert isinstance(scene.objects[0].material, ForeignMaterial)
+    np.testing.assert_allclose(scene.objects[0].material.base_color, 0.3, rtol=1e-6)
 
 
 def test_references_reach_one_bsdf_from_many_shapes(tmp_path: Path) -> None:
