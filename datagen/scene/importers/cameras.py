@@ -57,7 +57,9 @@ def listed_cameras(
     Of fewer than three, each split has all.
     """
     if not cameras:
-        raise HyalineError("--cameras file: the file brings no cameras; leave it out")
+        raise HyalineError(
+            "--cameras file: the file brings no cameras, or only skewed, mirrored or orthographic ones; leave it out"
+        )
     lens = cameras[0]
     if not all(camera.is_like(lens) for camera in cameras):
         angle = math.degrees(lens.fov_x)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.cameras import Camera
+from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import MAP_ENDINGS
@@ -41,6 +41,8 @@ from datagen.scene.values import Color
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
 """Top-level nodes that do not change the scene, or that shapes refer to."""
+FOV_DEG = math.degrees(2 * math.atan(math.hypot(36, 24) / 100))
+"""Diagonal angle of a sensor without one: that of a lens of 50 mm on film of 36 x 24 mm."""
 SEGMENTS = 96
 """Sides of a disk or a cylinder."""
 MAGIC = 0x041C
@@ -55,12 +57,14 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     objects: list[ForeignObject] = []
     lights: list[ForeignLight] = []
     cameras: list[Camera] = []
+    sensors: list[Node] = []
     sky: Color | ForeignMap | None = None
     for node in nodes.root.children():
         if node.kind == "Shape":
             _add_shape(node, objects, lights, remarks)
         elif node.kind == "Sensor":
-            cameras.append(_camera(node, remarks))
+            sensors.append(node)
+            cameras += _camera(node, remarks)
         elif node.kind == "Emitter" and node.plugin == "constant":
             sky = node.color("radiance", 1.0)
         elif node.kind == "Emitter" and node.plugin == "envmap":
@@ -75,7 +79,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
         sky = (0.0, 0.0, 0.0)
     return ForeignScene(
         objects=tuple(objects),
-        up=_up(cameras),
+        up=_up(sensors),
         lights=tuple(lights),
         sky=sky,
         cameras=tuple(cameras),
@@ -137,19 +141,28 @@ def _map(node: Node) -> ForeignMap:
     return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
 
 
-def _camera(node: Node, remarks: Remarks) -> Camera:
+def _camera(node: Node, remarks: Remarks) -> list[Camera]:
+    """The camera of a sensor; none if it is skewed or mirrored."""
     if node.plugin not in ("perspective", "thinlens"):
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are perspective, thinlens")
     if node.plugin == "thinlens":
         remarks.approximate(node.name, "is out of focus in places; drawn sharp everywhere")
     film = node.inner("Film")
-    width, height = (768.0, 576.0) if film is None else (film.number("width", 768), film.number("height", 576))
-    if not (width >= 1 and height >= 1):
-        raise HyalineError(f"{node.where}: makes pictures of {width:g} x {height:g} pixels; expected at least 1 x 1")
+
+    def of_film(key: str, default: float) -> float:
+        return default if film is None else film.number(key, default)
+
+    width, height = of_film("width", 768), of_film("height", 576)
+    left, top = of_film("crop_offset_x", 0), of_film("crop_offset_y", 0)
+    shown_width, shown_height = of_film("crop_width", width), of_film("crop_height", height)
+    if not (shown_width >= 1 and shown_height >= 1):
+        raise HyalineError(
+            f"{node.where}: makes pictures of {shown_width:g} x {shown_height:g} pixels; expected at least 1 x 1"
+        )
     if "focal_length" in node:
         raise HyalineError(f"{node.where}: gives a focal length; expected fov, in degrees")
-    tangent = math.tan(math.radians(min(max(node.number("fov", 39.6), 1e-3), 179.0)) / 2)
-    axis = node.text("fov_axis", "x")
+    tangent = math.tan(math.radians(min(max(node.number("fov", FOV_DEG), 1e-3), 179.0)) / 2)
+    axis = node.text("fov_axis", "x" if "fov" in node else "diagonal")
     sizes = {"x": width, "y": height, "smaller": min(width, height), "larger": max(width, height),
              "diagonal": math.hypot(width, height)}  # fmt: skip
     if axis not in sizes:
@@ -157,17 +170,23 @@ def _camera(node: Node, remarks: Remarks) -> Camera:
     world = node.matrix("to_world")
     # Mitsuba's cameras look along +z and have +x on their left; OpenGL's look along -z, +x on their right.
     rotation = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0) * [-1, 1, -1]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > MAX_SKEW or np.linalg.det(rotation) < 0:
+        remarks.approximate(node.name, "is a camera that its to_world skews or mirrors, which is left out")
+        return []
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, world[:3, 3]
+    # The offset is in sizes of the whole film, against the axes of the pixels (Mitsuba 3.9).
+    column = width * (0.5 - node.number("principal_point_offset_x", 0.0)) - left
+    row = height * (0.5 - node.number("principal_point_offset_y", 0.0)) - top
     focal = 0.5 * sizes[axis] / tangent
-    return lens_of(focal, width, height, where=node.where).camera(matrix)
+    return [lens_of(focal, shown_width, shown_height, (column, row), where=node.where).camera(matrix)]
 
 
-def _up(cameras: list[Camera]) -> Axis:
+def _up(sensors: list[Node]) -> Axis:
     """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y by default."""
-    if not cameras:
+    if not sensors:
         return "y"
-    ups = np.abs(np.sum([camera.world_from_camera[:3, 1] for camera in cameras], axis=0))
+    ups = np.abs(_unit(np.array([node.matrix("to_world")[:3, 1] for node in sensors])).sum(axis=0))
     axes: tuple[Axis, Axis, Axis] = ("x", "y", "z")
     return axes[int(ups.argmax())]
 

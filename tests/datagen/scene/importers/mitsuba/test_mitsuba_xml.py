@@ -249,6 +249,41 @@ def test_the_field_of_view_is_that_of_its_axis(axis: str, expected: float, tmp_p
     assert math.degrees(camera.fov_x) == pytest.approx(expected, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"width": 96, "height": 64},
+        {"width": 64, "height": 96, "principal_point_offset_x": 0.2, "principal_point_offset_y": -0.1, "fov": 50},
+        {"width": 96, "height": 64, "crop_offset_x": 30, "crop_offset_y": 10, "crop_width": 40, "crop_height": 20,
+         "principal_point_offset_x": 0.1, "principal_point_offset_y": 0.3},
+    ],
+)  # fmt: skip
+def test_rays_of_a_camera_are_those_of_mitsubas_sensor(numbers: dict[str, float], tmp_path: Path) -> None:
+    of_film = [f'<integer name="{key}" value="{value}"/>' for key, value in numbers.items() if key[0] in "cwh"]
+    of_sensor = [f'<float name="{key}" value="{value}"/>' for key, value in numbers.items() if key[0] not in "cwh"]
+    place = '<transform name="to_world"><lookat origin="0,-3,1.5" target="0.2,0,0.5" up="0,0,1"/></transform>'
+    film = f'<film type="hdrfilm">{"".join(of_film)}</film>'
+    (camera,) = read(tmp_path, f'<sensor type="perspective">{"".join(of_sensor)}{place}{film}</sensor>{BALL}').cameras
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    sensor = mi.load_file(str(tmp_path / "a.xml")).sensors()[0]
+    assert list(sensor.film().crop_size()) == [camera.width, camera.height]
+    directions = camera.rays()[1]
+    for row, column in ((0, 0), (3, 17), (camera.height - 1, camera.width - 1)):
+        place = (column + 0.5) / camera.width, (row + 0.5) / camera.height
+        ray, _ = sensor.sample_ray(0, 0, mi.Point2f(*place), mi.Point2f(0.5, 0.5))
+        np.testing.assert_allclose(directions[row, column], np.array(ray.d).reshape(3), atol=1e-5)
+
+
+@pytest.mark.parametrize("change", ['<scale x="-1"/>', '<matrix value="1 0.2 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/>'])
+def test_a_skewed_or_mirrored_camera_is_left_out_and_up_stays(change: str, tmp_path: Path) -> None:
+    remarks = Remarks()
+    scene = read(tmp_path, SENSOR.replace("<lookat", f"{change}<lookat") + BALL, remarks)
+    assert scene.cameras == () and scene.up == "z"
+    assert "is a camera that its to_world skews or mirrors, which is left out" in [line.what for line in remarks.lines]
+
+
 def test_files_are_included_from_the_folder(tmp_path: Path) -> None:
     (tmp_path / "parts.xml").write_text(f'<scene version="3.0.0">{BALL}</scene>')
     assert [item.name for item in read(tmp_path, '<include filename="parts.xml"/>').objects] == ["ball"]
