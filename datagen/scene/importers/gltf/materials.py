@@ -4,16 +4,18 @@ Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/g
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
+from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import PLAIN, Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf.file import GltfFile
+from datagen.scene.importers.pictures import stored
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 
@@ -26,7 +28,9 @@ IGNORED = {
     "KHR_materials_specular": "a specular weight or tint",
 }
 MAX_PRIORITY = 9
-REPEAT, CLAMP_TO_EDGE = 10497, 33071
+REPEAT, CLAMP_TO_EDGE, MIRRORED_REPEAT = 10497, 33071, 33648
+ROUNDING = 1e-4
+"""Share of an image by which uv may miss its edge."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,14 +43,16 @@ class TextureUse:
     scale: tuple[float, ...]
     rotation: float
     clamps: tuple[bool, bool]
-    """Along u and v it ends at the image's edges instead of repeating."""
+    """Along u and v, the image's edges are extended instead of repeating the image."""
+    mirrors: tuple[bool, bool]
+    """Along u and v, every other repeat is mirrored: the image is one from `mirrored`."""
 
     def uv_from_file(self, uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
         """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         u, v = uv[:, 0] * self.scale[0], uv[:, 1] * self.scale[1]
         sides = [cos * u + sin * v + self.offset[0], -sin * u + cos * v + self.offset[1]]
-        sides = [np.clip(side, 0, 1) if clamp else side for side, clamp in zip(sides, self.clamps)]
+        sides = [side / 2 if mirror else side for side, mirror in zip(sides, self.mirrors)]
         return np.stack([sides[0], 1 - sides[1]], axis=-1)
 
 
@@ -222,11 +228,41 @@ def _texture(
     if "sampler" in entry:
         sampler = file.item("samplers", entry.integer("sampler"), where=entry.where)
         wraps = {key: sampler.integer(key, REPEAT) for key in wraps}
+    mirrors = wraps["wrapS"] == MIRRORED_REPEAT, wraps["wrapT"] == MIRRORED_REPEAT
     use = TextureUse(
         channel=channel,
         offset=(0.0, 0.0) if transform is None else transform.numbers("offset", (0.0, 0.0)),
         scale=(1.0, 1.0) if transform is None else transform.numbers("scale", (1.0, 1.0)),
         rotation=0.0 if transform is None else transform.number("rotation", 0.0),
         clamps=(wraps["wrapS"] == CLAMP_TO_EDGE, wraps["wrapT"] == CLAMP_TO_EDGE),
+        mirrors=mirrors,
     )
-    return ForeignImage(name=name, data=data), use
+    return mirrored(ForeignImage(name=name, data=data), mirrors), use
+
+
+def mirrored(image: ForeignImage, mirrors: tuple[bool, bool]) -> ForeignImage:
+    """The image beside its mirror image, along u, v or both; its repeats are mirrored repeats of the image."""
+    if not any(mirrors):
+        return image
+    pixels = stored(image)
+    pixels = np.concatenate([pixels, pixels[:, ::-1]], axis=1) if mirrors[0] else pixels
+    pixels = np.concatenate([pixels, pixels[::-1]], axis=0) if mirrors[1] else pixels
+    return replace(image, data=png_bytes(pixels))
+
+
+def clamped(
+    uv: Float[np.ndarray, "vertex 2"],
+    faces: Int[np.ndarray, "face 3"],
+    clamps: tuple[bool, bool],
+    remarks: Remarks,
+    *,
+    where: str,
+) -> Float[np.ndarray, "vertex 2"]:
+    """uv of an image whose edges are extended: on its edge where they miss it by rounding; a remark if beyond it."""
+    inside = np.clip(uv, 0, 1)
+    uv = np.where(clamps & (np.abs(uv - inside) < ROUNDING), inside, uv)
+    if (clamps & (uv != inside))[faces].any():
+        remarks.approximate(
+            where, "its uv reach beyond its image, whose edges the file extends; the image repeats there"
+        )
+    return uv

@@ -20,7 +20,7 @@ from datagen.scene.importers.foreign import (
     elementwise,
 )
 from datagen.scene.importers.gltf.file import GltfArrays, GltfFile, read_draco
-from datagen.scene.importers.gltf.materials import TextureUse, read_material
+from datagen.scene.importers.gltf.materials import TextureUse, clamped, read_material
 from datagen.scene.importers.gltf.nodes import Instance, Standing, instances
 from datagen.scene.importers.remarks import Remarks
 
@@ -167,7 +167,7 @@ def _surfaces(
             remarks.note(name or described.where, "has feature ids, which are left out")
         uv = None
         if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
-            uv = use.uv_from_file(raw)
+            uv = clamped(use.uv_from_file(raw), faces, use.clamps, remarks, where=name or material.name)
         yield ForeignObject(
             name=name or material.name,
             positions=attributes["POSITION"],

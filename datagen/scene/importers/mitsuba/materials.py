@@ -9,6 +9,7 @@ from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign
+from datagen.scene.importers.gltf.materials import mirrored
 from datagen.scene.importers.mitsuba.nodes import Node
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.values import Color
@@ -44,6 +45,8 @@ class FoundMaterial:
 
     material: ForeignMaterial
     image_from_uv: np.ndarray
+    clamps: bool = False
+    """The image's edges are extended instead of repeating the image."""
 
 
 def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
@@ -74,16 +77,14 @@ def _masked(node: Node, found: FoundMaterial, remarks: Remarks) -> FoundMaterial
         return replace(found, material=replace(found.material, alpha=min(max(opacity, 0.0), 1.0), alpha_mode="blend"))
     if texture.plugin != "bitmap":
         raise HyalineError(f"{texture.where}: is opacity of a kind that is not read; known is bitmap")
-    image_from_uv = texture.matrix("to_uv")
+    opacity, image_from_uv, clamps = _bitmap(texture, node.name)
     if found.material.image is not None and not np.allclose(image_from_uv, found.image_from_uv):
         remarks.approximate(
             node.name, "is cut out by an image that lies otherwise than that of its colour; drawn whole"
         )
         return found
-    data = read_foreign(texture.file("filename"))
-    opacity = ForeignImage(name=node.name, data=data)
     material = replace(found.material, alpha_mode="blend", opacity=opacity)
-    return FoundMaterial(material=material, image_from_uv=image_from_uv)
+    return FoundMaterial(material=material, image_from_uv=image_from_uv, clamps=clamps or found.clamps)
 
 
 def _plain(material: ForeignMaterial) -> FoundMaterial:
@@ -234,12 +235,11 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     texture = node.child(key)
     if texture is None:
         return _plain(replace(material, base_color=_clipped(node.color(key, default))))
-    image_from_uv = texture.matrix("to_uv")
+    image_from_uv, clamps = texture.matrix("to_uv"), False
     if texture.plugin == "bitmap":
         if texture.flag("raw"):
             remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
-        data = read_foreign(texture.file("filename"))
-        image = ForeignImage(name=node.name, data=data)
+        image, image_from_uv, clamps = _bitmap(texture, node.name)
     elif texture.plugin == "checkerboard":
         fields = np.array([texture.color("color0", 0.4), texture.color("color1", 0.2)])
         place = np.arange(CELLS) >= CELLS // 2
@@ -247,4 +247,15 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
         image = ForeignImage(name=node.name, data=png_bytes(to_8bit(srgb_from_linear(linear))))
     else:
         raise HyalineError(f"{texture.where}: is of a kind that is not read; known are bitmap, checkerboard")
-    return FoundMaterial(material=replace(material, image=image), image_from_uv=image_from_uv)
+    return FoundMaterial(material=replace(material, image=image), image_from_uv=image_from_uv, clamps=clamps)
+
+
+def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, np.ndarray, bool]:
+    """The image of a texture, how it lies, and whether its edges are extended."""
+    mode = texture.text("wrap_mode", "repeat")
+    if mode not in ("repeat", "mirror", "clamp"):
+        raise HyalineError(f"{texture.where}: wrap_mode is {shown(mode)}; expected one of repeat, mirror, clamp")
+    image, image_from_uv = ForeignImage(name=name, data=read_foreign(texture.file("filename"))), texture.matrix("to_uv")
+    if mode == "mirror":
+        image, image_from_uv = mirrored(image, (True, True)), np.diag([0.5, 0.5, 1, 1]) @ image_from_uv
+    return image, image_from_uv, mode == "clamp"

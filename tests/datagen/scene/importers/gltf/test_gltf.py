@@ -186,6 +186,47 @@ def test_a_texture_transform_moves_uv_as_its_extension_says(tmp_path: Path) -> N
     np.testing.assert_allclose(found, np.stack([u, 1 - v], axis=-1), atol=1e-6)
 
 
+def with_image(sampler: dict, pixels: np.ndarray, uv: np.ndarray) -> GltfBuilder:
+    """A triangle with an image."""
+    builder = GltfBuilder()
+    image = builder.add("images", {"bufferView": builder.view(png_bytes(pixels)), "mimeType": "image/png"})
+    texture = builder.add("textures", {"source": image, "sampler": builder.add("samplers", sampler)})
+    attributes = {"POSITION": builder.array(np.eye(3)), "TEXCOORD_0": builder.array(uv)}
+    material = builder.material(pbrMetallicRoughness=clear(baseColorTexture={"index": texture}))
+    primitives = [{"attributes": attributes, "material": material}]
+    builder.node(mesh=builder.add("meshes", {"primitives": primitives}), name="card")
+    return builder
+
+
+MIRRORED, CLAMPED = 33648, 33071
+
+
+@pytest.mark.parametrize("keys", [("wrapS",), ("wrapT",), ("wrapS", "wrapT")])
+def test_a_mirrored_image_repeats_as_its_sampler_says(keys: tuple[str, ...], tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (3, 5, 3), np.uint8)
+    uv = np.array([[-2.3, 0.1], [1.8, 3.4], [0.6, -1.2]])
+    (item,) = read(with_image(dict.fromkeys(keys, MIRRORED), pixels, uv), tmp_path).objects
+    assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
+    image = linear_pixels(item.material.image.data, where="card")
+    (found,) = look_up(image, item.uv[None], repeats=True)
+    # Every other repeat runs backwards.
+    sides = [np.abs((s + 1) % 2 - 1) if key in keys else s % 1 for key, s in zip(("wrapS", "wrapT"), uv.T)]
+    wraps = "wrapS" not in keys, "wrapT" not in keys
+    original = linear_pixels(png_bytes(pixels), where="card")
+    np.testing.assert_allclose(found, bilinear(original, sides[0], sides[1], wraps=wraps), atol=1e-6)
+
+
+@pytest.mark.parametrize(("beyond", "is_told"), [(1e-5, False), (0.5, True)])
+def test_uv_beyond_an_image_that_clamps_are_told(beyond: float, is_told: bool, tmp_path: Path) -> None:
+    uv = np.array([[0.5, 0.5], [1 + beyond, 0.5], [0.5, 7]])
+    remarks = Remarks()
+    builder = with_image({"wrapS": CLAMPED}, np.zeros((2, 2, 3), np.uint8), uv)
+    (item,) = read_gltf(builder.written(tmp_path), remarks).objects
+    assert item.uv is not None and item.uv[1, 0] == pytest.approx(1.5 if is_told else 1.0, abs=1e-9)
+    expected = [("stuff", True)] if is_told else []
+    assert [(line.where, line.is_approximation) for line in remarks.lines if "its uv reach" in line.what] == expected
+
+
 def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     gem = ball(1.0, subdivisions=1)  # Its faces meet at 18 to 22 degrees.
     builder = GltfBuilder()

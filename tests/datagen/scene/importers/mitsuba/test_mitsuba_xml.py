@@ -195,6 +195,42 @@ def test_a_checkerboard_is_an_image_with_its_first_colour_at_the_origin_of_uv(tm
     np.testing.assert_allclose(np.ptp(item.uv, axis=0), [4, 2])
 
 
+WRAPPED = (
+    '<shape type="rectangle"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">'
+    '<string name="filename" value="a.png"/><string name="wrap_mode" value="{}"/>{}</texture></bsdf></shape>'
+)
+MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"/></transform>'
+
+
+@pytest.mark.parametrize("mode", ["repeat", "mirror"])
+def test_an_image_goes_on_beyond_its_edges_as_mitsuba_has_it(mode: str, tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    (item,) = read(tmp_path, WRAPPED.format(mode, MOVED)).objects
+    assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
+    x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50)).astype(np.float32)
+    # The uv of a flat shape are linear in the place.
+    plane = np.linalg.lstsq(item.positions + np.array([0, 0, 1]), item.uv, rcond=None)[0]
+    image = linear_pixels(item.material.image.data, where="a.png")
+    (ours,) = look_up(image, (np.stack([x, y, np.ones(50)], axis=-1) @ plane)[None], repeats=True)
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    loaded = mi.load_file(str(tmp_path / "a.xml"))
+    si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
+    np.testing.assert_allclose(ours, np.array(si.bsdf().eval_diffuse_reflectance(si)).T, atol=2e-3)
+
+
+def test_uv_beyond_an_image_whose_edges_are_extended_are_told(tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
+    remarks = Remarks()
+    read(tmp_path, WRAPPED.format("clamp", ""), remarks)
+    assert not remarks.lines
+    read(tmp_path, WRAPPED.format("clamp", MOVED), remarks)
+    (line,) = remarks.lines
+    assert line.is_approximation and "its uv reach beyond its image, whose edges the file extends" in line.what
+
+
 def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Path) -> None:
     """Smooth over sharp edges, or flat where the file asks for it."""
     gem = trimesh.creation.icosphere(subdivisions=1).apply_scale((1, 1.5, 0.2))
@@ -345,6 +381,7 @@ HOSTILE: dict[str, str] = {
     "an image from the root": image(OUTSIDE),
     "an image from above": image("../other.png"),
     "an image that is missing": image("gone.png"),
+    "an image that wraps in an unknown way": WRAPPED.format("evil", ""),
     "an image without a name": textured('<texture name="reflectance" type="bitmap"/>'),
     "a flat transform": cube('<transform name="to_world"><scale value="0"/></transform>'),
     "a transform without end": cube('<transform name="to_world"><scale value="1e300"/></transform>'),
