@@ -31,6 +31,7 @@ TIMEOUT_S = 60
 MAX_JSON_BYTES = 1 << 28
 """A .gltf may hold its buffers as base64."""
 READ_EXTENSIONS = {
+    "EXT_mesh_features",
     "EXT_mesh_gpu_instancing",
     "EXT_texture_webp",
     "KHR_draco_mesh_compression",
@@ -51,8 +52,10 @@ READ_EXTENSIONS = {
     "KHR_materials_volume",
     "KHR_mesh_quantization",
     "KHR_texture_transform",
+    "KHR_xmp",
+    "KHR_xmp_json_ld",
 }
-"""Extensions that a file may require: read, or left out with a remark."""
+"""Extensions that a file may require: read, or left out with a remark of their own."""
 
 
 class GltfFile:
@@ -166,10 +169,15 @@ def _check_version(root: Fields) -> None:
     version = root.fields("asset").text("version")
     if version.split(".")[0] != "2":
         raise HyalineError(f"{root.where}: is glTF of version {shown(version)}; expected version 2, export it again")
-    required = root.data.get("extensionsRequired", [])
-    names = {name for name in required if isinstance(name, str)} if isinstance(required, list) else set()
-    if unknown := sorted(names - READ_EXTENSIONS):
+    if unknown := unread_extensions(root, "extensionsRequired"):
         raise HyalineError(f"{root.where}: requires {shown(unknown[0])}, which is not read; export it without that")
+
+
+def unread_extensions(root: Fields, key: str) -> list[str]:
+    """The names in a file's list of extensions, used or required, that are not read."""
+    listed = root.data.get(key, [])
+    names = {name for name in listed if isinstance(name, str)} if isinstance(listed, list) else set()
+    return sorted(names - READ_EXTENSIONS)
 
 
 class GltfArrays:

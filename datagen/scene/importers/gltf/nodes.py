@@ -21,6 +21,8 @@ from datagen.scene.importers.remarks import Remarks
 LAMPS = "KHR_lights_punctual"
 MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
+MIN_SCALE = 1e-10
+"""Scale below which there is nothing to see."""
 FILM = 1000.0
 """Height in pixels that describes a camera's pictures: glTF has none."""
 
@@ -68,6 +70,9 @@ def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Itera
             if "skin" in node:
                 remarks.approximate(_name(node), "is moved by bones, which are not read; drawn in its rest pose")
             for world_from_mesh in _copies(arrays, node, world_from_node):
+                if _is_hidden(world_from_mesh):
+                    remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
+                    continue
                 count += 1
                 if count > MAX_SURFACES:
                     raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
@@ -80,6 +85,11 @@ def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Itera
             standing.lamps.append(_lamp(file, lamp, _name(node), world_from_node))
         children = node.indices("children", count=len(nodes))
         waiting += [(child, world_from_node) for child in reversed(children)]
+
+
+def _is_hidden(world: Float[np.ndarray, "4 4"]) -> bool:
+    """True if a mesh is scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3."""
+    return bool(np.linalg.svd(world[:3, :3], compute_uv=False)[1] < MIN_SCALE)
 
 
 def _name(node: Fields) -> str:
@@ -125,14 +135,12 @@ def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -
     high, aspect = lens.number("yfov", 0.0), lens.number("aspectRatio", 1.0)
     if not (0 < high < math.pi and 0 < aspect < 1e3):
         raise HyalineError(f"{lens.where}: sees {high:g} radians at an aspect of {aspect:g}; expected 0 to pi, above 0")
-    lengths = np.linalg.norm(world[:3, :3], axis=0)
-    if not lengths.min() > 0:
-        raise HyalineError(f"{camera.where}: its node flattens it to nothing; expected a scale other than 0")
+    lengths = np.maximum(np.linalg.norm(world[:3, :3], axis=0), MIN_SCALE)
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = world[:3, :3] / lengths, world[:3, 3]
     axes = matrix[:3, :3]
     if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
-        remarks.approximate(_name(camera), "is a camera that its node skews or mirrors, which is left out")
+        remarks.approximate(_name(camera), "is a camera that its node skews, mirrors or flattens, which is left out")
         return []
     width, height = aspect * FILM, FILM
     found = lens_of(0.5 * height / math.tan(high / 2), width, height, where=camera.where)

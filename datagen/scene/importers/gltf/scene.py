@@ -9,7 +9,7 @@ import numpy as np
 
 from datagen.data.metadata import license_line
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json
+from datagen.disk.records import Json, shown
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
@@ -19,7 +19,7 @@ from datagen.scene.importers.foreign import (
     ForeignScene,
     elementwise,
 )
-from datagen.scene.importers.gltf.file import GltfArrays, GltfFile, read_draco
+from datagen.scene.importers.gltf.file import GltfArrays, GltfFile, read_draco, unread_extensions
 from datagen.scene.importers.gltf.materials import TextureUse, clamped, read_material
 from datagen.scene.importers.gltf.nodes import Instance, Standing, instances
 from datagen.scene.importers.remarks import Remarks
@@ -39,6 +39,8 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     _check_lists(file)
     standing = Standing()
     placed = list(instances(arrays, standing, remarks))
+    for extension in unread_extensions(file.root, "extensionsUsed"):
+        remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
     if "animations" in file.root:
         remarks.note(path.name, "has animations, which are not read; drawn as the nodes place it")
     uses: dict[int, int] = {}

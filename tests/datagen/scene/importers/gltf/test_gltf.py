@@ -239,6 +239,33 @@ def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
+def test_what_its_node_scales_to_nothing_is_left_out_with_a_note(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    mesh = builder.mesh()
+    lens = {"type": "perspective", "perspective": {"yfov": 0.6, "aspectRatio": 1.5}}
+    below = builder.node(is_root=False, mesh=mesh, name="below")
+    seer = builder.node(is_root=False, camera=builder.add("cameras", lens))
+    builder.node(scale=[0, 0, 0], children=[below, seer])
+    builder.node(mesh=mesh, name="line", scale=[1, 0, 0])
+    attributes = {"SCALE": builder.array(np.array([[1, 1, 1], [0, 0, 0]]))}
+    builder.node(mesh=mesh, name="cup", extensions={"EXT_mesh_gpu_instancing": {"attributes": attributes}})
+    remarks = Remarks()
+    scene = read_gltf(builder.written(tmp_path), remarks)
+    assert [item.name for item in scene.objects] == ["cup"] and not scene.cameras
+    told = {line.where: line.is_approximation for line in remarks.lines}
+    assert told == {"below": False, "line": False, "cup": False, "cameras[0]": True}
+
+
+def test_an_extension_that_is_used_and_not_read_is_an_approximation(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(), extensions={"KHR_node_visibility": {"visible": False}})
+    builder.content["extensionsUsed"] = ["KHR_materials_ior", "KHR_xmp_json_ld", "KHR_node_visibility"]
+    remarks = Remarks()
+    read_gltf(builder.written(tmp_path), remarks)
+    (line,) = remarks.lines
+    assert line.is_approximation and line.what == "uses the extension 'KHR_node_visibility', which is not read"
+
+
 def test_only_the_files_own_scene_is_read(tmp_path: Path) -> None:
     builder = GltfBuilder()
     mesh = builder.mesh()
