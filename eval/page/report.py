@@ -11,6 +11,7 @@ from pathlib import Path
 
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
+from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
@@ -145,8 +146,9 @@ def make_tables(
     kept = kept_in(out)
     scenes = _score_scenes(wanted, errors, kept)
     if not scenes:
+        datasets = list_datasets(data_root) if only is None else [only]
         hint = (
-            f"; make them with `model sweep {tables[0]}`"
+            f"; make them with `{_sweep_command(tables[0], [] if asked[tables[0]].needs_more else datasets)}`"
             if tables[0] in TABLES.built_in and asked[tables[0]].is_swept
             else ""
         )
@@ -174,6 +176,10 @@ def make_tables(
         say(f"error: {error}")
     if errors:
         raise errors[-1]
+
+
+def _sweep_command(table: str, datasets: Sequence[Path]) -> str:
+    return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
 
 
 def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> EditedPsnr:

@@ -239,4 +239,5 @@ def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Findi
 CLAIMS_TABLE = Table(
     shows=lambda run: any(line.fits(run) for claim in CLAIMS for pair in claim.pairs for line in pair.lines),
     grids=lambda scenes, edited: [claims_grid(scenes, {scene.title: edited(scene) for scene in scenes})],
+    needs_more=True,
 )

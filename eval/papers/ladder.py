@@ -175,4 +175,5 @@ PROXIES = Table(
     shows=lambda run: any(line.fits(run) for line in LADDER.lines),
     grids=lambda scenes, _: [ladder_grid(scene) for scene in scenes],
     picture=_picture,
+    needs_more=True,
 )

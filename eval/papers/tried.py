@@ -86,6 +86,7 @@ def _has_glass(scene: SceneScores) -> bool:
 DEEP_VOXELS_TABLE = Table(
     shows=lambda run: any(line.fits(run) for line in DEEP_VOXELS),
     grids=lambda scenes, _: [deep_voxels_grid(scenes)] if scenes else [],
+    needs_more=True,
 )
 
 
@@ -142,4 +143,5 @@ LARGER = Table(
     shows=lambda run: run.method in ("paper", "dnr-layers", "light-path"),
     grids=lambda scenes, _: [larger_grid(scene) for scene in scenes],
     picture=_picture,
+    needs_more=True,
 )

@@ -25,6 +25,8 @@ class Table:
     """A PNG beside the table; None: there is none."""
     is_swept: bool = True
     """True if `model sweep` trains its runs."""
+    needs_more: bool = False
+    """True if its runs need edits, larger pictures or proxies, which `model sweep` makes of its own datasets alone."""
 
 
 TABLES: Group[Table] = Group(

@@ -521,8 +521,10 @@ def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, 
     with pytest.raises(HyalineError, match="format 'csv': there is none of that name"):
         tables(dataset, tmp_path, "table1", output_format="csv")
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
-    with pytest.raises(HyalineError, match=r"contains no run of table2; make them with `model sweep table2"):
+    with pytest.raises(HyalineError, match=r"contains no run of table2; make them with `model sweep table2 --dataset "):
         tables(dataset, tmp_path / "nowhere", "table2")
+    with pytest.raises(HyalineError, match=r"contains no run of claims; make them with `model sweep claims`"):
+        tables(dataset, tmp_path / "nowhere", "claims")
 
 
 @pytest.mark.parametrize("name", TABLES.built_in)
