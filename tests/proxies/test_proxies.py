@@ -90,7 +90,7 @@ def shapes(seed: int) -> list[Mesh]:
 
 
 @pytest.mark.parametrize("kind", CONVEX_KINDS)
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.full) for seed in (1, 2))])
 def test_proxies_are_closed_outward_and_enclose_every_vertex_as_stored(kind: ProxyKind, seed: int) -> None:
     truths = shapes(seed)
     for truth in truths:
@@ -110,7 +110,7 @@ def test_proxies_are_closed_outward_and_enclose_every_vertex_as_stored(kind: Pro
         assert measure.enclosure(proxy, truth).problem is None
 
 
-@settings(max_examples=6, deadline=None, derandomize=True)
+@settings(max_examples=3, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(3, 30), flatness=st.floats(-8, 0), distance=st.floats(-30, 30))
 def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, distance: float) -> None:
     rng = np.random.default_rng(seed)
