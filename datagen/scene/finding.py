@@ -1,8 +1,10 @@
 """The scene that `--scene` means: a built-in or a random one, a folder, or a file from elsewhere."""
 
+import dataclasses
 from pathlib import Path
 
 from datagen.data.config import Resolution
+from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
@@ -58,7 +60,9 @@ def find_scene(
         check_ending(Path(given))
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reads and checks it")
-        return load_scene(Path(given))
+        scene = load_scene(Path(given))
+        # That of an edit lists the objects that it removed.
+        return dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
     if "/" in given:
         return load_scene(Path(given))
     if (random := parse_random(given)) is not None:
