@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from datagen.disk.names import printable
 from datagen.pages.html import Markup, join, tag
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: st
         for line in lines:
             x, y = [x for x, _ in line.points], [y if math.isfinite(y) else math.nan for _, y in line.points]
             axes.plot(x, y, label=line.name, marker="o" if len(x) <= MOST_MARKED else "")
-        axes.set(xlabel=x_title, ylabel=y_title)
+        axes.set(xlabel=printable(x_title), ylabel=printable(y_title))
         axes.locator_params(axis="x", nbins=5)
         return page_figure(figure, title)
 

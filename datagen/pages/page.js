@@ -42,7 +42,8 @@ const pages = [...document.querySelectorAll("main > .page")];
 const links = [...document.querySelectorAll("nav a")];
 
 function turnTo() {
-  const wanted = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const wanted = document.getElementById(location.hash.slice(1)); // Names are plain ASCII.
+  if (wanted?.matches("main") && pages.some((candidate) => candidate.hidden)) return; // To skip the navigation.
   const page = pages.find((candidate) => candidate.contains(wanted)) ?? pages[0];
   for (const other of pages) other.hidden = other !== page;
   for (const link of links) {

@@ -148,6 +148,8 @@ def _by_rank(compared: Sequence[Compared], most: int) -> Iterator[tuple[Compared
 HELD_OUT = "held_out_psnr"
 TITLES = {"loss": ("Training loss", "loss"), HELD_OUT: ("PSNR on held-out views", "PSNR (dB)")}
 """Titles of a curve and of its axis. Other curves use their names in the file."""
+MAX_VALUE = 1e30
+"""Larger numbers in a run's curves count as damage."""
 MOST_POINTS = 400
 """Most points of a curve on the page; from more, an even selection."""
 
@@ -310,7 +312,7 @@ def read_training(folder: Path) -> Training:
         step = record.pop("step", None)
         if isinstance(step, (int, float)):
             for key, value in record.items():
-                if is_number(value):
+                if is_number(value) and abs(value) < MAX_VALUE:
                     curves.setdefault(key, []).append((float(step), float(value)))
     return Training(
         curves={key: _thinned(points) for key, points in curves.items()},

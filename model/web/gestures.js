@@ -86,7 +86,7 @@ class Gestures {
 
   key(event) {
     const { page, camera } = this, name = event.key.length === 1 ? event.key.toLowerCase() : event.key;
-    if (event.ctrlKey || event.metaKey) return;
+    if (event.ctrlKey || event.metaKey || event.altKey) return;
     if (TURN_KEYS[name]) {
       const [right, up] = TURN_KEYS[name];
       if (event.shiftKey) camera.fly(right / 2, up / 2, 0);

@@ -34,7 +34,8 @@ class Objects {
     const original = this.all[index];
     if (this.all.length >= this.listed.length + MAX_COPIES || !this.hasRoomFor(original)) return undefined;
     const name = freeName(this.listed[original.of].name, this.all);
-    this.all.push({ ...structuredClone(original), name, offset: add(original.offset, step) });
+    const shown = this.listed[original.of].numFaces > 0;
+    this.all.push({ ...structuredClone(original), name, shown, offset: add(original.offset, step) });
     return this.all.length - 1;
   }
 
@@ -76,7 +77,7 @@ class Objects {
     }
     this.all.forEach((item, index) => {
       const text = textOf(item);
-      if (this.isCopy(index) || text !== textOf(this.fresh(item.of, item.name))) parts.set(named[index].name, text);
+      if (this.isCopy(index) || text !== textOf(this.fresh(item.of, item.name))) parts.set(keyOf(named[index].name), text);
     });
   }
 
@@ -86,7 +87,7 @@ class Objects {
       const of = this.listed.findIndex((item) => item.name === name);
       if (of >= 0) this.all.push(this.fresh(of, freeName(name, this.all)));
     }
-    this.all.forEach((item, index) => this.readOne(index, (parts.get(item.name) || "").split(" ").map(Number)));
+    this.all.forEach((item, index) => this.readOne(index, (parts.get(keyOf(item.name)) || "").split(" ").map(Number)));
   }
 
   readOne(index, numbers) {
@@ -98,6 +99,9 @@ class Objects {
     if (this.listed[this.all[index].of].wall) this.all[index].wall = Math.min(WALLS.most, Math.max(WALLS.least, wall));
   }
 }
+
+// An object may have the name of one of the link's own keys.
+const keyOf = (name) => (name === "view" || name === "copy" ? `${name}.` : name);
 
 function freeName(name, items) {
   let count = 1;

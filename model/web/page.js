@@ -1,5 +1,7 @@
 // The page: what its parts tell each other.
 
+const LINK_MS = 400, MESSAGE_MS = 4000;
+
 class Page {
   constructor(scene, trees, shader) {
     Object.assign(this, { scene, trees, shader, canvas: element("view"), chosen: -1 });
@@ -33,8 +35,21 @@ class Page {
       this.show("The graphics processor was lost; waits for it …");
     });
     this.canvas.addEventListener("webglcontextrestored", () => this.restart().catch(fail));
-    new ResizeObserver(() => (this.fit(), this.frames.changed(), this.overlay())).observe(this.canvas);
-    window.addEventListener("hashchange", () => this.readLink() && this.update());
+    new ResizeObserver(() => this.resized()).observe(this.canvas);
+    this.watchResolution();
+    window.addEventListener("hashchange", (event) => this.readLink(new URL(event.newURL).hash) && this.update());
+  }
+
+  resized() {
+    this.fit();
+    this.frames.changed();
+    this.overlay();
+  }
+
+  // A window that moves to another screen keeps its size in CSS pixels.
+  watchResolution() {
+    const moved = () => (this.resized(), this.watchResolution());
+    matchMedia(`(resolution: ${window.devicePixelRatio}dppx)`).addEventListener("change", moved, { once: true });
   }
 
   // After the graphics processor was lost, and all textures with it.
@@ -47,11 +62,13 @@ class Page {
 
   // The figures of frames, which change all the time, are not read aloud.
   show(text, live = "polite") {
+    if (live === "polite") this.shownAt = performance.now();
     Object.assign(element("status"), { ariaLive: live, textContent: text });
   }
 
   drew({ width, height, rays, ms }) {
     if (this.beatsStill(width)) this.canvas.classList.add("drawn");
+    if (performance.now() - this.shownAt < MESSAGE_MS) return;
     const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
     this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`, "off");
   }
@@ -59,7 +76,7 @@ class Page {
   // Whether a frame so wide shows more than the still picture: at least as many pixels of the same view, or another one.
   beatsStill(width) {
     const { naturalWidth, naturalHeight } = element("still"), { clientWidth, clientHeight } = this.canvas;
-    const isOther = location.hash.slice(1) !== `${new URLSearchParams({ view: this.scene.manifest.start })}`;
+    const isOther = this.link() !== `#${new URLSearchParams({ view: this.scene.manifest.start })}`;
     const stillWidth = clientWidth * Math.max(naturalWidth / clientWidth, naturalHeight / clientHeight);
     return isOther || width >= Math.min(stillWidth, this.canvas.width);
   }
@@ -185,16 +202,24 @@ class Page {
 
   // ---- The link: what differs from the page as it opens
 
-  writeLink() {
+  link() {
     const parts = new URLSearchParams(), view = element("views").value;
     parts.set("view", view || [...this.camera.matrix, ...this.camera.pivot].map(short).join(" "));
     this.objects.write(parts);
-    history.replaceState(null, "", `#${parts}`);
+    return `#${parts}`;
+  }
+
+  // Browsers ignore or refuse more than some 100 changes of the address in 30 s.
+  writeLink() {
+    this.linkTimer ??= setTimeout(() => {
+      this.linkTimer = undefined;
+      history.replaceState(null, "", this.link());
+    }, LINK_MS);
   }
 
   // True where there was a link that could be read.
-  readLink() {
-    const parts = new URLSearchParams(location.hash.slice(1)), view = parts.get("view");
+  readLink(hash = location.hash) {
+    const parts = new URLSearchParams(hash.slice(1)), view = parts.get("view");
     if (view === null) return false;
     this.objects.read(parts);
     this.chosen = -1;
@@ -211,7 +236,7 @@ class Page {
 
   async copyLink() {
     try {
-      await navigator.clipboard.writeText(location.href);
+      await navigator.clipboard.writeText(location.href.split("#")[0] + this.link());
       this.show("The link is copied.");
     } catch {
       this.show("This browser copies nothing for pages from disk; the link is in the address bar.");

@@ -31,13 +31,13 @@ class Panel {
 
   listObjects() {
     const { page } = this;
-    element("objects").replaceChildren(...page.objects.all.map((object, index) => {
+    keepingFocus(element("objects"), (list) => list.replaceChildren(...page.objects.all.map((object, index) => {
       const box = made("input", { type: "checkbox", checked: object.shown, ariaLabel: `Show ${object.name}` });
       box.addEventListener("change", () => page.edit(index, { shown: box.checked }));
       const name = made("button", { type: "button", textContent: object.name, ariaPressed: "false" });
       name.addEventListener("click", () => page.choose(page.chosen === index ? -1 : index));
       return made("li", {}, box, name);
-    }));
+    })));
     this.describe();
   }
 
@@ -47,8 +47,9 @@ class Panel {
     fields.hidden = !object;
     if (object) {
       const shape = [...this.placeSliders(object), ...this.wallSlider(object), ...this.materialFields(object)];
-      fields.replaceChildren(made("legend", { textContent: object.name }), ...shape, this.buttons());
-    }
+      const all = [made("legend", { textContent: object.name }), ...shape, this.buttons()];
+      keepingFocus(fields, () => fields.replaceChildren(...all));
+    } else if (fields.contains(document.activeElement)) element("objects").querySelector("button").focus();
     this.refresh();
   }
 
@@ -113,4 +114,11 @@ class Panel {
     for (const input of element("chosen").querySelectorAll("input")) if (input.refresh) input.refresh();
     element("fly").ariaPressed = String(page.gestures.looks);
   }
+}
+
+// Rebuilds the controls inside of an element; the one in the same place gets the focus if one had it.
+function keepingFocus(box, rebuild) {
+  const controls = () => [...box.querySelectorAll("input, select, button")], place = controls().indexOf(document.activeElement);
+  rebuild(box);
+  if (place >= 0) controls().at(Math.min(place, controls().length - 1)).focus();
 }

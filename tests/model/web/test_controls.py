@@ -16,6 +16,8 @@ from datagen.trace.peel import Peeler
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, CDPSession, Page
 
+WRITTEN = "async () => location.hash === (await hyaline).link()"
+"""The address is that of what is shown."""
 STATE = "async () => { const { camera, objects } = await hyaline; return [camera.matrix, objects.all]; }"
 
 
@@ -166,6 +168,7 @@ def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     page.get_by_label("Turn x").fill("30")
     page.get_by_role("button", name="drink").click()
     page.get_by_label("Refractive index").fill("1.7")
+    wait_until(page, WRITTEN)
     link = page.url
     camera, objects = state(page)
     assert not objects[1]["shown"]
@@ -173,6 +176,7 @@ def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     assert (objects[7]["event"], objects[7]["turn"]) == ("refracts", [30, 0, 0])
     page.get_by_role("button", name="Reset").click()
     assert len(state(page)[1]) == 7
+    wait_until(page, WRITTEN)
     page.goto(link)
     wait_until(page, "async () => !(await hyaline).objects.all[1].shown")
     restored = state(page)
@@ -196,6 +200,29 @@ def test_a_link_keeps_a_copy_of_which_an_earlier_one_was_taken_away(page: "Page"
         }"""
     )
     assert restored == [kept] and kept[0] == pytest.approx(0.2)
+
+
+def test_the_address_follows_many_changes_in_few_steps(page: "Page") -> None:
+    page.evaluate(
+        """async () => {
+            const shown = await hyaline, replace = history.replaceState.bind(history);
+            window.written = 0;
+            history.replaceState = (...all) => (window.written++, replace(...all));
+            for (let i = 0; i < 300; i++) { shown.camera.orbit(0.01, 0); shown.moved(); }
+        }"""
+    )
+    wait_until(page, WRITTEN)
+    assert 1 <= page.evaluate("window.written") <= 3
+
+
+def test_a_control_keeps_the_focus_when_it_is_rebuilt(page: "Page") -> None:
+    page.get_by_role("button", name="metal").click()
+    page.get_by_label("Material of").focus()
+    page.keyboard.press("ArrowUp")
+    assert page.evaluate("document.activeElement.tagName") == "SELECT"
+    page.get_by_role("button", name="Copy", exact=True).press("Enter")
+    page.get_by_role("button", name="Take away").press("Enter")
+    assert page.evaluate("document.activeElement.closest('#objects') !== null")
 
 
 def test_a_click_tells_the_layers_that_python_peels_and_the_branches_of_light(page: "Page") -> None:
