@@ -107,6 +107,8 @@ PIZ, ROWS_PER_BLOCK = 4, 32
 EXR_CHANNELS = ("R", "G", "B", "noise.R", "noise.G", "noise.B")
 
 MAX_EXR_SIDE = 1 << 16
+MAX_HALF = 65504
+"""The largest half-precision number."""
 
 EXR_BLOCK_ROWS = {0: 1, 1: 1, 2: 1, 3: 16, 4: 32, 5: 16, 6: 32, 7: 32, 8: 32, 9: 256}
 """Rows that are compressed at once by each compression: none, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB."""
@@ -116,7 +118,7 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
     """The EXR of a view: linear R, G, B and noise.R, noise.G, noise.B. The same values give the same bytes."""
     import OpenEXR
 
-    halves = np.concatenate([radiance, noise], axis=-1).astype(np.float16)
+    halves = np.clip(np.concatenate([radiance, noise], axis=-1), -MAX_HALF, MAX_HALF).astype(np.float16)
     channels = {name: np.ascontiguousarray(halves[..., place]) for place, name in enumerate(EXR_CHANNELS)}
     header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
     buffer = io.BytesIO()

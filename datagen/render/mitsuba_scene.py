@@ -322,6 +322,10 @@ def _cover(card: Card, directions: Float[np.ndarray, "... 3"]) -> Float[np.ndarr
     return np.asarray(cover)
 
 
+BLACK = 1e-30
+"""Radiance of a black sky."""
+
+
 def environment_plugin(scene: Scene) -> Plugin:
     """Mitsuba's emitter for the light from infinitely far."""
     import mitsuba as mi
@@ -331,6 +335,8 @@ def environment_plugin(scene: Scene) -> Plugin:
         radiance, to_world = painted(environment), _Z_UP
     else:
         radiance, to_world = _map_of(scene, environment), _about_z(environment.rotation_deg) @ _MIDDLE_TO_X
+    if not radiance.any():  # Mitsuba 3.9 divides a map by its sum.
+        radiance = np.full_like(radiance, BLACK)
     return {"type": "envmap", "bitmap": mi.Bitmap(radiance), "to_world": mitsuba_transform(to_world)}
 
 

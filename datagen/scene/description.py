@@ -5,6 +5,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
@@ -30,7 +32,7 @@ MAP_ENDINGS = (".exr", ".hdr")
 class Lobe:
     """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
 
-    Sharpness 20 is about 36 degrees wide at half height; small lights cause fireflies behind glass.
+    Sharpness 20 is about 30 degrees wide at half height; small lights cause fireflies behind glass.
     """
 
     direction: Vector
@@ -132,6 +134,8 @@ class RectangleLight:
 
     def __post_init__(self) -> None:
         check_range("light radiance", self.radiance, 0, math.inf)
+        if not np.linalg.norm(np.cross(self.edge_u, self.edge_v)) > 0:
+            raise HyalineError(f"light edges: are {self.edge_u} and {self.edge_v}; expected two that span a rectangle")
 
 
 # Cameras
@@ -169,6 +173,11 @@ class CameraRig:
         low, high = self.elevation_deg
         if not -90 < low <= high < 90:
             raise HyalineError(f"camera elevation_deg: is {self.elevation_deg}; expected -90 < low <= high < 90")
+        first, last = self.azimuth_deg
+        if not first <= last <= first + 360:
+            raise HyalineError(
+                f"camera azimuth_deg: is {self.azimuth_deg}; expected first <= last <= first + 360, such as (350, 370)"
+            )
         if not 0 < self.fov_deg < 170:
             raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
         if len(self.walk) < 2:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from datagen.disk.errors import HyalineError
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.substances import Ior, check_ior, index_of
 from datagen.scene.textures import Reflectance, check_reflectance
@@ -22,6 +23,8 @@ class Plastic(Optics):
         check_reflectance(self.color)
         check_ior(self.ior)
         check_roughness(self.roughness)
+        if index_of(self.ior) == 1:
+            raise HyalineError("ior: is 1, and a coat of that index shows nothing; expected more, or Diffuse")
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:
         """The base with interreflection below the coat, on both sides."""
