@@ -43,7 +43,8 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
     if out.suffix == "":
         refuse_others(out, FRAMES)
         _refuse_foreign_frames(out, frames)
-        if is_ours(out, FRAMES) and not overwrite and load_sealed(out / FRAMES.head) != _head(frames):
+        is_whole = all((out / name).is_file() for name in _own_frames(out))
+        if is_ours(out, FRAMES) and not overwrite and (is_whole or load_sealed(out / FRAMES.head) != _head(frames)):
             raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --out")
         return
     if out.suffix not in (ANIMATED, MOVIE):
@@ -128,6 +129,8 @@ def _mp4_bytes(pictures: list[UInt8[np.ndarray, "h w 3"]], fps: float) -> bytes:
         out = Path(folder) / "film.mp4"
         words = [_find_ffmpeg(), "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size]
         words += ["-r", f"{fps:g}", "-i", "-", "-c:v", "libx264", "-crf", "16", "-pix_fmt", "yuv420p"]
+        # Players take untagged pictures of 1280 pixels and more for BT.709, and ffmpeg converts to BT.601.
+        words += ["-vf", "scale=out_color_matrix=bt709:out_range=tv", "-colorspace", "bt709", "-color_range", "tv"]
         words += ["-movflags", "+faststart", "-map_metadata", "-1", "-fflags", "+bitexact", "-flags:v", "+bitexact"]
         ended = subprocess.run([*words, str(out)], input=raw, capture_output=True, check=False)
         if ended.returncode != 0:

@@ -27,7 +27,8 @@ def _view_part(item: ExportView, glass: dict[str, int]) -> Part:
     files = (f"images/{item.name}.png", *(f"masks/{name}/{item.name}.png" for name in glass))
 
     def make() -> Mapping[str, bytes]:
-        first = item.view.object_ids()[0]
+        drawn = item.view.imported_object_ids  # Of a captured dataset, whose layers are those of stand-ins.
+        first = item.view.object_ids()[0] if drawn is None else drawn
         return dict(zip(files, (rgb_png(item), *(mask_png(first == index) for index in glass.values())), strict=True))
 
     return Part(name=item.name, files=files, make=make)

@@ -34,7 +34,10 @@ from datagen.terminal.distribution import VERSION
 
 IMAGES = ("image", "depth", "glass")
 MATRIX = "transform_matrix"
-HUB_LICENSES = r"cc0-1\.0|cc-by(-nc)?(-sa|-nd)?-[234]\.0|mit|apache-2\.0"
+HUB_LICENSES = (
+    r"cc0-1\.0|mit|apache-2\.0|cc-by-(2\.[05]|[34]\.0)|cc-by-sa-[34]\.0|cc-by-nd-4\.0|"
+    r"cc-by-nc-[234]\.0|cc-by-nc-sa-[234]\.0|cc-by-nc-nd-[34]\.0"
+)
 """Those that the hub knows by name, in small letters."""
 
 CROISSANT = "croissant.json"
@@ -81,7 +84,7 @@ Exported by hyaline {version}: `datagen export {name} --format huggingface`. Dig
 |---|---:|---:|---:|
 {splits}
 
-`validation` is held out of training; `interpolating` lies among the training cameras, `extrapolating` leaves them. The
+`validation` {held_out}; `interpolating` lies among the training cameras, `extrapolating` leaves them. The
 noise ceiling is the PSNR that a perfect method would reach in spite of the noise of the pictures.
 
 ## Units and conventions
@@ -186,6 +189,8 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> bytes:
         }
     )
     columns[MATRIX] = "sequence:\n      sequence: float64"
+    learned = {item.view.index for item in source.views if item.role == "train"}
+    is_held_out = learned.isdisjoint(item.view.index for item in source.views if item.role == "val")
     return CARD.format(
         license=_license(terms),
         title=json.dumps(f"{source.dataset.name} (hyaline)"),
@@ -197,6 +202,7 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> bytes:
         made=_made(source.dataset),
         version=VERSION,
         seal=source.dataset.seal,
+        held_out="is held out of training" if is_held_out else "repeats a training view",
         splits="\n".join(_split_line(split, items) for split, items in groups.items()),
         convention=CONVENTION,
         limits=RENDERED_LIMITS if source.dataset.imported is None else IMPORTED_LIMITS,
