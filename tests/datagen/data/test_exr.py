@@ -37,6 +37,11 @@ def test_an_exr_holds_half_floats_of_what_was_written_and_mitsuba_reads_the_same
     assert np.array_equal(np.array(bitmap, np.float32)[..., place["noise.G"]], noise[..., 1])
 
 
+def test_radiance_beyond_half_precision_stays_finite() -> None:
+    bright = np.full((2, 2, 3), 1e6, np.float32)
+    assert (decode_exr(encode_exr(bright, bright), where="view.exr")[0] == 65504).all()
+
+
 def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
     check_exr(good, where="view.exr")
     for length in range(len(good)):

@@ -34,6 +34,10 @@ def test_a_folder_gets_a_png_a_frame_and_its_own_frames_alone_are_replaced(tmp_p
     (out / "notes.txt").write_text("mine")
     with pytest.raises(HyalineError, match=r"frames: holds another film; pass --overwrite"):
         check_film(out, 10, frames=2, overwrite=False)
+    with pytest.raises(HyalineError, match=r"frames: holds another film; pass --overwrite"):
+        check_film(out, 10, frames=3, overwrite=False)
+    (out / "0002.png").unlink()  # Interrupted.
+    check_film(out, 10, frames=3, overwrite=False)
     check_film(out, 10, frames=2, overwrite=True)
     write_film(out, iter(FRAMES[1:]), 10, frames=2)
     assert sorted(read_state(out).files) == ["0000.png", "0001.png", "film.json", "notes.txt"]

@@ -50,6 +50,15 @@ def test_a_slab_transmits_and_reflects_what_fresnel_and_beer_say(absorption: flo
     assert image.mean() == pytest.approx(through + back, rel=0.01)
 
 
+def test_a_lamp_lights_a_scene_below_a_black_sky() -> None:
+    lamp = RectangleLight(corner=(-0.5, -0.5, 1), edge_u=(0, 1, 0), edge_v=(1, 0, 0), radiance=(1, 1, 1))
+    floor = SceneObject(name="floor", mesh=quad(0), material=Diffuse(color=(0.5, 0.5, 0.5)))
+    black = SoftEnvironment(zenith=(0, 0, 0), horizon=(0, 0, 0), ground=(0, 0, 0))
+    scene = dataclasses.replace(scene_of(floor, environment=black), lights=(lamp,))
+    picture = rendered(scene, camera((2, 0.01, 0.5), fov=0.1), spp=64)
+    assert np.isfinite(picture).all() and 0 < picture.mean() < 0.5
+
+
 def test_a_slab_tints_what_crosses_its_surface_twice_and_nothing_that_it_mirrors() -> None:
     tint = np.array((1.0, 0.7, 0.4))
     slab = SceneObject(name="slab", mesh=box((0.2, 8, 8)), material=Dielectric(ior=1.5, tint=as_vector(tint)))

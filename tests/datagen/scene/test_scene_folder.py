@@ -16,7 +16,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
-from datagen.scene.description import Lobe, Scene, SceneObject
+from datagen.scene.description import CameraRig, Lobe, RectangleLight, Scene, SceneObject
 from datagen.scene.folder import Transform, load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
@@ -176,6 +176,12 @@ def test_values_that_render_silently_wrong_are_refused() -> None:
         Dielectric(absorption=(float("nan"), 0, 0))
     with pytest.raises(HyalineError, match="lobe radiance"):
         Lobe(direction=(0, 0, 1), radiance=(-1, 0, 0), sharpness=5)
+    with pytest.raises(HyalineError, match="ior: is 1, and a coat of that index shows nothing"):
+        Plastic(color=(0.5, 0.5, 0.5), ior="air")
+    with pytest.raises(HyalineError, match=r"light edges: .* expected two that span a rectangle"):
+        RectangleLight(corner=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(2, 0, 0), radiance=(1, 1, 1))
+    with pytest.raises(HyalineError, match=r"camera azimuth_deg: .* such as"):
+        CameraRig(target=(0, 0, 0), radius=1, elevation_deg=(0, 60), azimuth_deg=(350, 10), walk=())
 
 
 def test_more_objects_than_ids_are_refused() -> None:
