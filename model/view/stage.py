@@ -1,5 +1,6 @@
 """The viewer's scene (the dataset's cameras with their pictures, and the meshes of one geometry) and its panel."""
 
+import re
 import threading
 from collections.abc import Callable, Iterator
 from typing import Literal
@@ -27,6 +28,11 @@ FRAME_SHARE = 0.05
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
 GLASS_OPACITY = 0.35
+
+
+def as_text(text: str) -> str:
+    """Markdown that shows a text as it is, such as a folder's name, and loads nothing."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
 
 
 class Stage:
@@ -180,7 +186,7 @@ class Panel:
             on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
         """
         gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
-        self._status, self._trouble = gui.add_markdown(dataset.name), gui.add_markdown("", visible=False)
+        self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
         layer: list[Sight] = ["layer"] if geometries else []
         sights: list[Sight] = [*(["prediction"] if has_run else []), *layer, "nothing"]
         first: Sight = "prediction" if has_run else "nothing"
@@ -241,11 +247,13 @@ class Panel:
 
     def tell_run(self, status: str) -> None:
         """Shows the run's progress."""
+        status = as_text(status)
         if self._status.content != status:
             self._status.content = status
 
     def tell_trouble(self, trouble: str) -> None:
         """Shows why there is no picture; empty: hides the message."""
+        trouble = as_text(trouble)
         if self._trouble.content != trouble:
             self._trouble.content, self._trouble.visible = trouble, bool(trouble)
 

@@ -62,13 +62,18 @@ class Page {
 
   // The figures of frames, which change all the time, are not read aloud.
   show(text, live = "polite") {
-    if (live === "polite") this.shownAt = performance.now();
     Object.assign(element("status"), { ariaLive: live, textContent: text });
+  }
+
+  // What the figures of the next frames do not replace.
+  answer(text) {
+    this.answeredAt = performance.now();
+    this.show(text);
   }
 
   drew({ width, height, rays, ms }) {
     if (this.beatsStill(width)) this.canvas.classList.add("drawn");
-    if (performance.now() - this.shownAt < MESSAGE_MS) return;
+    if (performance.now() - this.answeredAt < MESSAGE_MS) return;
     const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
     this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`, "off");
   }
@@ -135,7 +140,7 @@ class Page {
     const middle = middleOf(this.objects.all[this.chosen], this.trees.bounds[this.objects.all[this.chosen].of]);
     const aside = 0.15 * norm(add(middle, this.camera.place, -1)), right = this.camera.axis(0);
     const index = this.objects.copy(this.chosen, [right[0] * aside, right[1] * aside, 0]);
-    if (index === undefined) return this.show("There is no room for another copy.");
+    if (index === undefined) return this.answer("There is no room for another copy.");
     this.panel.listObjects();
     this.choose(index);
     this.update();
@@ -237,9 +242,9 @@ class Page {
   async copyLink() {
     try {
       await navigator.clipboard.writeText(location.href.split("#")[0] + this.link());
-      this.show("The link is copied.");
+      this.answer("The link is copied.");
     } catch {
-      this.show("This browser copies nothing for pages from disk; the link is in the address bar.");
+      this.answer("This browser copies nothing for pages from disk; the link is in the address bar.");
     }
   }
 
@@ -278,7 +283,7 @@ class Page {
       const film = await this.film.turntable();
       if (film) save(`${this.scene.manifest.name}.webm`, URL.createObjectURL(film));
     } catch (error) {
-      this.show(error.message);
+      this.answer(error.message);
     } finally {
       element("film").textContent = "Film a turn";
     }
