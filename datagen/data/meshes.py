@@ -186,7 +186,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def unfolded(
     positions: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], fans: Int[np.ndarray, " polygon"]
 ) -> Int[np.ndarray, "face 3"]:
-    """The triangles of polygons, each of which covers its own area once.
+    """The triangles of polygons, without overlaps and inside each polygon.
 
     A fan around the first corner leaves a concave polygon and folds back into it; such polygons are triangulated in
     the plane that they face most.

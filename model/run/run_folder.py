@@ -109,7 +109,7 @@ class RunRecord:
     num_layers: int | None = None
     """Stored straight layers that it looks up; None if it does not use any."""
     label: str
-    """Of the run on its page and in the list of runs; tables of scores have its folder's name."""
+    """Label on the run's page and in the list of runs; tables of scores use the folder's name."""
     config: TrainConfig
     flags: tuple[str, ...] = ()
     """The words after `model train METHOD DATASET` that train it again."""

@@ -30,7 +30,7 @@ IGNORED = {
 MAX_PRIORITY = 9
 REPEAT, CLAMP_TO_EDGE, MIRRORED_REPEAT = 10497, 33071, 33648
 ROUNDING = 1e-4
-"""Share of an image by which uv may miss its edge."""
+"""Largest distance of uv from an image's edge, in images, that counts as rounding."""
 
 
 @dataclass(frozen=True, kw_only=True)
