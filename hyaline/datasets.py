@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 from PIL import Image
 
@@ -72,7 +72,7 @@ class Dataset(contract.Dataset):
 
     def views(self, split: Split) -> list[View]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Every view of a split, in order."""
-        return [self.view(split, view.index) for view in super().views(split)]
+        return cast(list[View], super().views(split))
 
     @naming_parts("hyaline.Dataset.layers")
     def layers(self, camera: Camera, geometry: str = TRUTH, num_layers: int | None = None) -> Layers:
@@ -89,10 +89,10 @@ class Dataset(contract.Dataset):
             HyalineError: a camera that cannot render, or a geometry that was not made.
         """
         check_camera(camera)
-        check_settings(num_layers=1 if num_layers is None else num_layers, workers=1)
         if num_layers is None:
             is_peeled = contract.has_layers(self) if geometry == TRUTH else True
             num_layers = self.layer_store(geometry).head.num_layers if is_peeled else NUM_LAYERS
+        check_settings(num_layers=num_layers, workers=1)
         layers, _ = _peeler(geometry_key(self, geometry)).peel(camera.alone, 0, num_layers)
         return dataclasses.replace(layers, depth=round_mantissa(layers.depth))  # As stored layers are.
 

@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING
 
 from PIL import Image
 
-from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
-from datagen.data.paths import PROXY_KINDS, TRUTH, find_dataset
+from datagen.data.paths import PROXY_KINDS, TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.terminal.distribution import naming_parts
-from hyaline.datasets import NUM_LAYERS, Dataset, opened
+from hyaline.datasets import NUM_LAYERS, Dataset, open_dataset
 from hyaline.pictures import in_a_row, sketch
 
 if TYPE_CHECKING:
@@ -78,6 +77,6 @@ def make_proxies(
     if spec is None:
         raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(PROXY_KINDS)}")
     if isinstance(dataset, (str, Path)):
-        dataset = opened(open_dataset(find_dataset(str(dataset))))
+        dataset = open_dataset(dataset)
     reports = make_and_peel(dataset, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
     return Proxies(dataset=dataset, geometry=spec.geometry, reports=reports)

@@ -89,9 +89,11 @@ def report(
 
     if not 1 <= views <= MAX_VIEWS:
         raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
-    every = list_run_folders(Path(root), besides=Path(out or Path(root) / "report")) if runs is None else []
-    asked = [runs] if isinstance(runs, (Run, str, Path)) else runs
-    given = list(filter(has_predictions, every)) if asked is None else list(asked)
+    if runs is None:
+        every = list_run_folders(Path(root), besides=Path(out or Path(root) / "report"))
+        given = list(filter(has_predictions, every))
+    else:
+        given = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
     if not given:
         raise HyalineError(f"{root}: no run there has pictures; make one with hyaline.train")
     folders = [item.folder if isinstance(item, Run) else _folder(item, Path(root)) for item in given]

@@ -14,7 +14,6 @@ from PIL import Image
 from datagen.data import dataset as contract
 from datagen.data.cameras import Camera, check_camera
 from datagen.data.config import TEST_SPLITS
-from datagen.data.dataset import open_dataset
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError, NumericsError
@@ -22,7 +21,7 @@ from datagen.disk.names import real_path
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.signals import Stopped
-from hyaline.datasets import Dataset, View, opened
+from hyaline.datasets import Dataset, View, open_dataset, opened
 from hyaline.pictures import in_a_row
 from model.methods.protocol import Inputs, MethodConfig
 from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
@@ -188,7 +187,7 @@ def train(
     from model.run.train_flags import Asked, configure, folder_name
 
     if isinstance(dataset, (str, Path)):
-        dataset = opened(open_dataset(find_dataset(str(dataset))))
+        dataset = open_dataset(dataset)
     if isinstance(method, str):
         net = METHODS.find(method)().usual(geometry)
         optimisation = net.optimisation()
@@ -265,7 +264,7 @@ def open_run(
     folder = _find_run(str(name), Path(root))
     record = read_run(folder)
     found = opened(
-        dataset if isinstance(dataset, contract.Dataset) else open_dataset(_place_of(record, folder, dataset))
+        dataset if isinstance(dataset, contract.Dataset) else contract.open_dataset(_place_of(record, folder, dataset))
     )
     return Run(
         folder=folder,

@@ -44,8 +44,11 @@ class ViewDataset(data.Dataset):
     geometry: str = "truth"
     """The geometry of the layers: truth, or a kind of proxy such as box."""
 
+    def __post_init__(self) -> None:
+        self.dataset.views(self.split)  # Refuses an unknown split.
+
     def __len__(self) -> int:
-        return len(self.dataset.views(self.split))
+        return self.dataset.num_views[self.split]
 
     def __getitem__(self, index: int) -> ViewItem:
         if not 0 <= index < len(self):

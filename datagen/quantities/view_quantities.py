@@ -149,7 +149,7 @@ class ViewQuantities:
         """True where the ray hits no object: the sky, or a light, is seen directly."""
         return self.object_id == 0
 
-    @property
+    @functools.cached_property
     def glass(self) -> Bool[np.ndarray, "h w"]:
         """True where the ray hits glass first; imported masks where the dataset has some, as `view.mask("glass")`."""
         return self.view.mask("glass")

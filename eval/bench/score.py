@@ -164,8 +164,8 @@ def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset]) -> str:
     seals: list[str] = []
     for seal in index.datasets.values():
         if seal in truths:
-            root = truths[seal].root
-            seals += [seal, *(open_variant(truths[seal], name).seal for name in list_variants(root))]
+            truth = truths[seal]
+            seals += [seal, *(open_variant(truth, name).seal for name in list_variants(truth.root))]
     return sha256(" ".join(seals).encode())
 
 
@@ -178,16 +178,15 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
             )
         splits: dict[str, SplitResult] = {}
         shown: list[tuple[float, Run, Split, int]] = []
-        edits: set[str] = set()
         for part, names in list_predictions(run, protocol):
             home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
-            edits |= {part.dataset.name} if home else set()
             for split, (truth, scores) in _score_part(part, names):
                 splits[f"{home}{split}"] = _result(f"{path}: {scene}: {home}{split}", truth, scores)
                 if scene in protocol.public_scenes(index.preset) and not home:
                     for view, value in enumerate(scores.images["psnr_db"]):
                         if value is not None:
                             shown.append((value, part, split, view))
+        edits = {name.partition("/")[0] for name in splits if "/" in name}
         if edits != set(protocol.edit_variants(scene)):  # Means over some edits cannot be compared.
             splits = {name: result for name, result in splits.items() if "/" not in name}
         scenes[scene] = SceneResult(

@@ -199,10 +199,9 @@ def verdicts(comparison: Comparison, parts: Sequence[Sequence[Entry]]) -> tuple[
     """
     found: dict[str, list[str]] = {}
     groups: dict[str, SeedGroup] = {}
-    for entry in parts[0] if parts else ():  # Of several in a line, the one with the fewest flags.
-        known = groups.setdefault(entry.line.title, entry.group)
-        if len(entry.group.first.flags or ()) < len(known.first.flags or ()):
-            groups[entry.line.title] = entry.group
+    # Of several in a line, the one with the fewest flags.
+    for entry in sorted(parts[0] if parts else (), key=lambda entry: len(entry.group.first.flags or ())):
+        groups.setdefault(entry.line.title, entry.group)
     published = {line.title: line.published for line in comparison.lines}
     for contrast in comparison.contrasts:
         name = f"{contrast.first} against {contrast.second}"
