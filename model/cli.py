@@ -15,7 +15,6 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
-from model.settings.flags import SEED
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -134,6 +133,7 @@ def fit(
     out: Path | None = None,
     steps: int = 800,
     skip: tuple[Literal["grid", "search", "again"], ...] = (),
+    room: Literal["known", "matt"] = "known",
     seed: int = 0,
     overwrite: bool = False,
 ) -> None:
@@ -154,6 +154,7 @@ def fit(
         out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
         steps: Training steps for the room's textures.
         skip: Skip a stage: grid (then all glass is solid), search, or again. May be repeated.
+        room: Materials of everything that is not glass: known, or, where only its shape is known, taken as matt.
         seed: Seed of all random numbers.
         overwrite: Start over. By default, finished stages are kept.
     """
@@ -165,14 +166,12 @@ def fit(
 
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
-    if steps < 1 or (mask_errors or 0) < 0:
-        raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
-    if not SEED[0] <= seed <= SEED[1]:
-        raise UsageError(f"--seed: is {seed}; expected {SEED[0]} to {SEED[1]}")
     opened = open_dataset(find_dataset(dataset))
     if mask_errors is None:
         mask_errors = 0 if masks is None and opened.imported is None else 2
-    choices = FitChoices(unknown=unknown, masks=masks, mask_errors=mask_errors, steps=steps, skip=skip, seed=seed)
+    choices = FitChoices(
+        unknown=unknown, masks=masks, mask_errors=mask_errors, steps=steps, skip=skip, room=room, seed=seed
+    )
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
@@ -226,6 +227,11 @@ def load_scene_as(dataset: Dataset, geometry: str) -> Scene:
         name: from_json(_OneMaterial, {"material": value}, where=f"{where}: {name}").material
         for name, value in found.items()
     }
+    return with_materials(scene, materials)
+
+
+def with_materials(scene: Scene, materials: Mapping[str, Material]) -> Scene:
+    """The scene with other materials of some objects, by name."""
     objects = [
         dataclasses.replace(item, material=materials[item.name]) if item.name in materials else item
         for item in scene.objects

@@ -160,6 +160,8 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     pictures, masks, proxies, shapes, materials = tracks
     if run.geometry is None:
         return None
+    if is_fitted(run.geometry) and run.method == "light-path" and (run.told is None or run.told):
+        return materials  # Of other objects at least, such as varnish on a floor.
     told: dict[str, str] = dict(zip(KNOWLEDGE, (materials, shapes, masks, masks, pictures), strict=True))
     if (known := knowledge_of(run)) is not None:
         return told[known]

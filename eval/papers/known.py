@@ -48,6 +48,8 @@ def knowledge_of(run: Run) -> str | None:
         return None
     if run.dataset.imported is not None:
         return pictures
+    if any(item.is_glass for item in run.dataset.objects if item.name in (run.told or ())):
+        return told if run.method == "light-path" else shapes  # Some glass is the true one.
     return {FITTED_MATERIALS: shapes, FITTED_HULL: hulls}.get(geometry, fitted)
 
 

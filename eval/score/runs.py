@@ -43,7 +43,7 @@ Value = TypeVar("Value", int, str)
 
 RUN_KEYS = frozenset({
     "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
-    "num_layers", "num_parameters", "num_texture_parameters", "seed", "torch", "type", "version",
+    "num_layers", "num_parameters", "num_texture_parameters", "seed", "told", "torch", "type", "version",
 })  # fmt: skip
 """Allowed keys of run.json: those of `model train`; a foreign method may leave out any."""
 
@@ -59,6 +59,8 @@ class Run:
     geometry: str | None
     knowledge: str | None
     """The method's inputs besides pictures and cameras, in words."""
+    told: tuple[str, ...] | None
+    """Objects of which a fitted geometry tells more than was found of them: glass, and other materials than matt."""
     num_parameters: int | None
     seed: int | None
     label: str | None
@@ -144,12 +146,13 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None, *, is_
         method=_optional(record, "method", str, path),
         geometry=_optional(record, "geometry", str, path),
         knowledge=_optional(record, "knowledge", str, path),
+        told=_words(record, "told", path),
         num_parameters=_optional(record, "num_parameters", int, path),
         seed=_optional(record, "seed", int, path),
         label=_optional(record, "label", str, path),
         num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
-        flags=_flags(record, path),
+        flags=_words(record, "flags", path),
         layers_seal=_optional(record, "layers_seal", str, path),
         seal=seal,
         promised=_read_promised(folder, dataset, seal),
@@ -282,10 +285,10 @@ def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
     return config
 
 
-def _flags(record: dict[str, Json], path: Path) -> tuple[str, ...] | None:
-    if "flags" not in record:
+def _words(record: dict[str, Json], key: str, path: Path) -> tuple[str, ...] | None:
+    if key not in record:
         return None
-    return from_json(tuple[str, ...], record["flags"], where=f"{path}: flags")
+    return from_json(tuple[str, ...], record[key], where=f"{path}: {key}")
 
 
 def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:

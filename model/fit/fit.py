@@ -26,13 +26,13 @@ from datagen.data.geometries import read_meshes
 from datagen.data.images import to_8bit
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH, geometry_root
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import PROXIES, holding
 from datagen.disk.records import Json
 from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene
-from datagen.scene.materials import ThinDielectric
-from datagen.terminal.command import choose, say, track
+from datagen.scene.folder import load_scene, material_json, with_materials
+from datagen.scene.materials import Diffuse
+from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
@@ -42,17 +42,22 @@ from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
 from model.fit.materials import find_absorption
 from model.fit.search import alternatives, count_searches, grid_row, guess, guesses, refine
 from model.fit.shapes import Revolution
-from model.fit.views import Sightings, height_below, known_meshes, read_sightings, with_known
+from model.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
+from model.settings.flags import SEED
 from model.settings.state import State
 
 Skipped = Literal["grid", "search", "again"]
+Room = Literal["known", "matt"]
 
 GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Pixels of each object, drawn from all training views."""
 
 ROUNDS, LAST_ROUNDS = 4, 1
+
+MATT = Diffuse(color=(0.5, 0.5, 0.5))
+"""Of everything whose material is unknown; light paths do not read its colour."""
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -69,7 +74,15 @@ class FitChoices:
     steps: int = 800
     """Training steps for textures."""
     skip: tuple[Skipped, ...] = ()
+    room: Room = "known"
+    """Materials of everything that is not glass: known, or taken as matt."""
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.mask_errors < 0:
+            raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
+        if not SEED[0] <= self.seed <= SEED[1]:
+            raise UsageError(f"--seed: is {self.seed}; expected {SEED[0]} to {SEED[1]}")
 
 
 def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, overwrite: bool) -> None:
@@ -84,7 +97,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     """
     check_has_meshes(dataset)
     scene = load_scene(dataset.root / "scene", is_sealed=True)
-    unknown = _find_unknown(dataset, scene, choices.unknown)
+    assumed = {item.name: MATT for item in scene.objects if choices.room == "matt" and not item.material.is_glass}
+    unknown = find_unknown(dataset, scene, choices.unknown)
     meshes = read_meshes(dataset, TRUTH)
     is_exact = choices.mask_errors == 0
     sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
@@ -99,34 +113,20 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         work = _Work(
             dataset=dataset,
             choices=choices,
-            scene=scene,
+            scene=with_materials(scene, assumed),
             meshes=meshes,
             sightings=drinks.find_filling(sightings, known),
             folder=folder,
         )
         found = work.run()
         with holding(root, PROXIES, within=dataset.root):
-            write_geometry(dataset, geometry, meshes, found)
+            write_geometry(
+                dataset, geometry, meshes, {name: material_json(each) for name, each in assumed.items()}, found
+            )
         folder.finish(summary(dataset, found))
     if has_layers(dataset):
         peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
         peel_variants(dataset, workers=1)
-
-
-def _find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
-    """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
-    for name in names:
-        choose("unknown", name, [item.name for item in dataset.objects])
-    found: list[int] = []
-    for place, item in enumerate(dataset.objects):
-        if item.name in names and not item.is_glass:
-            raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
-        is_thin = isinstance(scene.objects[place].material, ThinDielectric)
-        if item.name in names or (not names and item.is_glass and not is_thin):
-            found.append(place + 1)
-    if not found:
-        raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
-    return tuple(found)
 
 
 def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
@@ -158,6 +158,7 @@ def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sigh
         "unknown": [dataset.objects[object_id - 1].name for object_id in sightings.unknown],
         "masks": fingerprint(torch.from_numpy(sightings.first)),
         "mask_errors": choices.mask_errors,
+        "room": choices.room,
         "steps": choices.steps,
         "seed": choices.seed,
     }

@@ -142,11 +142,17 @@ def _tint_in_words(absorption: tuple[float, float, float]) -> list[str]:
     return ["absorption " + ", ".join(f"{value:.1f}" for value in absorption) + " 1/m"] if any(absorption) else []
 
 
-def write_geometry(dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], found: Objects) -> None:
-    """Commits the meshes and materials that were found, beside the true ones of everything else."""
+def write_geometry(
+    dataset: Dataset, geometry: str, truths: tuple[Mesh, ...], assumed: dict[str, Json], found: Objects
+) -> None:
+    """Commits the meshes and materials that were found, beside the true ones of everything else.
+
+    Args:
+        assumed: materials, by name of the object, that were used in place of the true ones.
+    """
     meshes = list(truths)
     assignment = [TRUTH] * len(meshes)
-    materials: dict[str, Json] = {}
+    materials = dict(assumed)
     for object_id, item in found.items():
         for each, (mesh, material) in zip(item.ids(object_id), item.glass.bodies(), strict=True):
             # Where a handle meets its vessel, a search can flatten faces.

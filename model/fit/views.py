@@ -16,6 +16,9 @@ from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Scene
+from datagen.scene.materials import ThinDielectric
+from datagen.terminal.command import choose
 
 DOUBT = 3
 """Largest error in pixels of the outlines of known surfaces, where masks are not exact."""
@@ -57,6 +60,22 @@ class Sightings:
         inside an unknown one."""
         others = [other for other in self.unknown if other != object_id]
         return ~(np.isin(self.first, others) | ((self.first == 0) & np.isin(self.met, self.filling)))
+
+
+def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
+    """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
+    for name in names:
+        choose("unknown", name, [item.name for item in dataset.objects])
+    found: list[int] = []
+    for place, item in enumerate(dataset.objects):
+        if item.name in names and not item.is_glass:
+            raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
+        is_thin = isinstance(scene.objects[place].material, ThinDielectric)
+        if item.name in names or (not names and item.is_glass and not is_thin):
+            found.append(place + 1)
+    if not found:
+        raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
+    return tuple(found)
 
 
 def read_sightings(

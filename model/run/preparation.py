@@ -13,12 +13,13 @@ from torch import nn
 from datagen.data.cameras import Cameras
 from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.geometries import NO_GEOMETRY, read_materials
 from datagen.data.meshes import face_areas, is_there
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, is_fitted
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import SceneObject
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import load_scene, load_scene_as
+from datagen.scene.materials import Diffuse
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.parsing import flag_words
 from model.batches.distributed import Processes
@@ -86,6 +87,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
         method=config.method,
         geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
         knowledge=knowledge,
+        told=_told(config, dataset) if is_fitted(config.geometry) else (),
         dataset=dataset.root.as_posix(),
         dataset_seal=dataset.seal,
         layers_seal=inputs.layers_seal,
@@ -97,6 +99,18 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
         config=config,
         flags=words_again(config, inputs),
         torch=torch.__version__,
+    )
+
+
+def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
+    """Names of the objects of which a fitted geometry tells the method more than `model fit` found."""
+    uses_materials = bool(config.net.knowledge)
+    materials = [item.material for item in load_scene_as(dataset, config.geometry).objects]
+    found = read_materials(dataset, config.geometry)
+    return tuple(
+        item.name
+        for item, material in zip(dataset.objects, materials, strict=True)
+        if item.name not in found and (item.is_glass or (uses_materials and not isinstance(material, Diffuse)))
     )
 
 

@@ -98,6 +98,9 @@ class RunRecord:
     geometry: str
     knowledge: str
     """The method's inputs besides images and cameras."""
+    told: tuple[str, ...] = ()
+    """Objects of which a fitted geometry tells more than `model fit` found: glass that it takes from the truth, and
+    other objects that are not matt, if the method uses materials."""
     dataset: str
     """The dataset's folder as it was given."""
     dataset_seal: str

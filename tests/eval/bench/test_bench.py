@@ -383,24 +383,29 @@ def test_the_truth_itself_is_no_prediction(packed: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "geometry", "track"),
+    ("method", "geometry", "told", "track"),
     [
-        ("deepvoxels", "none", "pictures"),
-        ("light-path", "fitted", "masks"),
-        ("light-path", "fitted-hull", "masks"),
-        ("paper", "ellipsoid", "proxies"),
-        ("dnr-layers", "truth", "shapes"),
-        ("light-path", "fitted-materials", "shapes"),
-        ("light-path", "truth", "materials"),
-        ("light-path", "ellipsoid", "materials"),
+        ("deepvoxels", "none", None, "pictures"),
+        ("light-path", "fitted", (), "masks"),
+        ("light-path", "fitted", None, "materials"),
+        ("light-path", "fitted", ("floor",), "materials"),
+        ("light-path", "fitted", ("pane",), "materials"),
+        ("paper", "fitted", None, "masks"),
+        ("paper", "fitted", ("pane",), "shapes"),
+        ("light-path", "fitted-hull", (), "masks"),
+        ("paper", "ellipsoid", None, "proxies"),
+        ("dnr-layers", "truth", None, "shapes"),
+        ("light-path", "fitted-materials", (), "shapes"),
+        ("light-path", "truth", None, "materials"),
+        ("light-path", "ellipsoid", None, "materials"),
     ],
 )
 def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
-    here: Path, small_protocol: Protocol, method: str, geometry: str, track: str
+    here: Path, small_protocol: Protocol, method: str, geometry: str, told: tuple[str, ...] | None, track: str
 ) -> None:
     folder = here / "runs" / "synthetic-tiny" / "one"
     folder.mkdir(parents=True)
-    found = dataclasses.replace(open_run(folder, here / "data"), method=method, geometry=geometry)
+    found = dataclasses.replace(open_run(folder, here / "data"), method=method, geometry=geometry, told=told)
     assert choose_track(found, None, small_protocol.tracks) == track
     assert choose_track(found, "materials", small_protocol.tracks) == "materials"
     for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:

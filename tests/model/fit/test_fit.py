@@ -18,7 +18,7 @@ from datagen.data.paths import geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene_as
-from datagen.scene.materials import Dielectric
+from datagen.scene.materials import Dielectric, Diffuse
 from model.fit.found import FoundGlass, write_geometry
 from model.fit.hull import HullShape
 from model.fit.pictures import SKY_HEIGHT
@@ -84,6 +84,35 @@ def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_pa
     ):
         answer = call(words)
         assert answer.status == 0, answer.err
+
+
+def test_runs_record_what_a_fit_did_not_find_itself(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    assert fitted.is_dir()
+    skipped = "--steps 2 --skip grid --skip search --skip again"
+    answer = call(
+        f"model fit {dataset.root} {skipped} --unknown ball --room matt --name fitted-matt --out {tmp_path / 'fit'}"
+    )
+    assert answer.status == 0, answer.err
+    glass = [item.name for item in dataset.objects if item.is_glass and item.name != "ball"]
+    others = [item.name for item in dataset.objects if not item.is_glass]
+    assert sorted(read_materials(dataset, "fitted-matt")) == sorted(["ball", *others])
+    shiny = [
+        item.name
+        for item in load_scene_as(dataset, "truth").objects
+        if not item.material.is_glass and not isinstance(item.material, Diffuse)
+    ]
+    assert glass and shiny
+    for method, geometry, told in (
+        ("light-path", "fitted", {*glass, *shiny}),
+        ("light-path", "fitted-matt", {*glass}),
+        ("paper", "fitted", {*glass}),
+        ("light-path", "truth", set[str]()),
+    ):
+        run = tmp_path / f"{method}-{geometry}"
+        words = f"--geometry {geometry} --steps 1 --batch 64 --device cpu --out {run}"
+        answer = call(f"model train {method} {dataset.root} {words}")
+        assert answer.status == 0, answer.err
+        assert set(load_sealed(run / "run.json")["told"]) == told
 
 
 def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
@@ -212,5 +241,5 @@ def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:
     truth = read_meshes(dataset, "truth")
     flat = dataclasses.replace(truth[1], faces=np.concatenate([truth[1].faces, truth[1].faces[:1, [0, 0, 1]]]))
     glass = HullShape(surface=flat)
-    write_geometry(dataset, "fitted-flat", truth, {2: FoundGlass(glass=glass, hull=glass, unexplained=0.0)})
+    write_geometry(dataset, "fitted-flat", truth, {}, {2: FoundGlass(glass=glass, hull=glass, unexplained=0.0)})
     assert len(read_meshes(dataset, "fitted-flat")[1].faces) == len(truth[1].faces)
