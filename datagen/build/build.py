@@ -28,6 +28,7 @@ from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import make_cameras
+from datagen.scene.soundness import check_cameras_outside
 from datagen.terminal.command import say, this_command, track
 
 MANY_PERCENT = 1.0
@@ -59,6 +60,8 @@ def build_dataset(
         cameras = None if overwrite else _stored_cameras(scene, root, config)
         if cameras is None:
             cameras = with_depth_range(make_cameras(scene.cameras, config), [item.mesh for item in scene.objects])
+            for views in cameras.values():
+                check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.

@@ -16,6 +16,7 @@ from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_path import make_path
 from datagen.scene.folder import load_scene
+from datagen.scene.soundness import check_cameras_outside
 from datagen.terminal.command import track
 
 
@@ -27,6 +28,7 @@ def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     """
     refuse_imported(dataset, what="a film")
     cameras = make_path(dataset, choices.path, choices.frames, width=choices.width, height=choices.height)
+    check_cameras_outside(load_scene(dataset.root / "scene", is_sealed=True), cameras.world_from_camera[:, :3, 3])
     check_film(out, choices.fps, frames=choices.frames, overwrite=choices.overwrite)
     return cameras
 

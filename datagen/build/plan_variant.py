@@ -14,8 +14,10 @@ from datagen.data.metadata import SceneEdit
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, evenly, scale_name
 from datagen.disk.errors import HyalineError
+from datagen.scene.description import Scene
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
 from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.soundness import check_cameras_outside
 
 MAX_SCALE = 8
 
@@ -42,7 +44,7 @@ def plan_angles(base: Dataset) -> Plan:
     """
     _check_base(base)
     scene = load_scene(base.root / "scene", is_sealed=True)
-    cameras = with_depth_range(make_angle_cameras(scene, base.config), [item.mesh for item in scene.objects])
+    cameras = _cameras_for(scene, make_angle_cameras(scene, base.config))
     return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
 
 
@@ -92,13 +94,18 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     return Plan(
         name=edits_name(edits),
         config=base.config,
-        cameras=with_depth_range(
-            {split: base.cameras(split) for split in TEST_SPLITS}, [item.mesh for item in edited.scene.objects]
-        ),
+        cameras=_cameras_for(edited.scene, {split: base.cameras(split) for split in TEST_SPLITS}),
         objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
         edit=edit,
         scene=scene_files(edited.scene),
     )
+
+
+def _cameras_for(scene: Scene, cameras: dict[Split, Cameras]) -> dict[Split, Cameras]:
+    """Cameras with the scene's range of depth, none of them inside glass."""
+    for views in cameras.values():
+        check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
+    return with_depth_range(cameras, [item.mesh for item in scene.objects])
 
 
 def _check_base(base: Dataset) -> None:

@@ -66,13 +66,8 @@ def skipped_length(offset: "mi.Float", cosine: "mi.Float") -> "mi.Float":
 TOLERANCE = 1e-4
 """Planes closer than this count as one, in metres: a gap of a tenth of a millimetre is never intended."""
 
-EDGE = 1e-7
-"""Metres by which two faces in one plane must overlap; faces that share an edge do not."""
-
 SAMPLES = 1024
 """Points on a surface, spread by area, with which its contact is measured."""
-
-_PAIRS_AT_ONCE = 1 << 22
 
 
 def touching_share(mesh: Mesh, other: Mesh) -> float:
@@ -130,28 +125,6 @@ def _distances(mesh: Mesh, other: Mesh, limit: float, *, are_opposed: bool = Fal
     return distance
 
 
-def count_touching_faces(mesh: Mesh, other: Mesh) -> int:
-    """Number of a mesh's faces that overlap a face of the other in the same plane, whatever their orientation.
-
-    Planes up to `TOLERANCE` apart are the same if all three corners of the smaller face lie within it.
-    """
-    a, b = (face_corners(item).astype(np.float64) for item in (mesh, other))
-    if not (len(a) and len(b)):
-        return 0
-    a, b = a[_meets(a, b.reshape(-1, 3))], b[_meets(b, a.reshape(-1, 3))]
-    touching = np.zeros(len(a), bool)
-    step = max(1, _PAIRS_AT_ONCE // max(1, len(b)))
-    low, high = b.min(axis=1) - TOLERANCE, b.max(axis=1) + TOLERANCE
-    for start in range(0, len(a), step):
-        part = a[start : start + step]
-        meets = (part.min(axis=1)[:, None] <= high).all(axis=-1) & (part.max(axis=1)[:, None] >= low).all(axis=-1)
-        first, second = np.nonzero(meets)
-        same = _in_one_plane(part[first], b[second])
-        first, second = first[same], second[same]
-        touching[start + first[_overlap(part[first], b[second])]] = True
-    return int(touching.sum())
-
-
 def _meets(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " face"]:
     """Faces whose bounding box overlaps that of the points."""
     low, high = points.min(axis=0) - TOLERANCE, points.max(axis=0) + TOLERANCE
@@ -163,15 +136,6 @@ def _unit_normals(corners: Float[np.ndarray, "pair 3 3"]) -> Float[np.ndarray, "
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-def _in_one_plane(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3 3"]) -> Bool[np.ndarray, " pair"]:
-    n_a, n_b = _unit_normals(a), _unit_normals(b)
-    a_from_b = np.abs(np.einsum("pkc,pc->pk", a - b[:, :1], n_b)).max(axis=1)
-    b_from_a = np.abs(np.einsum("pkc,pc->pk", b - a[:, :1], n_a)).max(axis=1)
-    # A face smaller than the tolerance lies in any plane that it touches.
-    is_parallel = np.abs(np.einsum("pc,pc->p", n_a, n_b)) > 0.9
-    return is_parallel & (np.minimum(a_from_b, b_from_a) <= TOLERANCE)
-
-
 def _is_over(
     point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"], normals: Float[np.ndarray, "pair 3"]
 ) -> Bool[np.ndarray, " pair"]:
@@ -181,17 +145,3 @@ def _is_over(
         corner, following = corners[:, start], corners[:, (start + 1) % 3]
         is_over &= np.einsum("pc,pc->p", np.cross(normals, following - corner), point - corner) >= 0
     return is_over
-
-
-def _overlap(a: Float[np.ndarray, "pair 3 3"], b: Float[np.ndarray, "pair 3 3"]) -> Bool[np.ndarray, " pair"]:
-    """Pairs of triangles in about one plane that no line in this plane separates (the separating axis theorem)."""
-    normals = _unit_normals(b)
-    overlap = np.ones(len(a), bool)
-    for corners in (a, b):
-        for start in range(3):
-            axis = np.cross(normals, corners[:, (start + 1) % 3] - corners[:, start])
-            axis /= np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-30)
-            on_a, on_b = (np.einsum("pkc,pc->pk", item, axis) for item in (a, b))
-            first_end = np.minimum(on_a.max(axis=1), on_b.max(axis=1))
-            overlap &= first_end > np.maximum(on_a.min(axis=1), on_b.min(axis=1)) + EDGE
-    return overlap

@@ -10,6 +10,7 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal, cast
 
 import numpy as np
@@ -17,10 +18,10 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.contact import count_touching_faces
+from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
-from datagen.scene.soundness import check_scene
+from datagen.scene.soundness import MAX_TOUCHING, check_scene, surface_area
 from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
@@ -109,7 +110,7 @@ def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
         for name in edit.objects:
             choose(f"edit {describe_edit(edit)!r}: object", name, there)
         edited = VERBS[edit.verb](edited, edit)
-        _check_contact(scene, edited.scene, edit)
+        _check_contact(scene, edited, edit)
         try:
             check_scene(edited.scene)
         except HyalineError as error:
@@ -213,15 +214,23 @@ def _foot(mesh: Mesh) -> np.ndarray:
     return np.array([*(low + high)[:2] / 2, low[2]])
 
 
-def _check_contact(before: Scene, after: Scene, edit: Edit) -> None:
-    """Rejects an edit that makes surfaces coincide: peeling would lose layers there, and light paths go astray."""
+def _check_contact(before: Scene, edited: EditedScene, edit: Edit) -> None:
+    """Rejects an edit that makes surfaces coincide: peeling would lose layers there, and light paths go astray.
+
+    What touched before, such as a mug and the floor that it is moved on, may touch as much afterwards.
+    """
     old = {item.name: item for item in before.objects}
-    for item in after.objects:
-        if not is_there(item.mesh) or item is old.get(item.name):
+    there = [item for item in edited.scene.objects if is_there(item.mesh)]
+    for pair in combinations(sorted(there, key=surface_area), 2):
+        small, large = pair
+        if all(item is old.get(item.name) for item in pair):
             continue
-        for other in after.objects:
-            if other.name != item.name and (count := count_touching_faces(item.mesh, other.mesh)):
-                raise HyalineError(
-                    f"edit {describe_edit(edit)!r}: {count} faces of {item.name} would lie in faces of {other.name}; "
-                    "leave a gap of a millimetre, or extend one into the other"
-                )
+        share = touching_share(small.mesh, large.mesh)
+        if share <= MAX_TOUCHING:
+            continue
+        one, other = (old[edited.copies.get(item.name, item.name)].mesh for item in pair)
+        if one is other or share > touching_share(one, other) + MAX_TOUCHING:
+            raise HyalineError(
+                f"edit {describe_edit(edit)!r}: {100 * share:.1f} % of the surface of {small.name} would lie in "
+                f"faces of {large.name}; leave a gap of a millimetre, or extend one into the other"
+            )

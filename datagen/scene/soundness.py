@@ -4,7 +4,7 @@ They are fast (a second for a scene of 100,000 triangles), since they run whenev
 """
 
 import re
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 from jaxtyping import Float
@@ -18,7 +18,9 @@ from datagen.data.meshes import (
     check_solid,
     count_shared_faces,
     face_areas,
+    face_corners,
     is_there,
+    points_on,
     windings,
 )
 from datagen.disk.errors import HyalineError
@@ -37,6 +39,9 @@ MAX_THIN = 0.005
 
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 1000.0
 """Allowed distance in metres from the cameras to their target. Cameras see from a millimetre to ten kilometres."""
+
+OVERLAP_POINTS = 256
+"""Points on each solid's surface that are looked for in others, where there are too many solids to overlap."""
 
 SMALLEST = 1 / 400
 """Smallest size of an object relative to its distance from the nearest camera: two pixels of 1,024."""
@@ -88,9 +93,10 @@ def check_sound(scene: Scene) -> None:
     for item in there:
         if item.material.medium is not None:
             check_solid(item.mesh, where=_where(scene, item))
-            _check_cameras_outside(item.mesh, cameras, where=_where(scene, item))
             _check_walls(item.mesh, cameras, where=_where(scene, item))
+    check_cameras_outside(scene, cameras)
     _check_contact(scene, there)
+    _check_overlaps(scene, there)
 
 
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
@@ -146,16 +152,19 @@ def _check_normals(item: SceneObject, *, where: str) -> None:
         )
 
 
-def _check_cameras_outside(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
-    """Rejects glass around a camera: rays start in air."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    close = cameras[((cameras >= low) & (cameras <= high)).all(axis=-1)]
-    if len(close) and (inside := windings(mesh.vertices[mesh.faces], close) > 0).any():
-        place = ", ".join(f"{value:.3g}" for value in close[inside][0])
-        raise HyalineError(
-            f"{where}: cameras are inside this glass, near ({place}), but rays start in air; "
-            "move it or the cameras, or scale it if it was not modelled in metres"
-        )
+def check_cameras_outside(scene: Scene, places: Float[np.ndarray, "place 3"]) -> None:
+    """Rejects cameras, by their positions, that are inside glass: rays start in air."""
+    for item in scene.objects:
+        if not is_there(item.mesh) or item.material.medium is None:
+            continue
+        low, high = item.mesh.vertices.min(axis=0), item.mesh.vertices.max(axis=0)
+        close = places[((places >= low) & (places <= high)).all(axis=-1)]
+        if len(close) and (inside := windings(face_corners(item.mesh), close) > 0).any():
+            place = ", ".join(f"{value:.3g}" for value in close[inside][0])
+            raise HyalineError(
+                f"{_where(scene, item)}: cameras are inside this glass, near ({place}), but rays start in air; "
+                "move it or the cameras, or scale it if it was not modelled in metres"
+            )
 
 
 def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
@@ -175,15 +184,35 @@ def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: st
 
 def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
     """Rejects glass whose surface coincides with another: a ray hits only one of them."""
-    areas = {item.name: float(face_areas(item.mesh).sum()) for item in there}
-    for pair in combinations(there, 2):
-        if not any(item.material.is_glass for item in pair):
+    for small, large in combinations(sorted(there, key=surface_area), 2):
+        if not (small.material.is_glass or large.material.is_glass):
             continue
-        small, large = sorted(pair, key=lambda item: areas[item.name])
         if (share := touching_share(small.mesh, large.mesh)) > MAX_TOUCHING:
             raise HyalineError(
                 f"{_where(scene, small)}: {100 * share:.1f} % of its surface lies in faces of {large.name}, and one of "
                 "them is glass; leave a gap of a millimetre, or extend one into the other"
+            )
+
+
+def surface_area(item: SceneObject) -> float:
+    """Square metres."""
+    return float(face_areas(item.mesh).sum())
+
+
+def _check_overlaps(scene: Scene, there: list[SceneObject]) -> None:
+    """Rejects more than MAX_NESTED dielectrics of which two overlap, by points on the surface of either."""
+    glass = [item for item in there if item.material.medium is not None]
+    if len(glass) <= MAX_NESTED:
+        return
+    points = {item.name: points_on(item.mesh, OVERLAP_POINTS).position for item in glass}
+    for one, other in permutations(glass, 2):
+        low, high = other.mesh.vertices.min(axis=0), other.mesh.vertices.max(axis=0)
+        close = points[one.name]
+        close = close[((close > low) & (close < high)).all(axis=-1)]
+        if len(close) and (windings(face_corners(other.mesh), close) > 0).any():
+            raise HyalineError(
+                f"scene {scene.name}: objects {one.name} and {other.name} overlap, and there are {len(glass)} "
+                f"dielectrics; where any overlap, expected at most {MAX_NESTED}"
             )
 
 

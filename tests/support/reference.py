@@ -108,29 +108,6 @@ def slow_transposed_convolution(
     return inside + bias[:, None, None]
 
 
-def common_area(a: np.ndarray, b: np.ndarray) -> float:
-    """Area that two triangles (3, 2) share, by clipping one at each side of the other (Sutherland and Hodgman)."""
-    if _cross(b[1] - b[0], b[2] - b[0]) < 0:
-        b = b[::-1]
-    polygon = list(a)
-    for start, end in zip(b, np.roll(b, -1, axis=0), strict=True):
-        inside = [_cross(end - start, point - start) for point in polygon]
-        clipped = []
-        for index, point in enumerate(polygon):
-            after, here, there = polygon[(index + 1) % len(polygon)], inside[index], inside[(index + 1) % len(polygon)]
-            if here >= 0:
-                clipped.append(point)
-            if here * there < 0:
-                clipped.append(point + (after - point) * here / (here - there))
-        polygon = clipped
-    x, y = np.array(polygon).T if polygon else np.zeros((2, 0))
-    return abs(float(np.dot(x, np.roll(y, -1)) - np.dot(y, np.roll(x, -1)))) / 2
-
-
-def _cross(a: np.ndarray, b: np.ndarray) -> float:
-    return float(a[0] * b[1] - a[1] * b[0])
-
-
 def interpolate(table: np.ndarray, place: np.ndarray) -> np.ndarray:
     """One point of a table (size, size, ..., c), linear along each axis between its cells, whose centres are whole."""
     result = np.zeros(table.shape[-1])

@@ -215,6 +215,14 @@ def test_more_dielectrics_with_priorities_than_a_ray_can_tell_apart_are_refused(
         check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls))))
 
 
+def test_too_many_dielectrics_may_not_overlap_even_where_all_have_one_priority() -> None:
+    block = (ball(1.2, subdivisions=2), Dielectric())
+    drops = [(moved(ball(0.02, subdivisions=1), (i / 20 - 0.8, 0, 0)), Dielectric(ior=1.33)) for i in range(32)]
+    check_scene(glass_scene(block, *drops[:31]))
+    with pytest.raises(HyalineError, match="overlap, and there are 33 dielectrics; where any overlap, expected at mo"):
+        check_scene(glass_scene(block, *drops))
+
+
 def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
     bubble = ball(0.8, subdivisions=2)
     inside_out = dataclasses.replace(bubble, faces=np.ascontiguousarray(bubble.faces[:, ::-1]), normals=-bubble.normals)
