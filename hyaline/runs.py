@@ -24,7 +24,8 @@ from datagen.terminal.signals import Stopped
 from hyaline.datasets import Dataset, View, open_dataset, opened
 from hyaline.pictures import in_a_row
 from model.methods.protocol import Inputs, MethodConfig
-from model.run.run_folder import RUN, WEIGHTS, RunRecord, TrainConfig, check_trained_on, read_metrics, read_run
+from model.run import run_folder
+from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_metrics, read_run
 from model.settings.flags import settings_of, with_settings
 from model.settings.run_flags import RUNS, Device, RunFlags
 
@@ -232,7 +233,7 @@ def list_runs(root: Path | str = RUNS) -> list[str]:
     >>> list_runs()
     ['glass_table/paper']
     """
-    return sorted(path.parent.relative_to(root).as_posix() for path in Path(root).glob(f"*/*/{RUN}"))
+    return run_folder.list_runs(Path(root))
 
 
 def open_run(
@@ -261,7 +262,7 @@ def open_run(
     Raises:
         HyalineError: no run, one of a method from elsewhere, or a dataset other than the one it was trained on.
     """
-    folder = _find_run(str(name), Path(root))
+    folder = find_run(Path(name), Path(root))
     record = read_run(folder)
     found = opened(
         dataset if isinstance(dataset, contract.Dataset) else contract.open_dataset(_place_of(record, folder, dataset))
@@ -273,15 +274,6 @@ def open_run(
         inputs=check_trained_on(folder, record.config, found),
         device=device,
     )
-
-
-def _find_run(name: str, root: Path) -> Path:
-    """The folder of a run."""
-    folder = next((place for place in (Path(name), root / name) if place.is_dir()), None)
-    if folder is None:
-        known = f"known are {', '.join(list_runs(root))}" if list_runs(root) else "make one with `model train paper`"
-        raise HyalineError(f"{name}: no run there, nor in {root}; {known}")
-    return folder
 
 
 def _place_of(record: RunRecord, folder: Path, given: Path | str | None) -> Path:

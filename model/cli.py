@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 TRAIN = """Train a method on a dataset, then predict its test splits.
 
     `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes): each draws its own
-    share of every batch, and gradients are averaged. DeepVoxels and discriminators cannot be trained so."""
+    share of every batch, and gradients are averaged. Not supported for DeepVoxels and discriminators."""
 
 MOVED = {
     "model render": "is now `model predict RUN`; a film is `model film RUN`",
@@ -139,22 +139,21 @@ def fit(
 ) -> None:
     """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
 
-    Cameras and everything that is not glass must be known. To train `light-path` on the result, use `--geometry
+    Cameras and everything but glass must be known. To train `light-path` on the result, use `--geometry
     fitted`; to compare it with the truth, `proxies check --name fitted`.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        unknown: Name of an object of unknown shape and material. May be repeated. Default: all glass that pictures show
-            first, except thin panes.
+        unknown: An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes.
         masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
             is seen first. Default: the dataset's own.
-        mask_errors: Wrong pixels to expect at the edges of masks: a ray that misses an object only counts where this
-            many others miss it, too. Default: 2 with --masks and for imported or captured masks, otherwise 0.
+        mask_errors: Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many
+            neighbouring rays miss it as well. Default: 2 with --masks and for imported or captured masks, otherwise 0.
         name: The geometry's name: fitted, or fitted-SOMETHING.
         out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
         steps: Training steps for the room's textures.
         skip: Skip a stage: grid (then all glass is solid), search, or again. May be repeated.
-        room: Materials of everything that is not glass: known, or, where only its shape is known, taken as matt.
+        room: Materials of everything but glass: known, or assumed to be diffuse (matt).
         seed: Seed of all random numbers.
         overwrite: Start over. By default, finished stages are kept.
     """
@@ -190,7 +189,7 @@ def predict(
     """Predict all test splits again with a trained run.
 
     Args:
-        run: Folder of a trained run.
+        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         variant: Predict a variant of the dataset instead, into the run's variants/NAME: x2 for what `datagen add
             --larger 2` made, or an edit, such as remove:glass_ball.
@@ -200,8 +199,9 @@ def predict(
     from datagen.data.variants import open_variant, variant_root
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.run_folder import FOLDER, is_all_drawn, is_drawn, open_trained
+    from model.run.run_folder import FOLDER, find_run, is_all_drawn, is_drawn, open_trained
 
+    run = find_run(run)
     record, opened = open_trained(run, dataset)
     intact = "its predictions are intact, nothing to do; --overwrite makes them again"
     if variant is None and not overwrite and is_all_drawn(run, opened):
@@ -238,21 +238,22 @@ def film(
     """Render a film with a trained run; `datagen film` path-traces the same film.
 
     Args:
-        run: Folder of a trained run.
+        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
 
+    run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
-    say(f"{run}: renders {out}")
     from datagen.build.film import plan_film
     from datagen.data.film import write_film
 
     cameras = plan_film(opened, choices, out)
+    say(f"{run}: rendering {out}")
     from model.run.predict import film_pictures
 
     pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
@@ -273,23 +274,23 @@ def export(
     """Write a trained scene as one HTML file that renders it live in a browser, without a server.
 
     Args:
-        run: Folder of a trained run whose method brings a web page, such as light-path, paper or mlp-first.
+        run: A trained run (its folder, or SCENE/NAME under runs/) whose method has a web page, such as light-path.
         out: File to write.
         quality: small stores numbers in few bits; exact keeps all of them, in about five times the bytes.
-        truths: Which path-traced views the page can fade over its own: those of test and training views, of test views
-            only, or none.
+        truths: Path-traced views that the page can fade over its own: all, only those of the test splits, or none.
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
 
+    run = find_run(run)
     if not overwrite:
         refuse_file(out)
     refuse_owned(out, DATASET)
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)
-    say(f"{run}: draws {out}")
+    say(f"{run}: writing {out}")
     from model.web.export import export_run
 
     export_run(run, record, opened, out, quality, truths)
@@ -301,7 +302,7 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
 
     Args:
         what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.
-        host: Address to listen at. By default, only this machine can connect; with 0.0.0.0, anyone who can reach the
+        host: Address to listen on. By default, only this machine can connect; with 0.0.0.0, anyone who can reach the
             machine sees what you see.
         port: Port to listen at; 0 takes any free one.
         device: Where to compute; auto uses a GPU if there is one.
@@ -339,11 +340,11 @@ def sweep(
             square, zero-layer, variants, budget, claims, figure8, deepvoxels, larger), paper-sizes, headline, proxies,
             ablation, random, bench (hyaline-bench) or bench-fitted (its scenes whose glass `model fit` can find).
         preset: Size, for files that have presets: demo, small, standard or tiny for bench. Default: the file's first.
-        dataset: Train on this dataset, which must be there, instead of the file's. May be repeated.
+        dataset: Train on this existing dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
-        jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. As many as fit in memory (4 GB
-            each) finish the most runs per hour; a run's numbers then differ by rounding.
-        dry_run: Print all commands and an estimate of the processor time, and do nothing.
+        jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as
+            many as fit in memory (about 4 GB each); a run's numbers then differ by rounding.
+        dry_run: Print all commands and an estimate of the CPU time, and do nothing.
     """
     from model.run.experiments import read_experiment
     from model.run.sweep import find_devices, finish, print_experiment, run_experiment
@@ -367,7 +368,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
     """Check that a method meets the requirements of training and rendering; prints one line per check.
 
     Args:
-        name: A method, built in or from another distribution.
+        name: A method, built in or from an installed package.
         dataset: A dataset's folder, or its name under data/. Default: a tiny one made for the checks.
     """
     import tempfile

@@ -24,7 +24,6 @@ import itertools
 import json
 import os
 import re
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +44,7 @@ from model.methods.table import METHODS, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
+from model.settings.run_flags import RUNS
 
 RUN_VERSION = 3
 
@@ -164,6 +164,28 @@ def finish_clearing(out: Path) -> None:
         (out / NEXT_RUN).replace(out / RUN)
 
 
+def list_runs(root: Path) -> list[str]:
+    """The names of the runs in a folder, sorted: SCENE/NAME."""
+    return sorted(path.parent.relative_to(root).as_posix() for path in root.glob(f"*/*/{RUN}"))
+
+
+def find_run(name: Path, root: Path = RUNS) -> Path:
+    """The folder of a run.
+
+    Args:
+        name: The folder, or SCENE/NAME under `root`.
+
+    Raises:
+        HyalineError: neither is a folder.
+    """
+    places = list(dict.fromkeys((name, root / name)))  # One place, if the name is an absolute path.
+    folders = [place for place in places if place.is_dir()]
+    if not folders:
+        known = f"choose from {', '.join(runs)}" if (runs := list_runs(root)) else "`model train` makes one"
+        raise HyalineError(f"no run at {' or '.join(map(str, places))}; {known}")
+    return next((place for place in folders if (place / RUN).is_file()), folders[0])
+
+
 def read_run(out: Path) -> RunRecord:
     """The record of a run."""
     if _is_foreign(out):
@@ -172,8 +194,7 @@ def read_run(out: Path) -> RunRecord:
             "(`eval report` scores pictures of any method)"
         )
     if not (out / RUN).is_file():
-        command = shlex.join(["model", "train", "paper", "--out", str(out)])
-        raise HyalineError(f"{out}: no run there; make one with `{command}`")
+        raise HyalineError(f"{out}: holds no run; `model train` makes one")
     return _read_record(out / RUN)
 
 

@@ -128,7 +128,7 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path)
             assert refusal("glass_table/paper", dataclasses.replace(camera, **wrong)).startswith("camera: ")
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
     assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
-    assert "known are glass_table/authors-code, " in refusal("glass_table/nothing", camera)
+    assert "choose from glass_table/authors-code, " in refusal("glass_table/nothing", camera)
 
 
 def test_a_method_without_the_hook_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

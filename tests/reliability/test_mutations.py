@@ -121,7 +121,7 @@ def test_every_mutation_of_every_file_is_noticed_and_the_file_named(
         else:
             place.write_bytes(content)
         # A run without its record is none: then the folder is named.
-        named = f"{RUN}: no run there" if (what, path) == ("deleted", f"{RUN}/run.json") else path
+        named = f"{RUN}: holds no run" if (what, path) == ("deleted", f"{RUN}/run.json") else path
         if what == "of another dataset" and "/layers/" in path:
             # Whole, but of other arrays than those beside it: either may be the wrong one, and the arrays are named.
             named = path.replace("/records/", "/arrays/").removesuffix("json")

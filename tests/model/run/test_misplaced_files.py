@@ -10,10 +10,11 @@ from support.synthetic import write_synthetic_dataset
 from support.training import stop_at
 
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed
 from model.run import train_flags
 from model.run.checkpoint import load_state, save_state
-from model.run.run_folder import TrainConfig
+from model.run.run_folder import TrainConfig, find_run
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -225,3 +226,13 @@ def test_pictures_of_another_method_are_no_place_to_train_in(line: str, record: 
         f"error: {folder}: holds a foreign method's pictures, and no weights; expected the folder "
         "of a run of `model train` (`eval report` scores pictures of any method)",
     )
+
+
+def test_a_run_is_found_by_its_folder_and_by_its_name_under_runs(home: Path) -> None:
+    (home / "d1" / "one").mkdir(parents=True)  # Holds no run.
+    for name in ("d1/one", "runs/d1/one"):
+        assert find_run(Path(name)) == Path("runs/d1/one")
+    with pytest.raises(HyalineError, match=r"^no run at d1/won or runs/d1/won; choose from d1/one, d1/two, d2/one$"):
+        find_run(Path("d1/won"))
+    answer = call("model predict d1/two")
+    assert answer.status == 0 and answer.out == "runs/d1/two\n"
