@@ -9,15 +9,20 @@ Remove transforms.json, and `datagen capture` has to find the cameras, too. Noth
 
 # pyright: reportMissingImports=false
 
+import argparse
 import json
 import math
 import sys
 from itertools import pairwise
 from pathlib import Path
 
-import bpy
-import numpy as np
-from mathutils import Matrix, Vector
+try:
+    import bpy
+    import numpy as np
+    from mathutils import Matrix, Vector
+except ModuleNotFoundError as error:
+    if not {"-h", "--help"} & {*sys.argv}:
+        sys.exit(f"error: {error}; run this script in an environment with `pip install bpy`")
 
 TABLE = 0.75
 GLASS = {"tumbler": 1.5, "ball": 1.52}
@@ -158,13 +163,13 @@ def lathe(name: str, profile: list, place: tuple, *, is_smooth: bool = False, se
 # Cameras and pictures
 
 
-def looking(place: tuple, target: tuple) -> Matrix:
+def looking(place: tuple, target: tuple) -> "Matrix":
     """world_from_camera of a camera or lamp that looks along its -z."""
     rotation = (Vector(target) - Vector(place)).to_track_quat("-Z", "Y").to_matrix().to_4x4()
     return Matrix.Translation(place) @ rotation
 
 
-def world_from_camera(view: int, views: int) -> Matrix:
+def world_from_camera(view: int, views: int) -> "Matrix":
     """Three arcs around the table, which is open towards -y."""
     azimuth = math.radians(-90 + 150 * ((view * 0.618034) % 1 - 0.5))
     elevation = math.radians((15, 32, 50)[view % 3])
@@ -234,4 +239,9 @@ def shining(name: str, strength: float) -> "bpy.types.Material":
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), *map(int, sys.argv[2:]))
+    parser = argparse.ArgumentParser(description="Render a folder for `datagen capture` with Blender's Cycles.")
+    parser.add_argument("folder", type=Path, help="folder to write")
+    for name, usual in (("views", 64), ("pixels", 256), ("samples", 96)):
+        parser.add_argument(name, type=int, nargs="?", default=usual, help="default: %(default)s")
+    given = parser.parse_args()
+    main(given.folder, given.views, given.pixels, given.samples)

@@ -109,3 +109,8 @@ def __getattr__(name: str) -> object:
 
         return getattr(tensors, name)
     raise AttributeError(f"module 'hyaline' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names only, so that completion offers no modules beside the functions of the same names."""
+    return __all__

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, Self, cast
+from typing import Literal, Self
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
@@ -175,10 +175,36 @@ def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
     return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
 
 
-def config_difference(old: object, new: object) -> str | None:
-    """The first field in which two records of one class differ, as `name: old -> new`; None when equal."""
-    for item in dataclasses.fields(cast(DatasetConfig, old)):
-        before, after = getattr(old, item.name), getattr(new, item.name)
-        if before != after:
-            return f"{item.name}: {before} -> {after}"
+FLAGS = {
+    "preset": "--preset",
+    "resolution": "--resolution",
+    "train.views": "--views",
+    "train.spp": "--spp",
+    **{f"{split}.views": "--test-views" for split in TEST_SPLITS},
+    **{f"{split}.spp": "--test-spp" for split in TEST_SPLITS},
+    "ceiling_db": "--ceiling",
+    "max_depth": "--max-depth",
+    "seed": "--seed",
+}
+"""The flag of `datagen build` behind each value of a configuration, except the scene's name."""
+
+
+def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:
+    """The first value in which two configurations differ, as `--views is 8 there and 9 here`; None when equal."""
+    after = _values(new)
+    for name, value in _values(old).items():
+        if value != after[name]:
+            return f"{FLAGS.get(name, name)} is {value} there and {after[name]} here"
     return None
+
+
+def _values(config: DatasetConfig) -> dict[str, object]:
+    """Every value of a configuration, those of splits as `train.views`."""
+    values: dict[str, object] = {}
+    for item in dataclasses.fields(config):
+        value = getattr(config, item.name)
+        if isinstance(value, SplitConfig):
+            values |= {f"{item.name}.{part.name}": getattr(value, part.name) for part in dataclasses.fields(value)}
+        else:
+            values[item.name] = value
+    return values

@@ -39,7 +39,7 @@ MAX_FPS = 240.0
 def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
     """Raises if the film cannot be written, before anything is rendered."""
     if not 0 < fps <= MAX_FPS:
-        raise HyalineError(f"fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
+        raise HyalineError(f"--fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
     if out.suffix == "":
         refuse_others(out, FRAMES)
         _refuse_foreign_frames(out, frames)

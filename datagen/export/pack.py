@@ -88,7 +88,7 @@ def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
         raise HyalineError(f"{root}: is a variant; pack the dataset around it, {dataset.parent.root}")
     if real_path(out).is_relative_to(real_path(root)):
         raise HyalineError(f"--out: {out} lies in the dataset, which keeps to its own files; choose a place outside")
-    say(f"{root}: checks every byte")
+    say(f"{root}: verifying every byte")
     found = verify_dataset(root)
     if found.problems:
         more = f" (and {len(found.problems) - 1} more problems: `datagen verify`)" if len(found.problems) > 1 else ""
@@ -133,17 +133,17 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
                 raise HyalineError(f"{into}: is taken, and {other} is not that of {path}; choose another --out")
             say(f"{into}: holds this dataset already")
             return into
-        into = real_path(into)
-        temporary = into.with_name(f"{into.name}.{members[0].sha256[:16]}.hyaline-tmp")
-        with one_writer(temporary), naming(into):
+        place = real_path(into)
+        temporary = place.with_name(f"{into.name}.{members[0].sha256[:16]}.hyaline-tmp")
+        with one_writer(temporary), naming(place):
             try:
                 unpack_members(archive, path, members, temporary)
                 _check_unpacked(path, verify_dataset(temporary))
             except HyalineError:
                 shutil.rmtree(temporary)
                 raise
-            temporary.rename(into)
-            sync_folder(into.parent)
+            temporary.rename(place)
+            sync_folder(place.parent)
     say(f"{into}: {len(index.files):,} files; licence: {index.license}")
     return into
 

@@ -34,12 +34,12 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.
     """
     if not 2 <= frames <= MAX_FRAMES:
-        raise HyalineError(f"frames: is {frames}; expected 2 to {MAX_FRAMES}")
+        raise HyalineError(f"--frames: is {frames}; expected 2 to {MAX_FRAMES:,}")
     views = dataset.cameras("interpolating")
     lens: Lens = views
     wide = lens.width if width is None else width
     high = round(wide * lens.height / lens.width) if height is None else height
-    for name, value in (("width", wide), ("height", high)):
+    for name, value in (("--width", wide), ("--height", high)):
         if not 1 <= value <= 8192:
             raise HyalineError(f"{name}: is {value}; expected 1 to 8192 pixels")
     center = lens.center

@@ -180,7 +180,7 @@ def leaderboard(
     protocol = load_protocol()
     protocol.size(preset)
     if track is not None:
-        choose("--track", track, protocol.tracks)
+        choose("track", track, protocol.tracks)
     folder, place = scores or BENCH / preset / "scores", out or BENCH / preset / "leaderboard"
     found = read_scores(folder)
     if not found:
@@ -207,7 +207,7 @@ def secret(file: Path, /, *, preset: str = "demo") -> None:
     if not protocol.hidden_scenes(preset):
         raise UsageError(f"--preset: {preset} has no hidden scenes; expected small, demo or standard")
     text = read_secret(file)
-    say(f"commitment: {commitment_of(text)}")
+    tell(f"# commitment: {commitment_of(text)}")
     for line in verifier_commands(text, preset, protocol):
         tell(line)
 

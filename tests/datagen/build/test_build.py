@@ -85,7 +85,7 @@ def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scen
     shutil.copytree(built, out)
     answer = build(scene_folder, out, "--seed", "3")
     assert answer.status == 1
-    assert "(seed: 0 -> 3); pass --overwrite" in answer.error
+    assert "(--seed is 0 there and 3 here); pass --overwrite" in answer.error
     assert tree(out) == tree(built)
     build_whole(scene_folder, out, "--seed", "3", "--overwrite")
     assert open_dataset(out).config.seed == 3
@@ -202,7 +202,7 @@ def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_n
     _peel(dataset, 1, overwrite=True)
     cut = summary(dataset, TRUTH)
     assert cut[3].startswith("rays with more than 1 hits train: ")
-    found = re.fullmatch(r"what lies behind is left out of straight layers; `datagen (.*)` keeps more", cut[-1])
+    found = re.fullmatch(r"deeper surfaces are not stored in straight layers; `datagen (.*)` stores more", cut[-1])
     assert found is not None
     run(f"datagen {found[1]}")
     again = open_dataset(dataset.root)

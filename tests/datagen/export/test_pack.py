@@ -69,7 +69,7 @@ def test_any_tar_program_unpacks_every_file_of_the_dataset(here: Path) -> None:
 
 def test_an_unpacked_dataset_is_the_packed_one_and_is_not_unpacked_twice(here: Path) -> None:
     answer = call("datagen unpack 'my scene.tar' --out 'data/a copy'")
-    assert answer.status == 0 and answer.out.endswith("/data/a copy\n")
+    assert answer.status == 0 and answer.out == "data/a copy\n"
     assert tree(Path("data/a copy")) == tree(Path("data/my scene"))
     with watch(here, refuse):
         again = call("datagen unpack 'my scene.tar' --out 'data/a copy'")

@@ -124,7 +124,7 @@ def test_a_file_without_cameras_is_refused_in_a_line_that_names_it(
 def test_impossible_films_are_refused(dataset: Dataset) -> None:
     with pytest.raises(HyalineError, match="swirl: no such file; --path takes orbit, spline or a JSON file of key fra"):
         make_path(dataset, "swirl", 4, width=None, height=None)
-    with pytest.raises(HyalineError, match="frames: is 1; expected 2 to 10000"):
+    with pytest.raises(HyalineError, match="--frames: is 1; expected 2 to 10,000"):
         make_path(dataset, "spline", 1, width=None, height=None)
     with pytest.raises(HyalineError, match="height: is 0; expected 1 to 8192 pixels"):
         make_path(dataset, "spline", 2, width=None, height=0)

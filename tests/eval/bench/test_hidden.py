@@ -66,7 +66,7 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
     answer = call("hyaline-bench secret secret.txt --preset tiny")
     text = Path("secret.txt").read_text().strip()
     assert Path("secret.txt").stat().st_mode & 0o777 == 0o600 and re.fullmatch("[0-9a-f]{64}", text)
-    assert f"commitment: {sha256(text.encode())}\n" in answer.err
+    assert answer.out.startswith(f"# commitment: {sha256(text.encode())}\n")
     assert call("hyaline-bench secret secret.txt --preset tiny") == answer
     seeds = [int(seed) for seed in re.findall(r"datagen build random-(\d+) --preset tiny", answer.out)]
     assert [seed % 3 for seed in seeds] == [0, 1]
@@ -83,7 +83,7 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
 def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
     before = tree(here)
     for line, message in (
-        ("hyaline-bench hide secret --scene random-7100", "scene 'random-7100': there is none of that name"),
+        ("hyaline-bench hide secret --scene random-7100", "no scene 'random-7100'"),
         (f"hyaline-bench hide {other.root} --scene hidden-1", "hidden-1-tiny: holds another scene; choose another"),
         ("hyaline-bench hide secret/variants/angles --scene hidden-0", "is imported, or a variant"),
     ):
