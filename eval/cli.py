@@ -36,7 +36,7 @@ def report(
 
     Args:
         runs: Folder with the runs.
-        data: Folder with the datasets, DATA/SCENE, for runs whose record names none.
+        data: Folder with the datasets, DATA/SCENE, for runs that do not name their dataset.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
         format: Format of the tables on stdout: table, markdown, csv or latex.
         out: Folder for index.html, results.json and pictures. Default: RUNS/report.
@@ -47,8 +47,8 @@ def report(
             these tables are part of the results.
         full: Also describe each run, and print quality by angle, by number of training views and by layers.
         published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
-        shown_views: Views of each split and run on the page, starting with the worst, the median and the best. Views
-            beyond 20 MB are dropped.
+        shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
+            page would exceed 20 MB, it shows fewer.
         results: Instead of scoring runs, print a results.json as a page of Markdown, or for a folder, the list of such
             pages; `make results` writes docs/results/*.md and RESULTS.md this way.
         quiet: Print no progress.
@@ -66,7 +66,7 @@ def report(
         )
         sys.stdout.write(text)
         return
-    output_format = "json" if json else choose("--format", format, FORMATS)
+    output_format = "json" if json else choose("format", format, FORMATS)
     from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables
 

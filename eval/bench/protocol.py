@@ -177,15 +177,15 @@ def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
     if asked is None:
         if least is None:
             raise HyalineError(
-                f"{run.folder}: its record does not say what the method was told; name the track with --track, one of "
+                f"{run.folder}: run.json does not state the method's inputs; name the track with --track, one of "
                 f"{', '.join(tracks)}"
             )
         return least
-    choose("--track", asked, tracks)
+    choose("track", asked, tracks)
     order = list(tracks)
     if least is not None and order.index(asked) < order.index(least):
         raise HyalineError(
-            f"{run.folder}: was told more ({run.knowledge or run.geometry}) than the track {asked} allows; "
+            f"{run.folder}: uses inputs ({run.knowledge or run.geometry}) that the track {asked} does not allow; "
             f"submit it to {least}"
         )
     return asked

@@ -57,7 +57,7 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
     return "\n".join(
         [
             f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
-            "A method may be told:\n",
+            "Allowed inputs:\n",
             *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
             "",
             f"```\nmodel sweep bench --preset {preset}\nhyaline-bench leaderboard --preset {preset}\n```\n",
@@ -70,7 +70,8 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
 def _told(track: str, protocol: Protocol) -> list[str]:
     """What the track allows, and the tracks before it."""
     names = list(protocol.tracks)
-    return [protocol.tracks[name] for name in names[: names.index(track) + 1]]
+    allowed = [protocol.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
+    return [text[0].upper() + text[1:] for text in allowed]
 
 
 def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:

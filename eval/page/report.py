@@ -67,7 +67,7 @@ def make_report(
             f"{runs_root}: contains no predictions; make some with `model train paper`, or put a method's pictures at "
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
-    say(f"{out}: reports on {len(runs)} runs")
+    say(f"{out}: reporting on {len(runs)} runs")
     kept = kept_in(out)
     fits = read_fits(runs_root, errors, besides=out)
     if found := score_runs(runs, errors, kept, fits, made_by=_made_by(only)):

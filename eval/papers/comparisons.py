@@ -82,7 +82,7 @@ MANY_SEEDS = 3
 
 WRAPPED_NOTE = (
     "Wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
-    "them. No PSNR; only to be set beside the paper's own numbers. ±: sample standard deviation over seeds."
+    "them. This is not a PSNR; compare it only with the paper's own numbers. ±: sample standard deviation over seeds."
 )
 
 PUBLISHED_NOTE = (

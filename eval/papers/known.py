@@ -14,13 +14,13 @@ FITTED_MATERIALS, FITTED_HULL = "fitted-materials", "fitted-hull"
 """Geometries of `model fit`: true shapes with materials found, and hulls as solid glass."""
 
 KNOWLEDGE = (
-    "told all",
+    "everything",
     "materials unknown",
     "shapes from masks",
     "shapes, materials from masks",
     "pictures alone",
 )
-"""What a run was told, beside pictures and cameras; from most to least."""
+"""What a run knows of the glass, beside pictures and cameras; from most to least."""
 
 USUAL = (
     *(Line(title="", method=method, flags={}, geometry=None) for method in ("light-path", "paper-best", "paper")),

@@ -80,12 +80,12 @@ METRIC_NOTES = (
     "PSNR glass: pixels whose centre ray meets glass before anything opaque; pictures without such pixels are left "
     "out. SSIM: Wang et al. 2004, Gaussian window, sigma 1.5. ΔE2000: CIE DE2000 under D65, mean over pixels (p95: "
     "the pixels' 95th percentile).",
-    "Drop: PSNR interpolating minus extrapolating. Truth's noise (ceiling): the PSNR that a perfect method would get "
+    "Drop: PSNR interpolating minus extrapolating. Noise ceiling: the PSNR that a perfect method would get "
     "against these noisy pictures.",
 )
 WRAPPED_NOTE = (
     "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
-    "them. No PSNR; shown only beside their tables."
+    "them. This is not a PSNR; it is shown only for comparison with the paper's tables."
 )
 
 

@@ -8,7 +8,7 @@ from eval.score.scores import METRICS, Metric, RunScores, SceneScores
 from eval.score.seeds import SeedGroup, group_seeds
 
 MISSING = "–"  # noqa: RUF001  An en dash, as tables have it.
-CEILING = "truth's noise (ceiling)"
+CEILING = "noise ceiling"
 SHORT_SPLITS: dict[Split, str] = {
     "train": "train",
     "interpolating": "inter",

@@ -235,7 +235,7 @@ def _coverage_grids(scenes: list[Stored]) -> list[Grid]:
     rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
     return [
         Grid(
-            title="intervals of fits that hold the truth",
+            title="intervals of fits that contain the true value",
             columns=(
                 Column(group="dataset", is_number=False),
                 *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
@@ -243,7 +243,7 @@ def _coverage_grids(scenes: list[Stored]) -> list[Grid]:
             rows=tuple(rows),
             notes=(
                 "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
-                f"{100 * COVERED:.0f} % of all to hold the truth.",
+                f"{100 * COVERED:.0f} % of all to contain the true value.",
             ),
         )
     ]

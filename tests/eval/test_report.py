@@ -278,7 +278,7 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
 def test_every_broken_run_is_told(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "runs/synthetic/grey/run.json").write_text('{"seed": "three"}')
     (copy / "runs/synthetic/perfect/predictions/extrapolatin").mkdir()
-    with pytest.raises(HyalineError, match=r"extrapolatin: split .* did you mean 'extrapolating'"):
+    with pytest.raises(HyalineError, match=r"extrapolatin: no split .* did you mean 'extrapolating'"):
         report(copy)
     assert "seed is 'three'; expected an integer" in capsys.readouterr().err
 
@@ -423,8 +423,7 @@ def test_an_unknown_format_is_one_line_with_a_suggestion() -> None:
     done = call("report --format markdwn")
     assert (done.status, done.out) == (1, "")
     assert done.err == (
-        "error: --format 'markdwn': there is none of that name; did you mean 'markdown'? "
-        "known are csv, latex, markdown, table\n"
+        "error: no format 'markdwn'; did you mean 'markdown'? Choose from csv, latex, markdown, table\n"
     )
 
 

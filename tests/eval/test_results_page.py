@@ -85,11 +85,11 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
     assert table[0].endswith("| none | -2.00 ± 1.41 |")
     assert table[1].startswith("| worse | true \\| geometry | 1,234 | 1 | 29.00 | none | 29.00 |")
     assert table[1].endswith("| **29.00** | none | none | none |"), "of colour differences the least is best"
-    assert table[2].startswith("| truth's noise (ceiling) |  |  |  | ∞ | 40.00 |")
+    assert table[2].startswith("| noise ceiling |  |  |  | ∞ | 40.00 |")
     angles = lines[lines.index("### glass_table: variant angles") + 4 :]
     assert angles[:2] == [
         "| mine | 1 | 20.00 | 20.00 |",
-        "| truth's noise (ceiling) |  | 45.00 |  |",
+        "| noise ceiling |  | 45.00 |  |",
     ]
 
 
@@ -110,7 +110,7 @@ def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
     tints = "2.5 (3.0), 2.5, 2.5 (2.5)"
     assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
     assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
-    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that hold the truth") :]
+    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that contain the true value") :]
     assert "| glass_table | 1 of 1 | 1 of 2 |" in intervals and "| all | 1 of 1 | 1 of 2 |" in intervals
     # The index is a third of its interval's half away from the truth, one channel five halves.
     assert "| factor for 90 % | 0.3 | 5.0 |" in intervals

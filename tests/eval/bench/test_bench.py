@@ -335,10 +335,13 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "an unknown key": (with_index(extra=1), "unknown key 'extra'"),
     "a long text": (with_index(code="x" * 201), "code: has 201 characters; expected at most 200"),
     "a name that is a path": (with_index(name="../up"), "name: is '../up'; expected a name"),
-    "an unknown track": (with_index(track="all"), "track 'all': there is none of that name"),
-    "an unknown scene": (with_index(datasets={"attic": "0"}), "scene 'attic': there is none of that name"),
+    "an unknown track": (with_index(track="all"), "no track 'all'"),
+    "an unknown scene": (with_index(datasets={"attic": "0"}), "no scene 'attic'"),
     "another dataset": (with_index(datasets={"synthetic": "0" * 64}), "only records and pred|which is not there"),
-    "more told than the track allows": (with_file(f"{HOME}/run.json", RECORD), "was told more .everything. than the"),
+    "more told than the track allows": (
+        with_file(f"{HOME}/run.json", RECORD),
+        "uses inputs .everything. that",
+    ),
     "a missing view": (with_file(PICTURE, None), r"0000.png: missing \(1 of 2 are\)"),
     "a view too many": (
         with_file(PICTURE.replace("0000", "0002"), png_bytes(np.zeros((32, 32, 3), np.uint8))),
@@ -409,7 +412,7 @@ def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
     assert choose_track(found, None, small_protocol.tracks) == track
     assert choose_track(found, "materials", small_protocol.tracks) == "materials"
     for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:
-        with pytest.raises(HyalineError, match=f"than the track {lower} allows; submit it to {track}"):
+        with pytest.raises(HyalineError, match=f"that the track {lower} does not allow; submit it to {track}"):
             choose_track(found, lower, small_protocol.tracks)
 
 

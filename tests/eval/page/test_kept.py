@@ -140,7 +140,7 @@ def test_nothing_is_kept_through_a_link(copy: Path, tmp_path: Path) -> None:
     shutil.rmtree(folder)
     (tmp_path / "elsewhere").mkdir()
     folder.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(HyalineError, match="is a link, which nothing is written through"):
+    with pytest.raises(HyalineError, match="is a symbolic link, and hyaline does not write through links"):
         report(copy)
     assert not list((tmp_path / "elsewhere").iterdir())
 

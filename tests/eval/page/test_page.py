@@ -65,7 +65,7 @@ def test_names_from_files_are_shown_and_never_run(page: ReadPage) -> None:
 def test_the_tables_stand_in_the_markup_with_the_best_values_marked(page: ReadPage) -> None:
     first = page.all("table")[0]
     assert first.attributes["class"] == "sortable"
-    assert "plain" in first.text and "truth's noise" in first.text
+    assert "plain" in first.text and "noise ceiling" in first.text
     assert all(head.attributes.get("scope") in ("col", "row") for head in page.all("th"))
     best = [cell for cell in page.all("td") if "best" in (cell.attributes.get("class") or "").split()]
     assert best and all(math.isfinite(float(cell.text)) for cell in best)
