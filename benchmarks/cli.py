@@ -10,7 +10,8 @@ from datagen.terminal.command import run
 from datagen.terminal.parsing import CommandGroup, group
 
 DESCRIPTION = (
-    "Measure speed: rivals by turns in one process, checked first; exit status 1 where a ratio is missed. "
+    "Measure speed: compare alternatives in alternation within one process, after checking that their results agree; "
+    "exit status 1 if a ratio is missed. "
     "Draw what runs have learned. Open exports with other tools' loaders."
 )
 

@@ -134,7 +134,7 @@ def bench_truth(
             facts["mean light, ours / Cycles"] = compare_brightness(rivals[OURS], rivals[CYCLES], mean_spp)
         candidates = []
         for name, radiance in rivals.items():
-            say(f"bench truth: estimates the noise of {name}")
+            say(f"bench truth: estimating the noise of {name}")
             law = fit_noise(radiance, goal)
             wanted = law.spp_for(goal.ceiling_db)
             _, drawn = radiance(spp=CYCLES_SPP if name == CYCLES else TIMED_SPP, seed=0)

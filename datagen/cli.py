@@ -80,7 +80,7 @@ def build(
 
     Args:
         scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
-            random: glassware drawn from --seed. random-0007 is the random scene of seed 7.
+            random: glassware generated from --seed. random-0007 is the random scene of seed 7.
     """
     from datagen.build.build_command import build_scenes
     from datagen.build.shards import count_missing
@@ -140,8 +140,7 @@ def import_file(
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
         out: Folder to write. Default: scenes/NAME.
         overwrite: Replace an existing imported scene.
-        resolution: Size in pixels of the pictures that the ground's pattern is made for: one number for squares, or
-            such as 320x240.
+        resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.
     """
     from datagen.data.config import parse_resolution
     from datagen.scene.foreign_files import scene_name
@@ -166,8 +165,8 @@ def import_dataset(
 ) -> None:
     """Import another project's dataset: RefRef, OpenMaterial, NeRF's Blender scenes, or nerfstudio's transforms.json.
 
-    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. Whatever
-    only a renderer knows, such as noise, stays unknown. If interrupted, the same command resumes.
+    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. Noise and
+    other data of a renderer stay unknown. If interrupted, the same command resumes.
 
     Args:
         folder: A folder with transforms_train.json or transforms.json.
@@ -241,7 +240,7 @@ def peel(
     opened = open_dataset(find_dataset(dataset))
     check_settings(num_layers=num_layers, workers=workers)
     check_geometry(opened, geometry)
-    say(f"{opened.root}: peels {geometry} into {num_layers} layers")
+    say(f"{opened.root}: peeling {geometry} into {num_layers} layers")
     peel_dataset(opened, geometry, num_layers=num_layers, overwrite=overwrite, workers=workers)
     say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
@@ -256,7 +255,7 @@ def film(
     spp: int = 128,
     choices: FilmChoices = FilmChoices(),  # noqa: B008
 ) -> None:
-    """Path-trace a film of a dataset's scene; `model film` draws the same film with a trained run.
+    """Path-trace a film of a dataset's scene; `model film` renders the same film with a trained run.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
@@ -267,8 +266,9 @@ def film(
 
     opened = open_dataset(find_dataset(dataset))
     out = choices.out or Path(f"{opened.name}-truth.webp")
-    say(f"{opened.root}: renders {out}")
-    film_scene(opened, plan_film(opened, choices, out), out, fps=choices.fps, spp=spp)
+    cameras = plan_film(opened, choices, out)
+    say(f"{opened.root}: rendering {out}")
+    film_scene(opened, cameras, out, fps=choices.fps, spp=spp)
     tell(str(out))
 
 
@@ -289,8 +289,7 @@ def export(
         format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, capture, cleargrasp, webdataset,
             quantities or huggingface.
         out: Folder to write. Default: exports/NAME-FORMAT.
-        points: For formats with a point cloud: number of points on the true surfaces, coloured from the training
-            images.
+        points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
         flow: With webdataset and quantities: also trace refractive flow and attenuation through the glass.
         overwrite: Replace an existing export.
     """
@@ -354,13 +353,13 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     if not overwrite:
         refuse_file(path)
     refuse_owned(path, DATASET)
-    say(f"{opened.root}: draws {path}")
+    say(f"{opened.root}: writing {path}")
     commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))
     tell(str(path))
 
 
 def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = False) -> None:
-    """Check every byte of a dataset; if something is damaged, name it and exit with status 1.
+    """Check every byte of a dataset; report damage, and exit with status 1 if there is any.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
@@ -375,12 +374,12 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 
 
 def scenes() -> None:
-    """List the built-in scenes, and how to draw random ones."""
+    """List the built-in scenes, and how to generate random ones."""
     from datagen.scene.random_names import FAMILIES, RANDOM
 
     for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")
-    print(f"{RANDOM:14} Glassware drawn from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
+    print(f"{RANDOM:14} Glassware from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
     next_command(build_command())
 
 

@@ -54,9 +54,9 @@ def make(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: every dataset there.
-        kind: box (oriented, of least volume), ellipsoid (of least volume), hull (convex, with rounded edges), blocks
-            (up to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise
-            (the true surface displaced at random, which encloses nothing).
+        kind: box (oriented, of minimum volume), ellipsoid (of minimum volume), hull (convex, rounded edges), blocks (up
+            to 8 boxes), wrap (shrink-wrapped, follows hollows), lowpoly (few triangles, follows hollows) or noise (the
+            true surface, randomly displaced; not enclosing).
         amount: With --kind noise: its standard deviation as a fraction of each object's diagonal, 0.001 to 0.05. Each
             amount makes a geometry of its own, such as noise-0.01. Default: 0.01.
         assign: OBJECT=KIND, instead of one kind for all: the kind for one object, or for all that match a pattern such

@@ -49,7 +49,7 @@ def make_and_peel(
         workers: parallel processes that peel.
         overwrite: replace existing proxies and layers.
     """
-    say(f"{dataset.root}: makes {spec.geometry} proxies of {len(dataset.objects)} objects")
+    say(f"{dataset.root}: making {spec.geometry} proxies of {len(dataset.objects)} objects")
     if not make_proxies(dataset, spec, overwrite=overwrite):
         say(f"{dataset.root}: keeps its {spec.geometry} proxies; --overwrite makes them again")
     reports = read_reports(dataset, spec.geometry)
@@ -187,12 +187,12 @@ def _has_intact(dataset: Dataset, geometry: str) -> bool:
     try:
         load_sealed(path)
     except HyalineError as error:
-        say(f"{error}; makes them again")
+        say(f"{error}; making them again")
         return False
     records = read_proxy_records(dataset, geometry)
     try:
         check_files(path.parent, {record.file: record.sha256 for record in records})
     except HyalineError as error:
-        say(f"{error}; makes them again")
+        say(f"{error}; making them again")
         return False
     return True

@@ -38,8 +38,7 @@ def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Camer
     """
     if not isinstance(scene.cameras, CameraRig):
         raise HyalineError(
-            f"scene {scene.name}: lists its cameras, so that nobody knows which directions training covers; leave out "
-            "--angles, or give it a CameraRig"
+            f"scene {scene.name}: lists its cameras explicitly, so --angles is not available; give it a CameraRig"
         )
     size, fov_x, count = config.resolution, math.radians(scene.cameras.fov_deg), config.extrapolating.views
     meshes = tuple(item.mesh for item in scene.objects)

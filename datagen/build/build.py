@@ -105,7 +105,7 @@ def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None
         return
     from datagen.machine.mitsuba_variant import use_mitsuba
 
-    say(f"{dataset.root}: renders {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
+    say(f"{dataset.root}: rendering {len(missing)} of {len(tasks)} views with {use_mitsuba()}")
     finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
     with _told_missing(missing, lambda task: dataset.view(*task).is_built, where=f"{dataset.root}: render"):
         for _ in track(finished, label="render", total=len(tasks), done=len(tasks) - len(missing)):
@@ -184,7 +184,7 @@ def summary(dataset: Dataset, geometry: str) -> list[str]:
     if most > MANY_PERCENT:
         words = ["datagen", "peel", str(dataset.root), *(["--geometry", geometry] if geometry != TRUTH else [])]
         more = shlex.join([*words, "--num-layers", str(2 * store.head.num_layers), "--overwrite"])
-        lines.append(f"what lies behind is left out of straight layers; `{more}` keeps more")
+        lines.append(f"deeper surfaces are not stored in straight layers; `{more}` stores more")
     return lines
 
 
@@ -278,7 +278,7 @@ def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers
     try:
         head = dataset.layer_store(geometry).head
     except DamagedError as error:
-        say(f"{error}; makes it again")
+        say(f"{error}; making it again")
         return False
     if head.num_layers != num_layers:
         raise HyalineError(
@@ -286,7 +286,7 @@ def _is_started(dataset: Dataset, geometry: str, meshes_hash: str, *, num_layers
             f"--num-layers {head.num_layers}"
         )
     if head.geometry != meshes_hash:
-        say(f"{root}: the geometry has changed since it was peeled; peels it again")
+        say(f"{root}: the geometry has changed since it was peeled; peeling it again")
     return head.geometry == meshes_hash
 
 

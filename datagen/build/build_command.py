@@ -37,7 +37,7 @@ def build_scenes(
     """
     in_parts = "--shard" if choices.shard else "--launcher" if launch.launcher else ""
     if in_parts and choices.overwrite:
-        raise UsageError(f"--overwrite: does not go with {in_parts}, which deletes nothing; delete the folder first")
+        raise UsageError(f"--overwrite: cannot be combined with {in_parts}; delete the folder first")
     if choices.shard and launch.launcher:
         raise UsageError("--launcher: builds all parts; leave out --shard")
     if scene != RANDOM:
@@ -69,7 +69,7 @@ def build_scenes(
             failed += 1
     if failed:
         raise HyalineError(
-            f"{failed} of {choices.count} scenes failed, for the reasons above; the others are built, and the same "
+            f"{failed} of {choices.count} scenes failed (see above); the others are built, and the same "
             "command skips them"
         )
     return built
@@ -85,7 +85,7 @@ def _build_scene(
         refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
     built = None if choices.overwrite else place
     if built is not None and (built / DATASET.head).is_file():
-        say(f"{built}: checks what is there")
+        say(f"{built}: checking what is there")
     scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
     are_views_chosen = size.views is not None or size.test_views is not None

@@ -45,7 +45,7 @@ def build_variant(
         render_dataset(variant, workers=workers, shard=shard)
     _peel(base, variant, workers=workers, shard=shard)
     if variant.edit is not None:
-        say(f"{root}: finds where the edit shows")
+        say(f"{root}: finding where the edit shows")
         write_edit_masks(base, variant)
     return variant
 

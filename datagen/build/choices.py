@@ -23,8 +23,8 @@ class BuildChoices:
     preview: bool = False
     """Show thumbnails of the result, in a terminal with true colour."""
     family: str | None = None
-    """For random scenes: object (one in front of a background), table (glass among other things) or nested (media
-    inside each other), or a family of another distribution. Default: they take turns with the seed."""
+    """For random scenes: object (a single object), table (glassware among other objects), nested (one medium inside
+    another), or a family of an installed package. Default: the seed cycles through these three."""
     count: int | None = None
     """For random scenes: build this many datasets, with --seed and the seeds that follow. One that fails is reported
     and does not stop the others."""
@@ -74,20 +74,20 @@ class AddChoices:
 
     edit: tuple[str, ...] = ()
     """Render the test views of the edited scene: remove:OBJECT, move:OBJECT:dx,dy,dz (metres),
-    duplicate:OBJECT:dx,dy,dz, glass:OBJECT (turns opaque objects into glass, and glass opaque), swap:OBJECT:OBJECT,
+    duplicate:OBJECT:dx,dy,dz, glass:OBJECT (turns an opaque object into glass, or glass opaque), swap:OBJECT:OBJECT,
     no-glass or opaque-glass. May be repeated: all edits change one scene, in this order."""
     twins: bool = False
     """Render the test views with all glass removed, and with it painted opaque."""
     angles: bool = False
     """Render test cameras 10, 20 and 40 degrees outside the directions of the training cameras."""
     larger: tuple[int, ...] = ()
-    """Render the test views at this multiple of their width and height, such as 2. May be repeated."""
+    """Render the test views at N times their width and height, such as 2. May be repeated."""
     larger_views: int | None = None
     """With --larger: number of evenly spaced views of each test split. Default: all."""
     workers: int = 1
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
-    """Render again what exists."""
+    """Render again, even if present."""
     preview: bool = False
     """Show thumbnails of the result, in a terminal with true colour."""
     shard: str | None = None
@@ -102,8 +102,8 @@ class FilmChoices:
     """The camera's path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF
     tools write cameras."""
     out: Path | None = None
-    """File to write: .webp, .mp4 (needs the extra `video`), or a folder for one PNG per frame. Default: a .webp named
-    after what it shows."""
+    """File to write: .webp, .mp4 (needs the extra `video`), or a folder for one PNG per frame. Default:
+    DATASET-RUN.webp, or DATASET-truth.webp."""
     frames: int = 48
     """Number of pictures."""
     fps: float = 24.0

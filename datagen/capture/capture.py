@@ -170,7 +170,7 @@ def _find_depths(
     panes: Sequence[Pane],
 ) -> DepthMaps:
     """Depth maps of everything that is not glass, also of what is seen through panes."""
-    say(f"compares {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
+    say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
     flat = [1 + objects.index(pane.name) for pane in panes]
     is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
     return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)

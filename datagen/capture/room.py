@@ -90,7 +90,8 @@ def fit_room(
     if not levels:
         side, bottom = 3 * radius, min(outline.center[2] - outline.radii[2] for outline in glass) - GAP
         floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
-        remark = f"room: none of {len(whole):,} points lie in a plane; it is a floor below the glass, --room gives more"
+        found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
+        remark = f"room: {found}; using a floor below the glass, unless --room gives a mesh"
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
     floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
     parts: list[Part] = []

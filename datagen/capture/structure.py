@@ -38,7 +38,7 @@ MODEL, KNOWN = "SIMPLE_RADIAL", "OPENCV"
 def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
     """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them."""
     colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
-    say(f"{root}: has no cameras; looks for them in {len(pictures)} pictures, which takes minutes")
+    say(f"{root}: has no cameras; finding them in {len(pictures)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         folder = Path(scratch)
         times = _write_pictures(folder, [(path, masks.of(path)) for path in pictures])
@@ -79,7 +79,7 @@ def find_points(folder: Folder) -> None:
     except HyalineError:
         return
     shots = folder.shots
-    say(f"{folder.root}: has no points for the room; looks for them in {len(shots)} pictures, which takes minutes")
+    say(f"{folder.root}: has no points for the room; finding them in {len(shots)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         work = Path(scratch)
         times = _write_pictures(work, [(shot.picture, shot.masks) for shot in shots])

@@ -149,7 +149,8 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
         roots = [geometry_root(place, geometry) for place in (dataset_root, home_of(dataset_root))]
         if geometry != TRUTH and not any((root / PROXIES.head).is_file() for root in roots):
             raise HyalineError(
-                f"{dataset_root}: has no geometry {geometry}; `proxies make` makes proxies, `model fit` fitted glass"
+                f"{dataset_root}: has no geometry {geometry}; make proxies with `proxies make`, or fitted glass with "
+                "`model fit`"
             )
         raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `{peel}`")
     content = load_sealed(path)

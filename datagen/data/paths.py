@@ -67,7 +67,7 @@ BUILT_IN_SCENES = {
     "vitrine": "Opaque sculptures of many colours behind the thin panes of a display case",
     "plant_shelf": "Two leafy plants around a shelf with a glass vase, a bell jar, books and pots",
     "drinks": "Tinted drinks in glasses, with ice and a straw: media that touch each other, on a table in a room",
-    "prism_bench": "Prisms, a lens, cut crystal and frosted glass that part a hard beam into colours, in the dark",
+    "prism_bench": "Prisms, a lens, cut crystal and frosted glass that split a hard beam into colours, in the dark",
     "pool": "Rippled water in a tiled basin in the sun: caustics below, clear and frosted glass standing in it",
 }
 """The built-in scenes, which datagen/scene/builtin makes, and a line about each."""

@@ -213,7 +213,8 @@ def refuse_links(root: Path, relative: Path) -> None:
         path = path / part
         if path.is_symlink():
             raise HyalineError(
-                f"{path}: is a link, which nothing is written through; put what it leads to in its place, or remove it"
+                f"{path}: is a symbolic link, and hyaline does not write through links; replace it with its target, or "
+                "remove it"
             )
 
 

@@ -50,7 +50,7 @@ def export_dataset(
         raise HyalineError(
             f"--flow: has no place in the format {form}; leave it out, or take --format quantities or webdataset"
         )
-    say(f"{out}: exports {dataset.root} as {form}")
+    say(f"{out}: exporting {dataset.root} as {form}")
     plan = dataclasses.replace(plan, parts=(*plan.parts, _license_part(dataset)))
     settings = {"format": form, "dataset": dataset.seal, "points": num_points, "flow": flow}
     write_export(out, plan, {**settings}, overwrite=overwrite)

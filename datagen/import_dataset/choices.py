@@ -26,9 +26,9 @@ class DatasetImportChoices:
     up: Literal["x", "y", "z"] = "z"
     """The axis of the cameras' world that points up."""
     downscale: int = 1
-    """Make pictures this many times smaller a side, by averaging light."""
+    """Divide width and height by this factor, averaging linear light."""
     background: Literal["white", "black"] = "white"
-    """What is put behind pictures with transparency."""
+    """Background for images with transparency."""
 
     def __post_init__(self) -> None:
         if not 1 < self.ior < 10:

@@ -60,14 +60,14 @@ class LaunchChoices:
     """Run in jobs on a Slurm cluster."""
 
     launcher: Literal["slurm", "local"] | None = None
-    """slurm: submit Slurm jobs, from a machine that sees the same folder, wait for them, and report those that fail.
-    local (for builds): start all jobs on this machine. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
+    """slurm: submit Slurm jobs from a machine that shares the folder, wait for them, and report failures. local (only
+    for builds): run all jobs on this machine. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
     slurm_partition: str | None = None
     """Slurm partition. Default: the cluster's. Other options of sbatch are read from its variables, such as
     SBATCH_ACCOUNT."""
     slurm_time: int | None = None
-    """Time limit of each job in minutes; whatever a job finishes by then is kept. Default: half an hour and
-    three times an estimate, which grows with pixels, samples and steps."""
+    """Time limit of each job in minutes; finished work is kept. Default: 30 plus three times the estimated time, which
+    grows with pixels, samples and steps."""
     slurm_cpus: int | None = None
     """CPUs of each job. Default: as many as --workers, or 4 for training."""
     slurm_gpus: int = 0
@@ -153,7 +153,7 @@ def raise_failures(where: str, failures: Sequence[JobFailure], total: int) -> No
         say(f"failed: {failure.name}: {failure.reason}; log: {failure.log}")
     if failures:
         raise HyalineError(
-            f"{where}: {len(failures)} of {total} jobs failed, for the reasons above; "
+            f"{where}: {len(failures)} of {total} jobs failed (see above); "
             "run the same command again to continue where they stopped"
         )
 
@@ -211,7 +211,7 @@ def _wait(jobs: "dict[str, submitit.Job[int]]", minutes: int, *, is_slurm: bool)
                     before, states[name] = states.get(name), answer.get(job.job_id, ("GONE", ""))[0]
                     over[name] = over[name] + 1 if states[name] in OVER else 0
                     if before not in (None, "PENDING") and states[name] == "PENDING":
-                        say(f"{name}: requeued by Slurm; goes on when its turn comes (job {job.job_id})")
+                        say(f"{name}: requeued by Slurm; will continue when its turn comes (job {job.job_id})")
                 status = _status(job) if is_slurm or states[name] in OVER else None
                 needed = ANSWERS if status is not None or OVER.get(states.get(name, "")) else ANSWERS_WITHOUT_RESULT
                 if status != 0 and over[name] < needed:

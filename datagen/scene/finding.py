@@ -49,7 +49,7 @@ def find_scene(
     if is_foreign(given):
         from datagen.scene.importers.confined_import import imported_scene
 
-        say(f"scene {given}: imports it")
+        say(f"scene {given}: importing it")
         scene, told = imported_scene(Path(given), imports, resolution=resolution)
         say_all(told)
         return scene
@@ -59,7 +59,7 @@ def find_scene(
     if ending in OTHER_ENDINGS or (ending not in ("", "json") and Path(given).is_file()):
         check_ending(Path(given))
     if (Path(given) / "scene.json").is_file():
-        say(f"scene {given}: reads and checks it")
+        say(f"scene {given}: reading and checking it")
         scene = load_scene(Path(given))
         # That of an edit lists the objects that it removed.
         return dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))

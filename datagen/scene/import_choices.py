@@ -21,14 +21,15 @@ class ImportChoices:
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
     thin: Thin = "open"
-    """Which glass becomes thin panes: open meshes, also whatever the file calls thin-walled (file), or all."""
+    """Which glass becomes thin panes. open: only open meshes; file: also materials that the file marks as thin-walled;
+    all: all glass."""
     cameras: str = "around"
     """Cameras all around the glass (around), those in the file (file), or those of a transforms.json or a COLMAP
     folder, in the file's own axes and units."""
     lights: Literal["soft", "file"] = "soft"
-    """Softboxes and dark flags all around in soft light, or the lamps of a glTF file with a little of that light."""
+    """soft: softboxes and dark flags all around; file: the lamps of a glTF file, plus a little soft light."""
     ground: Literal["auto", "always", "never"] = "auto"
-    """Add a chequered ground: if nothing lies below the glass (auto), always or never."""
+    """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False
     """Close holes in glass meshes (open ones otherwise become thin panes), and join overlapping parts of glass into one
     solid. import.json records the volume before and after; a change of more than 5 % is an error."""

@@ -162,7 +162,7 @@ def check_cameras_outside(scene: Scene, places: Float[np.ndarray, "place 3"]) ->
         if len(close) and (inside := windings(face_corners(item.mesh), close) > 0).any():
             place = ", ".join(f"{value:.3g}" for value in close[inside][0])
             raise HyalineError(
-                f"{_where(scene, item)}: cameras are inside this glass, near ({place}), but rays start in air; "
+                f"{_where(scene, item)}: a camera is inside this glass, at ({place}), but rays must start in air; "
                 "move it or the cameras, or scale it if it was not modelled in metres"
             )
 

@@ -105,7 +105,7 @@ def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
     """Says how to go on; of several processes that train together, only the first one does."""
     same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
     if not _is_mute:
-        fail(stopped.message or f"stopped; run {same} to go on", status=stopped.status)
+        fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
     sys.exit(stopped.status)
 
 
@@ -170,16 +170,18 @@ def _program() -> str:
 def choose(what: str, value: str, choices: Collection[str]) -> str:
     """`value`, when it is one of `choices`.
 
+    Args:
+        what: What is chosen, such as `preset`, or `WHERE: preset`.
+
     Raises:
         HyalineError: it is not; the nearest choice is suggested.
     """
     if value in choices:
         return value
     near = difflib.get_close_matches(value[:MAX_SUGGESTED], choices, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    raise HyalineError(
-        f"{what} {shown(value)}: there is none of that name; {hint}known are {', '.join(sorted(choices))}"
-    )
+    hint = f"did you mean {near[0]!r}? Choose" if near else "choose"
+    where, colon, kind = what.rpartition(": ")
+    raise HyalineError(f"{where}{colon}no {kind} {shown(value)}; {hint} from {', '.join(sorted(choices))}")
 
 
 def track(

@@ -287,7 +287,7 @@ def _unknown(program: str, word: str, given: str, known: Sequence[str], moved: M
     places = (f"{program} {given}", f"{program.rpartition(' ')[0]} {given}", given)
     if now := next((moved[place] for place in places if place in moved), None):
         return UsageError(f"{program} {given} {now}")
-    near = difflib.get_close_matches(given[:100], known, n=1, cutoff=0.5)
+    near = difflib.get_close_matches(given[:100], known, n=1, cutoff=0.7)
     hint = f"; did you mean {near[0]}?" if near else "."
     return UsageError(f"{program}: no {word} {given[:100]}{hint} {_see(program)}")
 

@@ -66,7 +66,7 @@ class FitFolder:
             try:
                 state = load_state(path)
             except HyalineError as error:
-                say(f"{error}; makes it again")
+                say(f"{error}; making it again")
             else:
                 if state.pop("key", None) == key:
                     say(f"{title}: found before")

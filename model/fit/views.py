@@ -65,7 +65,7 @@ class Sightings:
 def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
     """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
     for name in names:
-        choose("unknown", name, [item.name for item in dataset.objects])
+        choose("--unknown: object", name, [item.name for item in dataset.objects])
     found: list[int] = []
     for place, item in enumerate(dataset.objects):
         if item.name in names and not item.is_glass:

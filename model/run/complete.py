@@ -81,7 +81,7 @@ def complete_run(
                 train_here()
             else:
                 delete_checkpoints(out)
-                say(f"{out}: is trained; goes on with its predictions")
+                say(f"{out}: is trained; continuing with its predictions")
             start, missing = time.monotonic(), [v for v in drawn_along(dataset) if not is_drawn(out, v)]
             render_predictions(out, config, dataset, device=device)
             if logs.costs is not None:
@@ -100,5 +100,5 @@ def _is_finished(config: TrainConfig, dataset: Dataset, out: Path, processes: Pr
         processes.broadcast(False)
         return True
     if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
-        say(f"{out}: was stopped before its first checkpoint; starts at step 0")
+        say(f"{out}: was stopped before its first checkpoint; starting at step 0")
     return False

@@ -167,7 +167,7 @@ def _methods_of(size: dict[str, object], path: Path) -> dict[str, dict[str, obje
         return None
     if not (isinstance(methods, dict) and all(isinstance(flags, dict) for flags in methods.values())):
         raise HyalineError(f"{path}: methods is {shown(methods)}; expected a table of each method's flags")
-    return {choose(f"{path}: methods", method, METHODS.names()): flags for method, flags in methods.items()}
+    return {choose(f"{path}: method", method, METHODS.names()): flags for method, flags in methods.items()}
 
 
 def _of_preset(block: dict[str, object], preset: str | None, only: object = None) -> dict[str, object]:
@@ -216,7 +216,7 @@ def _filled(commands: Sequence[str], method: str, asked: Asked, preset: str | No
             (program, *_) = shlex.split(command)
         except ValueError:
             raise HyalineError(f"{where} is {shown(command)}; expected a command line") from None
-        choose(where, program, PROGRAMS)
+        choose(f"{where}: program", program, PROGRAMS)
     return filled
 
 

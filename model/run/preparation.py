@@ -186,7 +186,8 @@ def told_fine_patterns(dataset: Dataset, geometry: str, renderer: nn.Module) -> 
     if not blurred:
         return []
     shown = ", ".join(blurred[:MAX_NAMES]) + (f" and {len(blurred) - MAX_NAMES} more" if blurred[MAX_NAMES:] else "")
-    return [f"textures blur patterns with less than two texels a period: {shown}; {enough} texels across hold them all"]
+    coarse = f"textures are too coarse for patterns with less than two texels per period: {shown}"
+    return [f"{coarse}; {enough} texels across resolve them all"]
 
 
 def finest_widths(renderer: nn.Module, num_objects: int) -> list[int]:

@@ -156,7 +156,7 @@ def finish(experiment: Experiment, failures: Sequence[Failure]) -> None:
         say(f"failed: {failure.command}: {failure.reason}")
     if failures:
         raise HyalineError(
-            f"sweep {experiment.name}: {len(failures)} of {total} runs failed, for the reasons above; "
+            f"sweep {experiment.name}: {len(failures)} of {total} runs failed (see above); "
             "fix them and run the same command again to continue"
         )
     run_commands(experiment, experiment.then)

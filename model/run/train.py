@@ -119,9 +119,10 @@ def train(
         logs=logs if processes.is_first else LogChoices(),
     )
     progress = resume(run)
+    layers = inputs.num_layers or ("traced" if config.net.uses_geometry else "no")
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
-        f"{inputs.num_layers or ('traced' if config.net.uses_geometry else 'no')} layers, "
+        f"{layers} layer{'s' * (layers != 1)}, "
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
     say_all(told_fine_patterns(dataset, config.geometry, renderer))

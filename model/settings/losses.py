@@ -23,8 +23,9 @@ class LossConfig:
     vgg: VggKind = choice("vgg16", "{}")
     """Network of the perceptual loss."""
     perceptual: float = choice(0.05, "perceptual{}", limits=AMOUNT)
-    """Weight of the perceptual loss; the paper names none. With this one, measured with random weights on a blurred
-    prediction, the gradient at a patch's colours has a sixth of the length of that of the mean absolute difference."""
+    """Weight of the perceptual loss; the paper names none."""
+    # At 0.05, measured with random weights on a blurred prediction, the gradient at a patch's colours has a sixth of
+    # the length of that of the mean absolute difference.
     adversarial: float = choice(0.0, "adversarial{}", limits=AMOUNT)
     """Weight of the adversarial loss of a 70 x 70 PatchGAN; 0 turns it off. 0.01 is pix2pix's, where L1 weighs a
     hundred times as much."""

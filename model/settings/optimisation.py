@@ -23,14 +23,13 @@ class Optimisation:
     proportional to it."""
     updates: int = choice(1, "{}-updates", limits=COUNT)
     """Weight updates per step, each from an equal part of its batch. For the same number of rays, more updates fit
-    better: light-path gains 1.5 / 1.6 dB with two (400 steps of 1,024 pixels, one seed), 0.7 / 0.8 dB more with
-    four."""
+    better."""
     optimizer: OptimizerKind = choice("adam", "{}")
-    """What moves the weights: adam (section 4.4), or muon for the matrices of the network and Adam for all else."""
+    """adam (section 4.4), or muon: Muon for the network's matrices, Adam for the rest."""
     lr: float = choice(0.001, "lr{}")
     """Learning rate (section 4.4)."""
     texture_lr: float | None = choice(None, "texture-lr{}")
-    """Learning rate of the textures; None: that of the network, as in the paper."""
+    """Learning rate of the textures. Default: the network's, as in the paper."""
     lr_decay: LrDecay = choice("linear", {"none": "no-decay", "": "{}-decay"})
     """Decay of the learning rate: none, linear (constant for the first half of the steps, then down to 0) or cosine.
     The paper's text names none; the authors' scripts use linear (100 epochs constant, 100 epochs linear)."""
@@ -40,7 +39,7 @@ class Optimisation:
     """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code. Not with
     Muon."""
     steps: int = choice(2500, "{}-steps", limits=COUNT)
-    """Optimiser steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR of
+    """Optimizer steps; larger datasets need more. The paper names no number; at 128 x 128 pixels the held-out PSNR of
     `paper` flattens out by 2500."""
 
     def __post_init__(self) -> None:
@@ -60,7 +59,7 @@ class Optimisation:
 
 @dataclass(frozen=True, kw_only=True)
 class PixelOptimisation(Optimisation):
-    """The same for methods to whose loss further terms can be added."""
+    """Optimisation, for methods that accept extra loss terms."""
 
     draws: DrawKind = choice("uniform", {"uniform": "uniform", "error": "by-error"})
     """How training pixels are drawn. uniform: all are equally likely. error: half of them where the error, above

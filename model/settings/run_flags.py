@@ -32,17 +32,18 @@ class RunFlags:
     """Where to compute; auto uses a GPU if there is one."""
     memory: Memory = choice("auto")
     """Where training data from stored layers is held: ram, or mapped: memory-mapped files under ~/.cache/hyaline (or
-    $XDG_CACHE_HOME), of which each step reads what it needs, so that a dataset may be larger than memory. The results
-    are identical, bit for bit. auto maps what does not fit, and says so. The files may be deleted at any time."""
+    $XDG_CACHE_HOME), from which each step reads only what it needs, so the dataset may exceed memory. The results are
+    identical, bit for bit. auto uses mapped files when the data do not fit, and reports it. The files may be deleted
+    at any time."""
     snapshots: bool = choice(True)
-    """Leave a small picture of the held-out views, below the truth, at each evaluation: in the run's folder
+    """Write a small picture of the held-out views, below the truth, at each evaluation, to the run's folder
     snapshots."""
     tensorboard: bool = choice(False)
-    """Leave event files for TensorBoard in the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
+    """Write event files for TensorBoard to the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
     extra tensorboard."""
     costs: bool = choice(False)
-    """Leave a file costs.json in the run's folder: time, processor time and memory that training takes, which the
-    report's page of the run shows. The only numbers that differ from one training to an equal one."""
+    """Write costs.json to the run's folder: the wall time, CPU time and memory of training, shown on the run's page of
+    the report. These are the only numbers that differ between identical trainings."""
     preview: bool = choice(False)
     """Show thumbnails of the held-out views, above the truth, at each evaluation, in a terminal with true colour."""
     overwrite: bool = choice(False)

@@ -260,7 +260,7 @@ def _check_free(host: str, port: int) -> None:
             probe.bind(address)
     except PermissionError as error:
         raise HyalineError(
-            f"--port: {port} needs more rights than this account has; choose one above 1023, such as --port 8080"
+            f"--port: {port} needs root privileges; choose one above 1023, such as --port 8080"
         ) from error
     except OSError as error:
         if error.errno == errno.EADDRINUSE:

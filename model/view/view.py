@@ -202,7 +202,7 @@ def show(what: str, *, host: str, port: int, device: Device) -> None:
     def announce(address: str) -> None:
         tell(address)
         sys.stdout.flush()
-        say(f"{what}: open the address in a browser; Ctrl-C ends the viewer")
+        say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
 
     view(opened, live, host=host, port=port, announce=announce)
 

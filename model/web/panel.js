@@ -101,7 +101,7 @@ class Panel {
       node.addEventListener("click", () => page.command(key));
       return node;
     };
-    return made("div", { className: "buttons" }, button("Copy", "c"), button(isCopy ? "Take away" : "Hide", "Delete"));
+    return made("div", { className: "buttons" }, button("Copy", "c"), button(isCopy ? "Remove" : "Hide", "Delete"));
   }
 
   // What may have changed without these controls.

@@ -101,7 +101,7 @@ def test_a_damaged_file_is_made_again(
     good = path.read_bytes()
     path.write_bytes(good[:-20] + b" " + good[-19:])
     call(monkeypatch, "make", "--kind", "box")
-    assert "makes them again" in capsys.readouterr().err
+    assert "making them again" in capsys.readouterr().err
     assert path.read_bytes() == good
 
 
@@ -191,7 +191,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
     [
         (
             ("make", "--kind", "elipsoid"),
-            "did you mean 'ellipsoid'? known are blocks, box, ellipsoid, hull, lowpoly, noise",
+            "did you mean 'ellipsoid'? Choose from blocks, box, ellipsoid, hull, lowpoly, noise",
         ),
         (
             ("make", "--kind", "noise", "--amount", "0.2"),
@@ -203,8 +203,8 @@ def test_without_a_scene_every_dataset_gets_proxies(
             ("make", "--dataset", "missing"),
             "data/missing: no dataset; make one with `datagen build --scene ",
         ),
-        (("make", "--assign", "pain=box"), "object 'pain': there is none of that name; did you mean 'pane'?"),
-        (("make", "--assign", "pane=bx"), "kind 'bx': there is none of that name; did you mean 'box'?"),
+        (("make", "--assign", "pain=box"), "no object 'pain'; did you mean 'pane'?"),
+        (("make", "--assign", "pane=bx"), "no kind 'bx'; did you mean 'box'?"),
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
         (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane already has box; expected"),
         (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: does not go with --assign"),

@@ -156,7 +156,7 @@ def test_a_sweep_waits_for_what_is_requeued_and_tells_what_was_killed(slurm: dic
     os.kill(child, signal.SIGKILL)
     said = end(sweep)
     assert sweep.returncode == 1
-    assert re.search(rf"--seed 0: requeued by Slurm; goes on when its turn comes \(job {first}\)", said)
+    assert re.search(rf"--seed 0: requeued by Slurm; will continue when its turn comes \(job {first}\)", said)
     assert re.search(rf"--seed 0: done \(job {first}; ", said)
     assert "sweep grid: 1 of 3 runs are finished" in said
     assert re.search(r"failed: model train .* --seed 1: it was cancelled; log: ", said)

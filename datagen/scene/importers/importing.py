@@ -102,7 +102,10 @@ class Imported:
         shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
         count = f"scene {self.scene.name}: {len(self.scene.objects)} objects"
         if not glass:
-            return [*shown, f"{count}, none of them glass; --material glass or 'OBJECT=glass' names what is"]
+            return [
+                *shown,
+                f"{count}, none of them glass; mark it with --material glass, or --material 'OBJECT=glass'",
+            ]
         return [*shown, f"{count}, {glass} of them glass"]
 
 
@@ -113,6 +116,9 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         resolution: of the pictures, which the ground's pattern is made for.
     """
     check_ending(path)
+    if not path.exists():
+        start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
+        raise HyalineError(f"{path}: no such file; check the path{start}")
     if resolution.mean_side < MIN_SIDE:
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     check_decimation(choices.max_triangles)
@@ -276,7 +282,7 @@ def scene_object(
         remarks.note(name, line)
     material = chosen or part.material
     if material is PLAIN:
-        remarks.note(name, "has no material in the file; drawn grey and matt, --material names another")
+        remarks.note(name, "has no material in the file; rendered grey and matt; set another with --material")
     if isinstance(material, ForeignMaterial):
         material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
     if choices.repair and _is_solid(material):

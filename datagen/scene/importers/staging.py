@@ -111,8 +111,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     period = 2 * half * TEXELS_A_PERIOD / texels
     remarks.note(
         "ground",
-        f"added, {2 * half:.3g} m wide; a period of its pattern, {period:.3g} m, is {TEXELS_A_PERIOD} texels "
-        f"in pictures of {resolution} pixels",
+        f"added, {2 * half:.3g} m wide (pattern period {period:.3g} m, {TEXELS_A_PERIOD} texels at {resolution})",
     )
     height = float(low[2]) - gap
     mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))

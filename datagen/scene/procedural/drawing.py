@@ -119,10 +119,10 @@ class Drawn:
 
 def make_random(name: RandomName) -> Scene:
     """The scene of this name, unwrapped and checked."""
-    say(f"scene {name}: draws it and unwraps its surfaces")
+    say(f"scene {name}: generating it and unwrapping its surfaces")
     drawn = draw_scene(name)
     for reason in drawn.refused:
-        say(f"scene {name}: a draw was refused: {reason}")
+        say(f"scene {name}: a candidate was rejected: {reason}")
     meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
     scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN_LICENSE)
@@ -141,7 +141,7 @@ def draw_scene(name: RandomName) -> Drawn:
             refused.append(str(error).removeprefix(f"scene {name}: "))
     counts = Counter(refused).most_common(3)
     reasons = "; ".join(f"{count} times: {reason}" for reason, count in counts)
-    raise HyalineError(f"scene {name}: {MAX_DRAWS} draws were refused; take another --seed. Reasons: {reasons}")
+    raise HyalineError(f"scene {name}: {MAX_DRAWS} candidates were rejected; take another --seed. Reasons: {reasons}")
 
 
 def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) -> Drawn:

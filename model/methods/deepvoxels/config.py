@@ -76,7 +76,7 @@ class DeepVoxelsConfig(MethodConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class DeepVoxelsPaperConfig(DeepVoxelsConfig):
-    """DeepVoxels as the paper ran it: L1 alone at rate 0.00001. Needs a GPU."""
+    """DeepVoxels as the paper ran it: learning rate 1e-5, L1 loss only. Needs a GPU."""
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         return type(self)()

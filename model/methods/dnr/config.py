@@ -82,7 +82,7 @@ class DnrLayersConfig(DnrConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class DnrAuthorsConfig(DnrConfig):
-    """Deferred Neural Rendering as the authors of the reproduced paper ran it, which is weaker.
+    """Deferred Neural Rendering in the weaker variant that the reproduced paper used.
 
     8 features, one level, the view vector as an input, whole images.
     """

@@ -66,9 +66,9 @@ class LightPathConfig(MethodConfig):
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
     sky_lr: float = choice(0.03, "sky-lr{}")
-    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast. After 300 steps on a random scene
-    with a detailed sky, held-out views had 29.2 dB with 0.005, 30.8 with 0.03; the glass table's test views differ by
-    0.02 dB after 400."""
+    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
+    # After 300 steps on a random scene with a detailed sky, held-out views had 29.2 dB with 0.005, 30.8 with 0.03; the
+    # glass table's test views differ by 0.02 dB after 400.
     directions: bool = choice(False, {True: "directions", False: "no-directions"})
     """Give the decoder the mirrored direction. True geometry does not need it: gloss is traced, so only diffuse light
     is left. On proxies on."""

@@ -96,7 +96,7 @@ class PaperConfig(MethodConfig):
 
 @dataclass(frozen=True, kw_only=True)
 class PaperBestConfig(PaperConfig):
-    """The paper's idea with everything that we found to help it: more texture levels, rays and steps, no norm."""
+    """The paper's method, tuned: more texture levels, rays and steps; no batch norm."""
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         return type(self)(

@@ -155,7 +155,7 @@ def choose_precision(asked: Precision) -> Precision:
     """
     if asked == "fp32" or torch.cuda.is_available() or bf16_instructions() is not None:
         return asked
-    say("--precision bf16: this processor has no instructions for it; computes in fp32 instead, and records that")
+    say("--precision bf16: this processor has no instructions for it; using fp32 instead, which the run records")
     return "fp32"
 
 

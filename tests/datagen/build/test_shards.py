@@ -126,7 +126,8 @@ def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, t
     shutil.copytree(built, out)
     answer = build(scene_folder, out, "--launcher", "local", "--shards=2", "--seed", "3")
     assert answer.status == 1
-    assert answer.err.count("(seed: 0 -> 3)") == 2 and "2 of 2 jobs failed" in answer.err.splitlines()[-1]
+    assert answer.err.count("(--seed is 0 there and 3 here)") == 2
+    assert "2 of 2 jobs failed" in answer.err.splitlines()[-1]
     failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
     assert Path(failed.partition("; log: ")[2]).is_file()
     assert "Traceback" not in answer.err
@@ -253,7 +254,7 @@ def test_a_part_that_cannot_be_is_refused(text: str) -> None:
         (("--launcher", "local", "--slurm-gpus", "1"), "--slurm-gpus: goes with --launcher slurm; leave it out"),
         (("--launcher", "local", "--shards", "0"), "--shards: is 0; expected at least 1"),
         (("--launcher", "local", "--shard", "1/2"), "--launcher: builds all parts; leave out --shard"),
-        (("--shard", "1/2", "--overwrite"), "--overwrite: does not go with --shard, which deletes nothing"),
+        (("--shard", "1/2", "--overwrite"), "--overwrite: cannot be combined with --shard; delete"),
         (("--launcher", "local"), 'submitit, which is not installed; `pip install "hyaline-glass[cluster]"` brings it'),
     ],
 )

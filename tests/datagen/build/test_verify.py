@@ -210,7 +210,7 @@ def test_a_link_to_a_folder_that_was_moved_elsewhere_is_kept_and_nothing_is_made
     assert f"{ROOT}/images: is a link; expected a folder; move it away" in call("datagen verify data/one").out
     answer = call(BUILD)
     assert answer.status == 1 and answer.err.count("error: ") == 1
-    assert "data/one/images: is a link, which nothing is written through" in answer.error
+    assert "data/one/images: is a symbolic link, and hyaline does not write through links" in answer.error
     assert (tree(ROOT), tree(here / "large disk")) == (before, elsewhere)
 
 

@@ -94,7 +94,7 @@ def test_what_is_not_there_is_named(dataset: Dataset) -> None:
         dataset.view("validation", 0)  # type: ignore[arg-type]
     with pytest.raises(HyalineError, match="has no object 'teapot'; expected one of"):
         dataset.object_id("teapot")
-    with pytest.raises(HyalineError, match="has no geometry box; `proxies make` makes proxies"):
+    with pytest.raises(HyalineError, match="has no geometry box; make proxies with `proxies make`"):
         dataset.view("train", 0).layers("box")
     with unchecked(), pytest.raises(HyalineError, match="mask: is 'wood'; expected 'glass'"):
         dataset.view("train", 0).mask("wood")  # type: ignore[arg-type]

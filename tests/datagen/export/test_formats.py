@@ -334,7 +334,7 @@ def test_what_cannot_be_exported_is_said(dataset: Dataset, tmp_path: Path) -> No
     def export(form: str, out: Path, flow: bool = False) -> None:
         export_dataset(dataset, form, out, num_points=1, flow=flow, overwrite=False)
 
-    with pytest.raises(HyalineError, match="format 'nerfstudo': there is none of that name; did you mean 'nerfstudio'"):
+    with pytest.raises(HyalineError, match="no format 'nerfstudo'; did you mean 'nerfstudio'"):
         export("nerfstudo", tmp_path / "out")
     with pytest.raises(HyalineError, match="--flow: has no place in the format colmap"):
         export("colmap", tmp_path / "out", flow=True)

@@ -156,7 +156,7 @@ def test_a_typing_error_in_a_scene_is_one_line(tmp_path: Path, right: str, wrong
     answer = call("datagen build --scene typo/")
     assert answer.status == 1
     progress, error = answer.err.splitlines()
-    assert progress == "scene typo/: reads and checks it"
+    assert progress == "scene typo/: reading and checking it"
     assert error.startswith("error: typo/") and message in error
 
 

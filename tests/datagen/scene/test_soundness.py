@@ -123,7 +123,7 @@ WRONG: dict[str, tuple[Scene, str]] = {
     ),
     "a camera in glass": (
         scene_of(ball(1.2, subdivisions=3)),
-        r"cameras are inside this glass, near \(.*\), but rays start in air",
+        r"a camera is inside this glass, at \(.*\), but rays must start in air",
     ),
 }
 

@@ -81,7 +81,7 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
         ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give that, too, or leave it out"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
-        ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: does not go with --shard, which deletes nothing"),
+        ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
         ("datagen build --twins", 2, "datagen build --twins is now `datagen add DATASET --twins`"),
         ("datagen render one", 2, "datagen render is now `datagen film`"),
         ("datagen mend one", 2, "datagen mend is now `datagen build`"),
@@ -136,7 +136,7 @@ def test_of_several_datasets_the_flag_chooses_one(line: str, tmp_path: Path) -> 
 
 
 def test_a_choice_far_from_all_gets_no_suggestion() -> None:
-    with pytest.raises(HyalineError, match=r"^scene 'qqqq': there is none of that name; known are a, b$"):
+    with pytest.raises(HyalineError, match=r"^no scene 'qqqq'; choose from a, b$"):
         choose("scene", "qqqq", ["b", "a"])
 
 
@@ -228,7 +228,7 @@ def test_a_signal_that_a_library_turned_into_its_own_error_still_ends_the_comman
     with pytest.raises(SystemExit) as ended:
         command_run("program", work, [])
     assert ended.value.code == status
-    assert capsys.readouterr().err == "error: stopped; run the same command again to go on\n"
+    assert capsys.readouterr().err == "error: stopped; run the same command again to continue\n"
 
 
 def test_a_process_that_is_out_of_file_handles_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -116,7 +116,7 @@ def test_a_broken_plugin_is_one_line_that_names_its_distribution(
     answer = call("datagen export one --format csv")
     assert answer.status == 1 and answer.err.count("\n") == 1
     assert answer.err.startswith(f"error: format 'csv': {message}")
-    assert call("datagen export one --format csw").error.startswith("error: format 'csw': there is none of that name; ")
+    assert call("datagen export one --format csw").error.startswith("error: no format 'csw'; ")
     assert "did you mean 'csv'?" in call("datagen export one --format csw").error
 
 

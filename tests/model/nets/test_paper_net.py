@@ -204,5 +204,5 @@ def test_bf16_without_instructions_for_it_is_computed_and_recorded_in_fp32_and_t
         assert config.complete(open_inputs(config, dataset, TRUTH)).precision == expected
         assert build(config, dataset).net.precision == expected  # As a run that another machine has trained.
     choose_precision.cache_clear()
-    told = capsys.readouterr().err.count("computes in fp32 instead")
+    told = capsys.readouterr().err.count("using fp32 instead")
     assert told == (0 if has_instructions else 1)

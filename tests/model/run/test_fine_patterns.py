@@ -56,7 +56,7 @@ def test_a_line_names_the_patterns_and_the_width_that_holds_them(tmp_path: Path)
     dataset = build_dataset(scene, tmp_path / "fine", dataset.config, num_layers=2, workers=1, overwrite=False)
     texels = texels_of_period(floor, 8, dataset.cameras("train"))
     (line,) = told_fine_patterns(dataset, TRUTH, renderer)
-    assert f"{floor.name} ({texels:.2g} texels); {math.ceil(16 / texels)} texels across hold them all" in line
+    assert f"{floor.name} ({texels:.2g} texels); {math.ceil(16 / texels)} texels across resolve them all" in line
     wide = NeuralTextures(object_layout([math.ceil(16 / texels)] * len(dataset.objects)), 2)
     assert told_fine_patterns(dataset, TRUTH, wide) == []
 

@@ -151,7 +151,7 @@ def test_a_signal_while_pictures_are_drawn_ends_in_the_same_bytes(
 
         patch.setattr(predict, "png_bytes", interrupt)
         assert train("parts", "--overwrite") == 143
-    assert capsys.readouterr().err.endswith("error: stopped; run the same command without --overwrite to go on\n")
+    assert capsys.readouterr().err.endswith("error: stopped; run the same command without --overwrite to continue\n")
     assert not (tmp_path / "parts/predictions.json").exists()
     assert train("parts") == 0
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
@@ -181,7 +181,7 @@ def test_overwriting_that_is_killed_while_data_loads_leaves_a_run_that_any_comma
     assert [path.name for path in (tmp_path / "run").rglob("*") if path.is_file()] == ["run.json"]
     shutil.copytree(tmp_path / "run", tmp_path / "anew")
     assert train("run") == train("anew", "--overwrite") == 0
-    assert "run: was stopped before its first checkpoint; starts at step 0\n" in capsys.readouterr().err
+    assert "run: was stopped before its first checkpoint; starting at step 0\n" in capsys.readouterr().err
     assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "anew") == run_bytes(tmp_path / "whole")
 
 

@@ -86,7 +86,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
             '[[runs]]\nmethod = "paper"\nneeds = "datagen build"',
             r"runs\[0\]: needs is 'datagen build'; expected a list",
         ),
-        ('[[runs]]\nmethod = "paper"\nneeds = ["rm -r data"]', r"runs\[0\]: needs 'rm': there is none of that name"),
+        ('[[runs]]\nmethod = "paper"\nneeds = ["rm -r data"]', r"runs\[0\]: needs: no program 'rm'"),
         ('[[runs]]\nmethod = "paper"\nthen = ["model \'"]', r"runs\[0\]: then is \"model '\"; expected a command line"),
     ],
 )
@@ -118,7 +118,7 @@ def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> N
     assert [" ".join(run) for run in usual.runs] == ["paper one-demo", "paper two-demo", "paper three-demo"]
     assert [" ".join(run) for run in tiny.runs] == ["paper one-tiny --steps 5", "paper two-tiny --steps 5"]
     assert len(tiny.needs) == 2 and tiny.needs[1] == "datagen build two --preset tiny --out data/two-tiny"
-    with pytest.raises(HyalineError, match="preset 'huge': there is none of that name; known are demo, tiny"):
+    with pytest.raises(HyalineError, match="no preset 'huge'; choose from demo, tiny"):
         read_experiment(path, preset="huge")
     with pytest.raises(HyalineError, match="has no presets; leave out --preset"):
         read_experiment("headline", preset="tiny")
@@ -146,7 +146,7 @@ def test_a_preset_may_leave_methods_out_and_give_each_flags_of_its_own(tmp_path:
     with pytest.raises(HyalineError, match="unknown key 'step'; did you mean 'steps'"):
         read_experiment(unknown, preset="few")
     misspelt = write(tmp_path, text.replace("methods.paper.", "methods.papr."))
-    with pytest.raises(HyalineError, match="methods 'papr': there is none of that name; did you mean 'paper'"):
+    with pytest.raises(HyalineError, match="no method 'papr'; did you mean 'paper'"):
         read_experiment(misspelt, preset="few")
     no_list = write(tmp_path, text.replace('["one", "two"]', '"one"'))
     with pytest.raises(HyalineError, match="datasets is 'one'; expected a list of texts"):
@@ -220,7 +220,7 @@ def test_a_command_before_that_fails_stops_the_sweep(
 
 
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
-    with pytest.raises(HyalineError, match="'tabel1': there is none of that name; did you mean 'table1'"):
+    with pytest.raises(HyalineError, match="no experiment 'tabel1'; did you mean 'table1'"):
         read_experiment("tabel1")
     with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, bench, b"):
         read_experiment(str(tmp_path / "mine.toml"))
@@ -242,7 +242,7 @@ def test_a_method_that_does_not_exist_stops_the_sweep_before_its_first_run(
     monkeypatch.setattr(sweep, "run_experiment", lambda *_, **__: pytest.fail("a run was started"))
     path = write(tmp_path, '[[runs]]\nmethod = ["paper", "papr"]')
     assert call(monkeypatch, "sweep", path) == 1
-    assert "runs[0]: method 'papr': there is none of that name; did you mean 'paper'?" in capsys.readouterr().err
+    assert "runs[0]: no method 'papr'; did you mean 'paper'?" in capsys.readouterr().err
 
 
 # Sweeps
@@ -272,7 +272,7 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
         if number == signal.SIGTERM:
             assert started.returncode == 143
             assert "[2/3] error: " in said and "stopped" in said
-            assert said.endswith("error: stopped; run the same command again to go on\n")
+            assert said.endswith("error: stopped; run the same command again to continue\n")
         else:
             assert started.returncode == -signal.SIGKILL
         assert (last / "run.json").is_file() and not (last / "predictions.json").exists()

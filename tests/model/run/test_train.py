@@ -181,7 +181,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
     assert call(f"model predict {out}").status == 0
     assert run_bytes(out) == before
     (out / "predictions/interpolating/0000.png").write_bytes(b"broken")
-    assert "run: is trained; goes on with its predictions" in quickly(dataset, out).err
+    assert "run: is trained; continuing with its predictions" in quickly(dataset, out).err
     assert run_bytes(out) == before
 
     assert quickly(dataset, out, "--overwrite").status == 0
@@ -191,10 +191,10 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        (("--geometry", "truht"), "geometry 'truht': there is none of that name; did you mean 'truth'"),
+        (("--geometry", "truht"), "no geometry 'truht'; did you mean 'truth'"),
         (
             ("--geometry", "nope"),
-            "geometry 'nope': there is none of that name; did you mean 'noise'? known are blocks, ",
+            "no geometry 'nope'; did you mean 'noise'? Choose from blocks, ",
         ),
         (("--geometry", "box"), "no box proxies; make them with `proxies make "),
         (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
@@ -229,7 +229,7 @@ def test_training_says_that_it_loads_torch_before_it_does(dataset: Dataset, tmp_
         "from model.cli import main; main()"
     )
     done = subprocess.run([sys.executable, "-c", code, *quick(dataset, tmp_path)], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (7, f"{dataset.root}: loads torch\n")
+    assert (done.returncode, done.stderr) == (7, f"{dataset.root}: loading torch\n")
 
 
 def test_help_answers_without_torch() -> None:

@@ -36,7 +36,7 @@ def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_end
         out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert out == ""
-    assert err == "one/paper: open the address in a browser; Ctrl-C ends the viewer\n"
+    assert err == "one/paper: open the address in a browser; Ctrl-C stops the viewer\n"
 
 
 def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_meshes(home: Path) -> None:

@@ -189,7 +189,7 @@ def test_whatever_a_visitor_sends_the_viewer_goes_on_for_the_others() -> None:
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE_S)
     assert (process.returncode, out) == (130, "")
-    assert err == "one/paper: open the address in a browser; Ctrl-C ends the viewer\n"
+    assert err == "one/paper: open the address in a browser; Ctrl-C stops the viewer\n"
 
 
 def test_a_control_takes_the_values_that_it_offers_and_no_others(served: tuple[str, Viewer]) -> None:

@@ -142,7 +142,7 @@ def test_a_copy_comes_and_goes_and_materials_are_those_of_the_scene(page: "Page"
     page.get_by_role("button", name="Copy", exact=True).click()
     copy = state(page)[1][7]
     assert (copy["name"], copy["event"], copy["of"]) == ("metal_copy1", "coated", 4)
-    page.get_by_role("button", name="Take away").click()
+    page.get_by_role("button", name="Remove").click()
     assert len(state(page)[1]) == 7
 
 
@@ -221,7 +221,7 @@ def test_a_control_keeps_the_focus_when_it_is_rebuilt(page: "Page") -> None:
     page.keyboard.press("ArrowUp")
     assert page.evaluate("document.activeElement.tagName") == "SELECT"
     page.get_by_role("button", name="Copy", exact=True).press("Enter")
-    page.get_by_role("button", name="Take away").press("Enter")
+    page.get_by_role("button", name="Remove").press("Enter")
     assert page.evaluate("document.activeElement.closest('#objects') !== null")
 
 

@@ -424,7 +424,7 @@ def test_a_table_of_blended_metal_is_seen_through_and_a_file_without_glass_says_
         ior=1.0, tint=(0.75, 0.75, 0.75)
     )
     answer = call("datagen import opaque.glb")
-    line = "scene opaque: 2 objects, none of them glass; --material glass or 'OBJECT=glass' names what is"
+    line = "scene opaque: 2 objects, none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
     assert answer.status == 0 and line in answer.err
 
 

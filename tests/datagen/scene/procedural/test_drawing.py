@@ -128,7 +128,7 @@ def test_a_seed_whose_draws_are_all_refused_says_why(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(drawing, "MAX_DRAWS", 2)
     monkeypatch.setattr(drawing, "GLASS_SHARE", (0.9, 1.0))
     with pytest.raises(
-        HyalineError, match=r"random-0006: 2 draws were refused; .* % of the pixels are glass; expected 90"
+        HyalineError, match=r"random-0006: 2 candidates were rejected; .* % of the pixels are glass; expected 90"
     ):
         draw_scene(RandomName(seed=6))
 
