@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -30,6 +30,8 @@ from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 
 COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
 """What scores repeat of a run's costs.json."""
+ABOVE_CEILING = 1.0
+"""dB by which a score may exceed the ceiling, which is measured."""
 MOST_FAILURES = 3
 """Worst views that a scored submission has pictures of, each of another scene."""
 
@@ -41,7 +43,7 @@ class SplitResult:
     metrics: dict[str, float | None]
     """Means over the split's pictures, by the metric's key; None if undefined."""
     psnr_db: tuple[float | None, ...]
-    """PSNR of each picture; None if it equals the truth."""
+    """PSNR of each picture; None, in files of earlier versions, if it equals the truth."""
     ceiling_db: float | None
     """PSNR of the truth's own noise; None if it is unknown."""
 
@@ -225,12 +227,17 @@ def _score_part(run: Run, splits: Sequence[Split]) -> Iterator[tuple[Split, tupl
 
 def _result(where: str, truth: Truth, scores: SplitScores) -> SplitResult:
     means = {metric.key: scores.mean(metric.key) for metric in METRICS}
-    if means["psnr_db"] == math.inf:
-        raise HyalineError(f"{where}: every picture equals the truth with its noise, which no method can predict")
+    if math.inf in scores.images["psnr_db"]:
+        raise HyalineError(f"{where}: pictures equal the truth with its noise, which no method can predict")
+    if truth.ceiling_db is not None and (psnr := means["psnr_db"] or 0.0) > truth.ceiling_db + ABOVE_CEILING:
+        raise HyalineError(
+            f"{where}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {truth.ceiling_db:.1f} dB, so these "
+            "pictures know the truth's noise"
+        )
     return SplitResult(
         # A glass PSNR may be infinite where few pixels see glass.
         metrics={key: None if value == math.inf else value for key, value in means.items()},
-        psnr_db=tuple(None if value == math.inf else value for value in scores.images["psnr_db"]),
+        psnr_db=tuple(scores.images["psnr_db"]),
         ceiling_db=truth.ceiling_db,
     )
 
@@ -244,9 +251,19 @@ def _failure(scene: str, psnr_db: float, run: Run, split: Split, view: int) -> F
 # Averages
 
 
-def summarise(scored: Scored, column: str, bootstrap: Bootstrap) -> Summary | None:
-    """A column over the scenes that have it; None if there are none, or a score is undefined."""
+def summarise(
+    scored: Scored, column: str, bootstrap: Bootstrap, *, among: Collection[str] | None = None
+) -> Summary | None:
+    """A column over the scenes that have it; None if there are none, or a score is undefined.
+
+    Args:
+        among: only these scenes, each of which must have the column.
+    """
     scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
+    if among is not None:
+        scenes = {name: scene for name, scene in scenes.items() if name in among}
+        if len(scenes) < len(among):
+            return None
     known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
     if not known or len(known) < len(scenes):
         return None

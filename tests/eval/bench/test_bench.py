@@ -28,7 +28,7 @@ from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes, sha256
 from eval.bench.floors import nearest_view
-from eval.bench.leaderboard import track_grid
+from eval.bench.leaderboard import check_comparable, track_grid
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
 from eval.bench.score import mean_interval, read_scored, summarise
 from eval.bench.submission import INDEX, submit
@@ -374,43 +374,86 @@ def test_the_truth_itself_is_no_prediction(packed: Path) -> None:
         )
     run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
     answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
-    assert (
-        answer.status == 1 and "synthetic: interpolating: every picture equals the truth with its noise" in answer.error
-    )
+    assert answer.status == 1 and "synthetic: interpolating: pictures equal the truth with its noise" in answer.error
+
+
+def test_pictures_better_than_the_noise_of_the_truth_are_refused(packed: Path) -> None:
+    dataset = open_dataset(Path("data/synthetic-tiny"))
+    for view in dataset.views("interpolating"):
+        near = view.image.copy()
+        near[0, 0, 0] ^= 1
+        path = Path(f"runs/synthetic-tiny/nearest-view/predictions/interpolating/{view.index:04d}.png")
+        path.write_bytes(png_bytes(near))
+    run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
+    assert answer.status == 1 and "is above the noise ceiling of" in answer.error
+
+
+def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(packed: Path, small_protocol: Protocol) -> None:
+    run("hyaline-bench score --preset tiny")
+    scored = read_scored(MEAN)
+    scene = dataclasses.replace(scored.scenes["synthetic"], dataset="0" * 64)
+    other = dataclasses.replace(scored, name="other", scenes={**scored.scenes, "synthetic": scene})
+    check_comparable([scored, dataclasses.replace(scored, name="again")], small_protocol)
+    with pytest.raises(HyalineError, match="other: was scored on another dataset of synthetic"):
+        check_comparable([scored, other], small_protocol)
 
 
 # Tracks
 
 
 @pytest.mark.parametrize(
-    ("method", "geometry", "told", "track"),
+    ("geometry", "uses_materials", "told", "track"),
     [
-        ("deepvoxels", "none", None, "pictures"),
-        ("light-path", "fitted", (), "masks"),
-        ("light-path", "fitted", None, "materials"),
-        ("light-path", "fitted", ("floor",), "materials"),
-        ("light-path", "fitted", ("pane",), "materials"),
-        ("paper", "fitted", None, "masks"),
-        ("paper", "fitted", ("pane",), "shapes"),
-        ("light-path", "fitted-hull", (), "masks"),
-        ("paper", "ellipsoid", None, "proxies"),
-        ("dnr-layers", "truth", None, "shapes"),
-        ("light-path", "fitted-materials", (), "shapes"),
-        ("light-path", "truth", None, "materials"),
-        ("light-path", "ellipsoid", None, "materials"),
+        ("none", False, None, "pictures"),
+        ("none", True, None, "materials"),
+        ("fitted", True, (), "masks"),
+        ("fitted", True, None, "materials"),
+        ("fitted", True, ("floor",), "materials"),
+        ("fitted", False, None, "masks"),
+        ("fitted", False, ("pane",), "shapes"),
+        ("fitted-hull", True, (), "masks"),
+        ("fitted-materials", True, (), "shapes"),
+        ("ellipsoid", False, None, "proxies"),
+        ("ellipsoid", True, None, "materials"),
+        ("noise-0.001", False, None, "shapes"),
+        ("mixed-b", False, None, "shapes"),
+        ("truth", False, None, "shapes"),
+        ("truth", True, None, "materials"),
     ],
 )
 def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
-    here: Path, small_protocol: Protocol, method: str, geometry: str, told: tuple[str, ...] | None, track: str
+    here: Path,
+    small_protocol: Protocol,
+    geometry: str,
+    uses_materials: bool,
+    told: tuple[str, ...] | None,
+    track: str,
 ) -> None:
     folder = here / "runs" / "synthetic-tiny" / "one"
     folder.mkdir(parents=True)
-    found = dataclasses.replace(open_run(folder, here / "data"), method=method, geometry=geometry, told=told)
+    of_any = dataclasses.replace(
+        open_run(folder, here / "data"), geometry=geometry, uses_materials=uses_materials, told=told
+    )
+    found = dataclasses.replace(of_any, seal="of model train")
     assert choose_track(found, None, small_protocol.tracks) == track
     assert choose_track(found, "materials", small_protocol.tracks) == "materials"
     for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:
         with pytest.raises(HyalineError, match=f"than the track {lower} allows; submit it to {track}"):
             choose_track(found, lower, small_protocol.tracks)
+    if geometry != "none":  # The record of a foreign method may leave out what it was told.
+        with pytest.raises(HyalineError, match="does not show all that the method was told; name the track"):
+            choose_track(of_any, None, small_protocol.tracks)
+
+
+@pytest.mark.parametrize("geometry", ["true meshes", "Truth", "masks", ""])
+def test_an_unknown_geometry_has_no_track_of_its_own(here: Path, small_protocol: Protocol, geometry: str) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    found = dataclasses.replace(open_run(folder, here / "data"), geometry=geometry, seal="of model train")
+    with pytest.raises(HyalineError, match="name the track with --track, one of pictures, masks"):
+        choose_track(found, None, small_protocol.tracks)
+    assert choose_track(found, "masks", small_protocol.tracks) == "masks"
 
 
 # Floors and averages
