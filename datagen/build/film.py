@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.build.build import refuse_imported
+from datagen.build.build import refuse_unlit
 from datagen.build.choices import FilmChoices
 from datagen.data.cameras import Cameras
 from datagen.data.config import check_spp
@@ -25,7 +25,7 @@ def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     Raises:
         HyalineError: a path, a number or a file that cannot be.
     """
-    refuse_imported(dataset, what="a film")
+    refuse_unlit(dataset, what="a film")
     cameras = make_path(dataset, choices.path, choices.frames, width=choices.width, height=choices.height)
     check_film(out, choices.fps, frames=choices.frames, overwrite=choices.overwrite)
     return cameras

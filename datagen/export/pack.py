@@ -138,7 +138,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
         with one_writer(temporary), naming(into):
             try:
                 unpack_members(archive, path, members, temporary)
-                _check_unpacked(path, verify_dataset(temporary))
+                _check_unpacked(path, verify_dataset(temporary), len(index.files))
             except HyalineError:
                 shutil.rmtree(temporary)
                 raise
@@ -148,7 +148,8 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
     return into
 
 
-def _check_unpacked(path: Path, found: Findings) -> None:
-    """Refuses files that are whole, but no dataset."""
-    for line in (*found.problems, *found.remarks):
+def _check_unpacked(path: Path, found: Findings, count: int) -> None:
+    """Refuses files that are whole, but no dataset, or not all of them its own."""
+    foreign = found.remarks[:1] if found.verified < count else []
+    for line in (*found.problems, *foreign):
         raise HyalineError(f"{path}: holds no finished dataset ({line.split('; ')[0]})")
