@@ -37,6 +37,7 @@ from datagen.export.archive import (
 )
 from datagen.export.formats import EXPORTS
 from datagen.terminal.command import say, say_all
+from datagen.terminal.signals import replacing_at_the_end
 
 INDEX = "hyaline-pack.json"
 VERSION = 1
@@ -69,6 +70,7 @@ def _members(index: _Index) -> tuple[bytes, list[Member]]:
 # Packing
 
 
+@replacing_at_the_end()
 def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
     """Packs a finished dataset, after verifying every byte, into an archive; files that are not its own are left out.
 

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -17,10 +17,11 @@ from datagen.data.paths import list_datasets
 from datagen.data.variants import has_variant, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
-from datagen.disk.records import Json, from_json, to_json
+from datagen.disk.records import Json, from_json, load_json, shown, to_json
 from datagen.disk.storage import commit_sealed, load_sealed, sha256, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
+from datagen.terminal.signals import replacing_at_the_end
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
 from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission, read_submission
 from eval.score.kept import Kept
@@ -128,6 +129,7 @@ class Summary:
     """Mean distance to the noise ceiling; None if one is unknown."""
 
 
+@replacing_at_the_end()
 def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol, *, overwrite: bool) -> Scored:
     """Scores a submission, and writes the result; one that was scored before is read again.
 
@@ -151,6 +153,15 @@ def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol,
         scored = _score(path, index, {scene: run for scene, run in runs.items() if scene not in withheld}, protocol)
     commit_sealed(out, cast(dict[str, Json], to_json(scored)))
     return scored
+
+
+def say_lost_costs(runs: Iterable[Run]) -> None:
+    """Says which costs of runs are no numbers, so that their scores will lack them."""
+    for path in (run.folder / "costs.json" for run in runs):
+        with left_out():
+            found = load_json(path) if path.is_file() else {}
+            for key in sorted({*COSTS} & {*found} - {*read_costs(path.parent)}):
+                raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
 
 
 def read_scored(path: Path) -> Scored:

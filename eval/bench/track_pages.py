@@ -1,11 +1,13 @@
 """Pages of RESULTS: a track's tables in Markdown, from stored files of `hyaline-bench score`."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
 from eval.bench.leaderboard import NOTES, check_comparable, scene_grid, track_grid
-from eval.bench.protocol import ALL, Protocol, load_protocol
+from eval.bench.protocol import ALL, Protocol, left_out, load_protocol
 from eval.bench.score import Scored, read_scored
 from eval.tables.grids import TABLE_WIDTH, Column, Grid, format_number
 from eval.tables.looks import grid_text, markdown_escaped
@@ -16,8 +18,23 @@ TRACKS = "bench"
 
 
 def read_scores(folder: Path) -> list[Scored]:
-    """The scored submissions in a folder."""
-    return [read_scored(path) for path in sorted(folder.glob("*.json"))]
+    """The scored submissions in a folder, named by their files if two have one name.
+
+    A file of another version, or of a track that the protocol does not have, is named and left out.
+    """
+    found: dict[str, Scored] = {}
+    for path in sorted(folder.glob("*.json")):
+        with left_out():
+            scored, protocol = read_scored(path), load_protocol()
+            if scored.version != protocol.version:
+                raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
+            if scored.track not in protocol.tracks:
+                known = ", ".join(protocol.tracks)
+                raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
+            found[path.stem] = scored
+    if len({scored.name for scored in found.values()}) == len(found):
+        return list(found.values())
+    return [dataclasses.replace(scored, name=name) for name, scored in found.items()]
 
 
 def track_rows(folder: Path) -> dict[Row, str]:
