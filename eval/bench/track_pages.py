@@ -9,12 +9,19 @@ from datagen.disk.records import shown
 from eval.bench.leaderboard import NOTES, check_comparable, scene_grid, track_grid
 from eval.bench.protocol import ALL, Protocol, left_out, load_protocol
 from eval.bench.score import Scored, read_scored
-from eval.tables.grids import TABLE_WIDTH, Column, Grid, format_number
+from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.pages import Row
 
 TRACKS = "bench"
 """Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
+
+
+OTHERS = (
+    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
+    "docs/bench.md says."
+)
+"""What the command of a page does not make."""
 
 
 def read_scores(folder: Path) -> list[Scored]:
@@ -52,7 +59,7 @@ def track_rows(folder: Path) -> dict[Row, str]:
                 f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
                 f"{scenes} datasets",
                 "scores",
-                str(len(seeds)),
+                str(len(seeds)) if seeds else MISSING,
                 ", ".join(sorted({scored.packed_by for scored in inside})),
             )
         ] = track_page(track, found, protocol)
@@ -77,7 +84,9 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
             "A method may be told:\n",
             *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
             "",
-            f"```\nmodel sweep bench --preset {preset}\nhyaline-bench leaderboard --preset {preset}\n```\n",
+            f"```\nmodel sweep bench --preset {preset}",
+            f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
+            f"{OTHERS}\n",
             *(f"{markdown_escaped(note)}\n" for note in NOTES),
             *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in grids),
         ]

@@ -211,6 +211,7 @@ def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(packed
     # The preset is that of the scores; two submissions of one name are told apart by their files.
     assert answer.out == "bench/tiny/leaderboard/index.html\n"
     printed = call(f"hyaline-bench leaderboard {folder} --track pictures").out
+    assert "hyaline-bench leaderboard --preset tiny --track pictures\n" in printed
     assert {line.split(" | ")[0] for line in printed.splitlines() if "2/4" in line} == {
         "| again",
         "| mean-picture",
