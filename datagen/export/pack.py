@@ -121,14 +121,14 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
     A killed call leaves its work beside the folder under a temporary name, and the next call continues it.
 
     Args:
-        into: the dataset's folder; None: its scene's name in `data`.
+        into: the dataset's folder; None: the archive's name without its ending, in `data`.
 
     Raises:
         HyalineError: the archive is damaged or was not made by `pack_dataset`, or the folder holds something else.
     """
     with open_regular(path) as archive:
         index, members = read_index(archive, path, _Index, _members, name=INDEX, version=VERSION, maker="datagen pack")
-        into = into or DATA_ROOT / index.scene
+        into = into or DATA_ROOT / path.stem
         if os.path.lexists(into) and not (into.is_dir() and not any(into.iterdir())):
             other = next((member.path for member in members[1:] if not is_there(into, member)), None)
             if other is not None:
