@@ -49,12 +49,8 @@ def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
-    """Raises a HyalineError unless all names differ, and all were scored by this protocol on the same datasets."""
-    preset, names = found[0].preset, [scored.name for scored in found]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise HyalineError(
-            f"{twice}: is the name of several submissions; rename the folders of one's runs, and pack again"
-        )
+    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset."""
+    preset = found[0].preset
     for scored in found:
         if (scored.version, scored.preset) != (protocol.version, preset):
             raise HyalineError(

@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -11,16 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import list_datasets
-from datagen.data.variants import list_variants, open_variant
+from datagen.data.variants import has_variant, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
-from datagen.disk.records import Json, from_json, to_json
+from datagen.disk.records import Json, from_json, load_json, shown, to_json
 from datagen.disk.storage import commit_sealed, load_sealed, sha256, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
+from datagen.terminal.signals import replacing_at_the_end
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
 from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission, read_submission
 from eval.score.kept import Kept
@@ -111,7 +112,8 @@ class Scored:
     scenes: dict[str, SceneResult]
     failures: tuple[Failure, ...]
     truths: str = ""
-    """Digest of the datasets and variants that it was scored against; empty in files of earlier versions."""
+    """Digest of the datasets, variants and test views that it was scored against; earlier files have none, or leave the
+    views out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,22 +131,39 @@ class Summary:
     """Mean distance to the noise ceiling; None if one is unknown."""
 
 
+@replacing_at_the_end()
 def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol, *, overwrite: bool) -> Scored:
     """Scores a submission, and writes the result; one that was scored before is read again.
 
     Raises:
-        HyalineError: the submission is damaged or incomplete, or `out` has another one's scores.
+        HyalineError: the submission is damaged or incomplete, its truth is missing, or `out` has another one's scores.
     """
     if out.is_file() and not overwrite:
-        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root))
+        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root), protocol)
         if (before.submission, before.scored_by, before.truths) == (sha256_file(path), code_version(), truths):
             say(f"{out}: is finished")
             return before
         refuse_file(out)
     with opened_submission(path, find_truths(data_root)) as (index, runs):
-        scored = _score(path, index, runs, protocol)
+        withheld = [scene for scene, run in runs.items() if run.dataset.withheld]
+        if len(withheld) == len(runs):
+            raise HyalineError(
+                f"{path}: predicts hidden scenes alone, whose truth a verifier keeps; send it to the verifier"
+            )
+        if withheld:
+            say(f"left out: {', '.join(withheld)}: a verifier keeps the truth of their test views")
+        scored = _score(path, index, {scene: run for scene, run in runs.items() if scene not in withheld}, protocol)
     commit_sealed(out, cast(dict[str, Json], to_json(scored)))
     return scored
+
+
+def say_lost_costs(runs: Iterable[Run]) -> None:
+    """Says which costs of runs are no numbers, so that their scores will lack them."""
+    for path in (run.folder / "costs.json" for run in runs):
+        with left_out():
+            found = load_json(path) if path.is_file() else {}
+            for key in sorted({*COSTS} & {*found} - {*read_costs(path.parent)}):
+                raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
 
 
 def read_scored(path: Path) -> Scored:
@@ -153,22 +172,39 @@ def read_scored(path: Path) -> Scored:
 
 
 def find_truths(root: Path) -> dict[str, Dataset]:
-    """All datasets in a folder, by their digest; one that cannot be opened is named and left out."""
+    """All datasets in a folder, by their digest; one that cannot be opened is named and left out.
+
+    Of a hidden scene's two datasets, which have one digest, the one with the truth.
+    """
     found: dict[str, Dataset] = {}
     for folder in list_datasets(root):
         with left_out():
             dataset = open_dataset(folder)
-            found[dataset.seal] = dataset
+            if dataset.seal not in found or not dataset.withheld:
+                found[dataset.seal] = dataset
     return found
 
 
-def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset]) -> str:
-    seals: list[str] = []
-    for seal in index.datasets.values():
-        if seal in truths:
-            truth = truths[seal]
-            seals += [seal, *(open_variant(truth, name).seal for name in list_variants(truth.root))]
-    return sha256(" ".join(seals).encode())
+def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset], protocol: Protocol) -> str:
+    """A hash of the truth: of each dataset and variant with the files of its test views."""
+    words: list[str] = []
+    for scene, seal in index.datasets.items():
+        if seal not in truths or truths[seal].withheld:
+            continue
+        variants = [name for name in protocol.variant_splits(scene) if has_variant(truths[seal], name)]
+        for part in (truths[seal], *(open_variant(truths[seal], name) for name in variants)):
+            words.append(part.seal)
+            for split in part.splits:
+                words += [digest for view in part.views(split) if split != "train" for digest in _files_of(view)]
+    return sha256(" ".join(words).encode())
+
+
+def _files_of(view: View) -> list[str]:
+    """SHA-256 of a view's files, by its record; nothing if it is not built."""
+    try:
+        return [digest for _, digest in sorted(view.record.files.items())]
+    except HyalineError:
+        return []
 
 
 def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Protocol) -> Scored:
@@ -212,7 +248,7 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
         scored_by=code_version(),
         scenes=scenes,
         failures=tuple(sorted(worst, key=lambda failure: failure.psnr_db)[:MOST_FAILURES]),
-        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}),
+        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}, protocol),
     )
 
 

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import tarfile
 import zipfile
 import zlib
@@ -27,6 +28,7 @@ from datagen.data.images import png_bytes, read_png
 from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes, sha256
+from datagen.terminal.signals import Stopped
 from eval.bench.floors import nearest_view
 from eval.bench.leaderboard import check_comparable, track_grid
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
@@ -193,6 +195,56 @@ def test_scores_of_another_submission_stay(packed: Path) -> None:
     assert Path("kept.json").read_bytes() == before
     run(f"hyaline-bench score {other} --out kept.json --overwrite")
     assert read_scored(Path("kept.json")).name == "mean-picture"
+
+
+def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(packed: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    content = json.loads(SCORES.read_text())
+    del content["sha256"]
+    folder = SCORES.parent
+    for name, keys in {"newer": {"version": 2}, "magic": {"track": "magic"}, "again": {}}.items():
+        (folder / f"{name}.json").write_bytes(seal_bytes(content | keys))
+    answer = call(f"hyaline-bench leaderboard {folder}")
+    assert answer.status == 0 and "3 submissions" in answer.err
+    assert "left out: bench/tiny/scores/newer.json: was scored with protocol 2; expected 1" in answer.err
+    assert "left out: bench/tiny/scores/magic.json: is of the track 'magic'; expected one of pictures" in answer.err
+    # The preset is that of the scores; two submissions of one name are told apart by their files.
+    assert answer.out == "bench/tiny/leaderboard/index.html\n"
+    printed = call(f"hyaline-bench leaderboard {folder} --track pictures").out
+    assert "hyaline-bench leaderboard --preset tiny --track pictures\n" in printed
+    assert {line.split(" | ")[0] for line in printed.splitlines() if "2/4" in line} == {
+        "| again",
+        "| mean-picture",
+        "| nearest-view",
+    }
+
+
+def test_scoring_that_is_stopped_goes_on_by_the_same_command(packed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("hyaline-bench score --preset tiny")
+
+    def stop(*_: object) -> None:
+        raise Stopped(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("eval.bench.score.score_run", stop)
+        answer = call("hyaline-bench score --preset tiny --overwrite")
+    assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to go on")
+    run("hyaline-bench score --preset tiny --overwrite")
+
+
+@pytest.mark.parametrize(
+    ("costs", "message"),
+    [
+        ('{"cpu_seconds": "120 s", "machine": "mine"}', "cpu_seconds is '120 s'; expected a number of at least 0"),
+        ('{"peak_memory_bytes": -1}', "peak_memory_bytes is -1; expected a number of at least 0"),
+        ('{"cpu_seconds": NaN}', "NaN"),
+    ],
+)
+def test_costs_that_scores_will_lack_are_named_when_a_method_is_packed(packed: Path, costs: str, message: str) -> None:
+    Path("runs/synthetic-tiny/nearest-view/costs.json").write_text(costs)
+    answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    assert answer.status == 0 and answer.err.count("left out: ") == 1
+    assert message in answer.err and "runs/synthetic-tiny/nearest-view/costs.json" in answer.err
 
 
 @pytest.mark.parametrize(
