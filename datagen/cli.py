@@ -322,7 +322,7 @@ def unpack(file: Path, /, *, out: Path | None = None) -> None:
 
     Args:
         file: A file from `datagen pack`.
-        out: Folder to write. Default: data/SCENE.
+        out: Folder to write. Default: data/NAME, for NAME.tar.
     """
     from datagen.export.pack import unpack_archive
 

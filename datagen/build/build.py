@@ -18,7 +18,7 @@ from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import check_settings, create_layers
 from datagen.data.layers import record_path_of_layers
 from datagen.data.metadata import RENDERED, Imported, unknown_license
-from datagen.data.paths import TRUTH, layers_root
+from datagen.data.paths import HIDDEN, TRUTH, layers_root
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
@@ -54,6 +54,11 @@ def build_dataset(
         HyalineError: `root` holds something else, or another process writes there.
     """
     check_settings(num_layers=num_layers, workers=workers)
+    if HIDDEN.fullmatch(config.scene):
+        raise HyalineError(
+            f"scene {config.scene}: is not rendered, since only a verifier knows light and colours of hidden scenes "
+            "of hyaline-bench; choose another name for a scene of your own"
+        )
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
@@ -195,12 +200,17 @@ def _decibels(value: float | None) -> str:
 # Starting and going on
 
 
-def refuse_imported(dataset: Dataset, *, what: str) -> None:
+def refuse_unlit(dataset: Dataset, *, what: str) -> None:
     """Refuses what needs the light of a scene.
 
     Raises:
-        HyalineError: the pictures were imported, so that it is unknown.
+        HyalineError: the pictures were imported, or the scene is a hidden one, so that it is unknown.
     """
+    if dataset.is_hidden:
+        raise HyalineError(
+            f"{dataset.root}: is a hidden scene of hyaline-bench; only a verifier knows its light and colours, so that "
+            f"{what} cannot be rendered; expected another scene"
+        )
     if dataset.imported is not None:
         raise HyalineError(
             f"{dataset.root}: was imported from {dataset.imported.source}, and the light in its scene is unknown, so "

@@ -3,7 +3,7 @@
 import dataclasses
 from pathlib import Path
 
-from datagen.build.build import build_dataset, refuse_imported, summary
+from datagen.build.build import build_dataset, refuse_unlit, summary
 from datagen.build.build_variant import build_variant, peel_variants
 from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
@@ -192,7 +192,7 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
     Raises:
         HyalineError: nothing to add, choices that do not go together, or whatever building raises.
     """
-    refuse_imported(base, what="another view")
+    refuse_unlit(base, what="another view")
     edits = [choices.edit] if choices.edit else []
     edits += [(twin,) for twin in TWINS] if choices.twins else []
     if not (edits or choices.angles or choices.larger):

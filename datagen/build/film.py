@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
-from datagen.build.build import refuse_imported
+from datagen.build.build import refuse_unlit
 from datagen.build.choices import FilmChoices
 from datagen.data.cameras import Cameras
 from datagen.data.config import check_spp
@@ -26,7 +26,7 @@ def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     Raises:
         HyalineError: a path, a number or a file that cannot be.
     """
-    refuse_imported(dataset, what="a film")
+    refuse_unlit(dataset, what="a film")
     cameras = make_path(dataset, choices.path, choices.frames, width=choices.width, height=choices.height)
     check_cameras_outside(load_scene(dataset.root / "scene", is_sealed=True), cameras.world_from_camera[:, :3, 3])
     check_film(out, choices.fps, frames=choices.frames, overwrite=choices.overwrite)

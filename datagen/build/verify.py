@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 from datagen.build.choices import BuildChoices, SizeChoices
 from datagen.build.presets import PRESETS
 from datagen.build.survey import Survey
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset, head_files, open_dataset
 from datagen.data.geometries import geometry_hash, make_command, read_proxy_records
 from datagen.data.layer_writing import find_num_layers
@@ -96,6 +97,8 @@ class _Search:
         """Views that are not there, in words for each folder of records, by the command that makes them."""
         self.commands: list[str] = []
         """All commands that may be named, in the order to run them."""
+        self.withheld = 0
+        """Views whose pictures a verifier keeps."""
 
     def wrong(self, place: str, what: str, command: str) -> None:
         if f"{place}/".startswith(self.within):
@@ -137,6 +140,8 @@ class _Search:
         """The dataset with its proxies, then its variants."""
         if dataset.imported is not None:
             command = import_command(dataset)
+        elif dataset.is_hidden:
+            command = shlex.join(["hyaline-bench", "hide", "DATASET", "--scene", dataset.config.scene])
         else:
             files = head_files(self.home)
             scene_is_good = all(
@@ -148,7 +153,8 @@ class _Search:
         proxies = {name: make_command(dataset, name, find_num_layers(dataset, name)) for name in self._proxies()}
         self.commands = [command, *proxies.values()]
         self._check_files(dataset, "", command)
-        self._check_layers(dataset, "", TRUTH, command if dataset.imported is None else peel_command(dataset))
+        is_rendered_here = dataset.imported is None and not dataset.is_hidden
+        self._check_layers(dataset, "", TRUTH, command if is_rendered_here else peel_command(dataset))
         for name, make in proxies.items():
             self._check_proxies(dataset, "", name, make)
         for name in self._folders(VARIANTS, "dataset.json", "records"):
@@ -182,7 +188,9 @@ class _Search:
         self.check(f"{prefix}dataset.json", None, command)
         self.check_all(prefix, head_files(dataset.root), command)
         unmade, total = [], 0
-        for view in (view for split in dataset.splits for view in dataset.views(split)):
+        self.withheld += sum(dataset.num_views[split] for split in dataset.withheld)
+        splits: list[Split] = [split for split in dataset.splits if split not in dataset.withheld]
+        for view in (view for split in splits for view in dataset.views(split)):
             total += 1
             path = record_path(dataset.root, view.split, view.index)
             relative = prefix + path.relative_to(dataset.root).as_posix()
@@ -279,9 +287,14 @@ class _Search:
         return Findings(
             files={path: self.hashes[path] for path in sorted(self.good) if path.startswith(self.within)},
             problems=lines,
-            remarks=self._foreign(),
+            remarks=self._foreign() + self._withheld(),
             commands=list(dict.fromkeys([*known, *named])),
         )
+
+    def _withheld(self) -> list[str]:
+        if not self.withheld:
+            return []
+        return [f"{self.home}: the pictures of its {self.withheld} test views are the verifier's, none is missing"]
 
     def _foreign(self) -> list[str]:
         """Files that are not part of the dataset, without those that an unread record may name."""

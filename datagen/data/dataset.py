@@ -39,7 +39,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import SPLITS, DatasetConfig, Split, config_of
+from datagen.data.config import SPLITS, TEST_SPLITS, DatasetConfig, Split, config_of
 from datagen.data.images import decode_exr, decode_png, read_npy
 from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers, read_layers
 from datagen.data.metadata import (
@@ -52,7 +52,7 @@ from datagen.data.metadata import (
     unknown_license,
     variant_of,
 )
-from datagen.data.paths import TRUTH, image_path, layers_root, record_path, where_datasets_are
+from datagen.data.paths import HIDDEN, TRUTH, image_path, layers_root, record_path, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.names import check_name, check_relative, real_path
@@ -123,6 +123,17 @@ class Dataset:
         return None if self.variant is None else self.variant.edit
 
     @property
+    def is_hidden(self) -> bool:
+        """True for a hidden scene of hyaline-bench: only a verifier knows its light and colours."""
+        return HIDDEN.fullmatch(self.config.scene) is not None
+
+    @property
+    def withheld(self) -> tuple[Split, ...]:
+        """The splits whose pictures a verifier keeps: the test splits of a hidden scene as it is published."""
+        kept = self.is_hidden and not any((self.root / "records" / split).exists() for split in TEST_SPLITS)
+        return TEST_SPLITS if kept else ()
+
+    @property
     def endings(self) -> tuple[str, ...]:
         """Endings of the files of each view."""
         return RENDERED if self.imported is None else self.imported.endings
@@ -178,8 +189,10 @@ class Dataset:
     def noise_ceiling_db(self, split: Split) -> float | None:
         """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split.
 
-        None for imported pictures, whose noise is unknown.
+        None for imported pictures, whose noise is unknown, and for those that a verifier keeps.
         """
+        if split in self.withheld:
+            return None
         ceilings = [view.record.ceiling_db for view in self.views(split)]
         known = [ceiling for ceiling in ceilings if ceiling is not None]
         return float(np.mean(known)) if known else None
@@ -197,6 +210,11 @@ class View:
     def record(self) -> ViewRecord:
         """How the view was rendered."""
         path = record_path(self.dataset.root, self.split, self.index)
+        if self.split in self.dataset.withheld:
+            raise HyalineError(
+                f"{self.dataset.root}: has no pictures of test views, which a verifier of hyaline-bench keeps; predict "
+                "these views, and send the verifier what `hyaline-bench submit` packs"
+            )
         return self.dataset._opened.get(path, lambda: self._read_record(path))
 
     def _read_record(self, path: Path) -> ViewRecord:

@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import re
 import shlex
 from pathlib import Path
 from typing import Literal, get_args
@@ -71,6 +72,10 @@ BUILT_IN_SCENES = {
     "pool": "Rippled water in a tiled basin in the sun: caustics below, clear and frosted glass standing in it",
 }
 """The built-in scenes, which datagen/scene/builtin makes, and a line about each."""
+
+
+HIDDEN = re.compile(r"hidden-[0-9]+")
+"""Names of scenes that `hyaline-bench hide` publishes: grey, and without the pictures of their test views."""
 
 
 def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:

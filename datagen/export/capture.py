@@ -20,7 +20,8 @@ def plan_capture(source: Source) -> Plan:
     """The whole folder."""
     glass = {item.name: index + 1 for index, item in enumerate(source.dataset.objects) if item.is_glass}
     cameras = one_file("cameras", "transforms.json", lambda: dump_json(_transforms(source)))
-    return Plan(parts=(*(_view_part(item, glass) for item in source.pictures), cameras), hint="datagen capture OUT")
+    views = (_view_part(item, glass) for item in source.pictures if item.has_picture)
+    return Plan(parts=(*views, cameras), hint="datagen capture OUT")
 
 
 def _view_part(item: ExportView, glass: dict[str, int]) -> Part:
@@ -35,6 +36,6 @@ def _view_part(item: ExportView, glass: dict[str, int]) -> Part:
 
 
 def _transforms(source: Source) -> dict[str, Json]:
-    frames: list[Json] = [frame(item, f"images/{item.name}.png") for item in source.pictures]
+    frames: list[Json] = [frame(item, f"images/{item.name}.png") for item in source.pictures if item.has_picture]
     lens = lens_keys(source.pictures[0].view.camera)
     return {"convention": CONVENTION, "license": source.dataset.license, **lens, "frames": frames}

@@ -50,7 +50,7 @@ def _view_part(item: ExportView) -> Part:
         found = item.quantities
         normals = np.moveaxis(found.normal("shading", "camera"), -1, 0)
         contents = (
-            _jpeg(item.view.image),
+            _jpeg(item.image),
             encode_float_exr({"R": found.depth_along_axis}),
             encode_float_exr(dict(zip("RGB", normals, strict=True))),
             mask_png(found.glass),

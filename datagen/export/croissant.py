@@ -10,6 +10,7 @@ from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json, sha256
 from datagen.export.source import Source
+from datagen.scene.finding import is_made_by_code
 from datagen.terminal.distribution import VERSION
 
 CONFORMS_TO = "http://mlcommons.org/croissant/1.1"
@@ -76,9 +77,11 @@ class Table:
 def croissant_bytes(source: Source, tables: Mapping[str, Table], *, description: str, citation: str) -> bytes:
     """`croissant.json`: every file, and a record set for each split.
 
-    The address and the date of publication are for those who publish it.
+    The address and the date of publication are for those who publish it, as is the creator of a scene of their own.
     """
     dataset = source.dataset
+    is_ours = dataset.imported is None and is_made_by_code(dataset.config.scene)
+    creator: dict[str, Json] = {"@type": "sc:Organization", "name": "The hyaline authors"}
     return dump_json(
         {
             "@context": CONTEXT,
@@ -87,6 +90,7 @@ def croissant_bytes(source: Source, tables: Mapping[str, Table], *, description:
             "name": dataset.name,
             "description": description,
             "license": OWN_LICENSE_ADDRESS if dataset.license == OWN_LICENSE else dataset.license,
+            **({"creator": creator} if is_ours else {}),
             "citeAs": citation,
             "version": f"{VERSION}+{dataset.seal[:12]}",
             "distribution": [file for split, table in tables.items() for file in _files(split, table)],

@@ -18,7 +18,7 @@ MAX_DEPTH_MM = np.iinfo(np.uint16).max
 
 def rgb_png(item: ExportView) -> bytes:
     """The 8-bit sRGB picture, without alpha."""
-    return png_bytes(item.view.image)
+    return png_bytes(item.image)
 
 
 def rgba_png(item: ExportView) -> bytes:
@@ -26,7 +26,7 @@ def rgba_png(item: ExportView) -> bytes:
 
     The sky and what is seen through glass belong to the picture: none of it may be replaced by a background.
     """
-    image = item.view.image
+    image = item.image
     return png_bytes(np.concatenate([image, np.full_like(image[..., :1], 255)], axis=-1))
 
 

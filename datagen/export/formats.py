@@ -55,6 +55,8 @@ def export_dataset(
     settings = {"format": form, "dataset": dataset.seal, "points": num_points, "flow": flow}
     write_export(out, plan, {**settings}, overwrite=overwrite)
     say(f"{out}: {len(source.pictures)} views; {_roles(source)}; licence: {dataset.license}")
+    if dataset.withheld:
+        say(f"{out}: the test pictures are grey, since a verifier keeps the true ones; never train on them")
     return out, plan.hint.replace("OUT", str(out))
 
 

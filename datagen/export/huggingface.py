@@ -22,6 +22,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.data.transforms import CONVENTION
+from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.export.croissant import Table, croissant_bytes
 from datagen.export.files import lens_keys
@@ -115,6 +116,10 @@ noise ceiling is the PSNR that a perfect method would reach in spite of the nois
 
 def plan_huggingface(source: Source) -> Plan:
     """The whole folder."""
+    if source.dataset.withheld:
+        raise HyalineError(
+            "--format huggingface: publishes test pictures, which a verifier keeps; publish `datagen pack`"
+        )
     groups = {"validation" if group == "val" else group: items for group, items in sample_groups(source).items()}
     views = [_view_part(split, item) for split, items in groups.items() for item in items]
     tables = [_table_part(source, split, items) for split, items in groups.items()]

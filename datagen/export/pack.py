@@ -37,6 +37,7 @@ from datagen.export.archive import (
 )
 from datagen.export.formats import EXPORTS
 from datagen.terminal.command import say, say_all
+from datagen.terminal.signals import replacing_at_the_end
 
 INDEX = "hyaline-pack.json"
 VERSION = 1
@@ -69,6 +70,7 @@ def _members(index: _Index) -> tuple[bytes, list[Member]]:
 # Packing
 
 
+@replacing_at_the_end()
 def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
     """Packs a finished dataset, after verifying every byte, into an archive; files that are not its own are left out.
 
@@ -119,14 +121,14 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
     A killed call leaves its work beside the folder under a temporary name, and the next call continues it.
 
     Args:
-        into: the dataset's folder; None: its scene's name in `data`.
+        into: the dataset's folder; None: the archive's name without its ending, in `data`.
 
     Raises:
         HyalineError: the archive is damaged or was not made by `pack_dataset`, or the folder holds something else.
     """
     with open_regular(path) as archive:
         index, members = read_index(archive, path, _Index, _members, name=INDEX, version=VERSION, maker="datagen pack")
-        into = into or DATA_ROOT / index.scene
+        into = into or DATA_ROOT / path.stem
         if os.path.lexists(into) and not (into.is_dir() and not any(into.iterdir())):
             other = next((member.path for member in members[1:] if not is_there(into, member)), None)
             if other is not None:
@@ -138,7 +140,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
         with one_writer(temporary), naming(place):
             try:
                 unpack_members(archive, path, members, temporary)
-                _check_unpacked(path, verify_dataset(temporary))
+                _check_unpacked(path, verify_dataset(temporary), len(index.files))
             except HyalineError:
                 shutil.rmtree(temporary)
                 raise
@@ -148,7 +150,8 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
     return into
 
 
-def _check_unpacked(path: Path, found: Findings) -> None:
-    """Refuses files that are whole, but no dataset."""
-    for line in (*found.problems, *found.remarks):
+def _check_unpacked(path: Path, found: Findings, count: int) -> None:
+    """Refuses files that are whole, but no dataset, or not all of them its own."""
+    foreign = found.remarks[:1] if found.verified < count else []
+    for line in (*found.problems, *foreign):
         raise HyalineError(f"{path}: holds no finished dataset ({line.split('; ')[0]})")

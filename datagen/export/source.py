@@ -39,6 +39,18 @@ class ExportView:
         return f"{self.view.split}_{self.view.index:04d}"
 
     @property
+    def has_picture(self) -> bool:
+        """False where a verifier keeps it."""
+        return self.view.split not in self.view.dataset.withheld
+
+    @property
+    def image(self) -> UInt8[np.ndarray, "h w 3"]:
+        """The 8-bit sRGB picture; grey where a verifier keeps it, since most tools open every picture they list."""
+        if self.has_picture:
+            return self.view.image
+        return np.full((self.view.camera.height, self.view.camera.width, 3), 128, np.uint8)
+
+    @property
     def quantities(self) -> ViewQuantities:
         """Depth, normals, masks; computed again at each call."""
         return quantities(self.view)
@@ -163,6 +175,6 @@ def _points_of(
     found = item.quantities
     there = np.flatnonzero(~found.background)
     pixels = np.sort(rng.permutation(there)[:count])
-    columns = (found.position, found.normal("shading"), item.view.image)
+    columns = (found.position, found.normal("shading"), item.image)
     position, normal, color = (values.reshape(-1, 3)[pixels] for values in columns)
     return position.astype(np.float64), normal.astype(np.float64), color

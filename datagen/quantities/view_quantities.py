@@ -52,7 +52,8 @@ class LightEnds:
     """Unit direction, in world axes, of the path's last segment."""
     attenuation: Float32[np.ndarray, "h w 3"]
     """Share of the light from the path's end, per colour channel, that reaches the camera along it: the part that
-    surfaces do not reflect (Fresnel) times the part that media do not absorb (Beer and Lambert). 1 without glass."""
+    surfaces do not reflect (Fresnel) times the part that media do not absorb (Beer and Lambert). 1 without glass; if
+    the path ends inside a medium of index n, also times 1 / n², since radiance is n² times as large there."""
     flow: Float32[np.ndarray, "h w 2"]
     """Refractive flow in pixels, (right, down): pixel (x, y) shows the point, or the direction of the sky, that the
     camera would see at (x, y) + flow without refraction. 0 without glass."""

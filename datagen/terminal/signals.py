@@ -27,6 +27,19 @@ class Stopped(BaseException):
         """The exit status, as shells count it: 130 for SIGINT, 143 for SIGTERM."""
 
 
+@contextlib.contextmanager
+def replacing_at_the_end() -> Iterator[None]:
+    """Around work that replaces a file when all is done: if stopped, the same command goes on, --overwrite included."""
+    again = "stopped; run the same command again to go on"
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Stopped(signal.SIGINT, again) from None
+    except Stopped as stopped:
+        stopped.message = stopped.message or again
+        raise
+
+
 def signal_within(error: BaseException) -> Stopped | None:
     """The signal that a library has turned into an error of its own; None: no signal was the cause."""
     cause: BaseException | None = error

@@ -75,6 +75,7 @@ def submit(
     """
     from datagen.terminal.command import choose
     from eval.bench.protocol import left_out, load_protocol
+    from eval.bench.score import say_lost_costs
     from eval.bench.submission import find_runs
     from eval.bench.submission import submit as pack
 
@@ -94,6 +95,7 @@ def submit(
             place = pack(
                 found[name], preset=preset, track=track, out=places[name], protocol=protocol, overwrite=overwrite
             )
+            say_lost_costs(found[name].values())
             tell(str(place))
             del places[name]
     if stale := [str(place) for place in places.values() if place.exists()]:
@@ -167,7 +169,7 @@ def leaderboard(
 
     Args:
         scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
-        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        preset: Without SCORES: size of the datasets, tiny, small, demo or standard.
         track: Instead of writing the page, print this track's tables as Markdown, as docs/results has them.
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
@@ -181,13 +183,14 @@ def leaderboard(
     protocol.size(preset)
     if track is not None:
         choose("track", track, protocol.tracks)
-    folder, place = scores or BENCH / preset / "scores", out or BENCH / preset / "leaderboard"
+    folder = scores or BENCH / preset / "scores"
     found = read_scores(folder)
     if not found:
         raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
     if track is not None:
         sys.stdout.write(track_page(track, found, protocol))
         return
+    place = out or BENCH / found[0].preset / "leaderboard"
     for path in write_report(place, {PAGE: Drawing(draw=lambda: leaderboard_page(found, protocol))}):
         say(f"wrote {path}: {len(found)} submissions")
     tell(str(place / PAGE))

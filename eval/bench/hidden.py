@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import DatasetConfig, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.data.writing import commit_view, head_contents, write_head
@@ -32,7 +32,7 @@ from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic
 from datagen.terminal.command import choose, say
-from eval.bench.protocol import Protocol
+from eval.bench.protocol import Protocol, is_of_preset
 
 GREY = (0.5, 0.5, 0.5)
 SECRET_BYTES = 32
@@ -83,13 +83,19 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     choose("scene", name, protocol.hidden_scenes(preset))
     if source.imported is not None or source.parent is not None:
         raise HyalineError(f"{source.root}: is imported, or a variant; expected what `datagen build` made")
+    published = dataclasses.replace(source.config, scene=name, seed=0)
+    try:
+        is_of_preset(dataclasses.replace(source, config=published), preset, protocol)
+    except HyalineError as error:
+        reason = str(error).split("; ")[0]
+        raise HyalineError(f"{reason}; `hyaline-bench secret` prints the commands that build it") from None
     scene = load_scene(source.root / "scene", is_sealed=True)
     files = scene_files(without_colours(scene, name))
     num_layers = source.layer_store().head.num_layers
     public, truth = (out / kind / f"{name}-{preset}" for kind in ("public", "truth"))
     for root, is_truth in ((public, False), (truth, True)):
         with holding(root, DATASET):
-            made = _write(root, source, name, files, is_truth=is_truth)
+            made = _write(root, source, published, files, is_truth=is_truth)
         _peel(made, num_layers)
         say(f"{root}: dataset {made.seal[:12]}, {'with' if is_truth else 'without'} the truth of its test views")
     return public, truth
@@ -113,11 +119,11 @@ def without_colours(scene: Scene, name: str) -> Scene:
     return dataclasses.replace(scene, name=name, description="", objects=objects, environment=sky, lights=())
 
 
-def _write(root: Path, source: Dataset, name: str, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
+def _write(root: Path, source: Dataset, config: DatasetConfig, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
     cameras: dict[Split, Cameras] = {split: source.cameras(split) for split in source.splits}
     made = write_head(
         root,
-        dataclasses.replace(source.config, scene=name, seed=0),
+        config,
         source.objects,
         cameras,
         scene,

@@ -8,6 +8,7 @@ from statistics import fmean
 import numpy as np
 from jaxtyping import UInt8
 
+from datagen.data.config import TEST_SPLITS
 from datagen.data.images import decode_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
@@ -24,10 +25,11 @@ from eval.tables.looks import html_table
 NOTES = (
     "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
     "percentile bootstrap over scenes. Below ceiling: distance to the PSNR that the noise of the truth allows. Median "
-    "and worst: of the scenes. 10°, 20°, 40° and edits: of the built-in scenes.",
+    "and worst: of the scenes. 10°, 20°, 40° and edits: of all built-in scenes. Hidden: of all hidden scenes; everyone "
+    "can build the truth of the others. Edits: whole pictures, most of which an edit does not change.",
     "CPU min, GB, frames/s: of training and prediction, means over scenes (memory: the largest), where the run's "
-    "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with fewer scenes "
-    "come last: their averages are over other scenes.",
+    "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with other scenes "
+    "than the first come after those with the same: their averages cannot be compared.",
 )
 
 
@@ -47,23 +49,28 @@ def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
-    """Raises a HyalineError unless all names differ, and all were scored by this protocol at one preset."""
-    preset, names = found[0].preset, [scored.name for scored in found]
-    if twice := next((name for name in names if names.count(name) > 1), None):
-        raise HyalineError(
-            f"{twice}: is the name of several submissions; rename the folders of one's runs, and pack again"
-        )
+    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset."""
+    preset = found[0].preset
     for scored in found:
         if (scored.version, scored.preset) != (protocol.version, preset):
             raise HyalineError(
                 f"{scored.name}: was scored with protocol {scored.version} at {shown(scored.preset)}; expected "
                 f"{protocol.version} at {preset}, as the others"
             )
+    digests: dict[str, str] = {}
+    for scored in found:
+        for scene, result in scored.scenes.items():
+            if digests.setdefault(scene, result.dataset) != result.dataset:
+                raise HyalineError(
+                    f"{scored.name}: was scored on another dataset of {scene} ({result.dataset[:12]}, others on "
+                    f"{digests[scene][:12]}); predict and score it again on the one that the protocol names"
+                )
 
 
 def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
-    """One row a submission: the most scenes first, then the highest PSNR."""
+    """One row a submission: the most scenes first, those with the same scenes together, then the highest PSNR."""
     ranked = _ranked(found, protocol)
+    equal = [scored for scored in ranked if set(scored.scenes) == set(ranked[0].scenes)]
     others = {key: short for key, short in protocol.columns().items() if key != ALL}
     numbers = ("PSNR dB ↑", "below ceiling dB ↓", "median dB ↑", "worst dB ↑")
     return Grid(
@@ -75,7 +82,7 @@ def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
             Column(group="95 % interval", is_number=False),
             *(Column(group=name) for name in numbers[1:]),
             Column(group="worst scene", is_number=False),
-            *(Column(group=f"{short} ↑") for short in others.values()),
+            *(Column(group=f"{short} ↑") for short in (*others.values(), "hidden")),
             Column(group="CPU min ↓"),
             Column(group="GB ↓"),
             Column(group="frames/s ↑"),
@@ -83,21 +90,27 @@ def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
             Column(group="code", is_number=False),
         ),
         rows=tuple(_row(scored, list(others), protocol) for scored in ranked),
-        best=frozenset({(0, 2)}) if len(ranked) > 1 else frozenset(),
+        best=frozenset({(0, 2)}) if len(equal) > 1 else frozenset(),
     )
 
 
 def _ranked(found: Sequence[Scored], protocol: Protocol) -> list[Scored]:
-    def rank(scored: Scored) -> tuple[int, float, str]:
+    def rank(scored: Scored) -> tuple[int, list[str], float, str]:
         summary = summarise(scored, ALL, protocol.bootstrap)
-        return -len(scored.scenes), 0.0 if summary is None else -summary.mean, scored.name
+        return -len(scored.scenes), sorted(scored.scenes), 0.0 if summary is None else -summary.mean, scored.name
 
     return sorted(found, key=rank)
 
 
 def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str, ...]:
     total = len(protocol.all_scenes(scored.preset))
-    columns = [summarise(scored, column, protocol.bootstrap) for column in others]
+    public, hidden = (names(scored.preset) for names in (protocol.public_scenes, protocol.hidden_scenes))
+    built_in = [scene for scene in public if scene in protocol.scenes]
+    columns = [
+        summarise(scored, column, protocol.bootstrap, among=None if column in TEST_SPLITS else built_in)
+        for column in others
+    ]
+    columns.append(summarise(scored, ALL, protocol.bootstrap, among=hidden) if hidden else None)
     seeds = sorted({scene.seed for scene in scored.scenes.values() if scene.seed is not None})
     return (
         scored.name,
@@ -179,7 +192,7 @@ def _submission_page(scored: Scored, protocol: Protocol, gallery: Gallery) -> Ma
     figures = [_failure(scored, failure, gallery) for failure in scored.failures]
     shown = section(
         scored.name,
-        tag("p", f"Track {scored.track}: told {scored.knowledge or 'pictures and cameras'}.", class_="note"),
+        tag("p", f"Track {scored.track}: told {scored.knowledge or 'what the track allows'}.", class_="note"),
         html_table(scene_grid(scored, protocol)),
         tag("h3", "The views that it predicts worst"),
         tag("p", "At most one of each scene; hidden scenes are left out.", class_="note"),

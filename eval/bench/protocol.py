@@ -8,16 +8,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split, SplitConfig, square
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
-from datagen.data.paths import MIXED, is_fitted
+from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
 from datagen.data.variants import ANGLES
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, from_json, load_toml
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
-from eval.papers.known import KNOWLEDGE, knowledge_of
+from eval.papers.known import FITTED_MATERIALS
 from eval.score.runs import Run
 
 PROTOCOL = Path(__file__).with_name("protocol.toml")
@@ -133,19 +133,27 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
     """True for a dataset of one of the preset's scenes.
 
     Raises:
-        HyalineError: it has the preset's name, but another size.
+        HyalineError: it has the preset's name, but another size, seed or depth of paths.
     """
     config = dataset.config
     if config.preset != preset or config.scene not in protocol.all_scenes(preset) or dataset.parent is not None:
         return False
     size = protocol.size(preset)
-    found = (config.resolution, config.train, config.interpolating, config.extrapolating)
-    if found != (square(size.resolution), size.train, size.test, size.test):
+    asked = DatasetConfig(
+        scene=config.scene,
+        preset=preset,
+        resolution=square(size.resolution),
+        train=size.train,
+        interpolating=size.test,
+        extrapolating=size.test,
+    )
+    if config != asked:
         raise HyalineError(
             f"{dataset.root}: not what hyaline-bench {protocol.version} names for {preset}: {size.resolution} pixels, "
             f"{size.train.views} + {size.test.views} + {size.test.views} views, {size.train.spp} and {size.test.spp} "
-            f"samples per pixel; build it again with `datagen build {config.scene} --preset {preset} --out "
-            f"{shlex.quote(str(dataset.root))} --overwrite`, or keep it elsewhere"
+            f"samples per pixel, seed {asked.seed}, paths of {asked.max_depth} segments; build it again with `datagen "
+            f"build {config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`, or keep it "
+            "elsewhere"
         )
     return True
 
@@ -158,27 +166,35 @@ def has_usual_name(dataset: Dataset) -> bool:
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     """The first track that allows what a run was told, by its record; None if the record does not say."""
     pictures, masks, proxies, shapes, materials = tracks
-    if run.geometry is None:
+    geometry, told = run.geometry, run.told
+    if geometry is None:
         return None
-    if is_fitted(run.geometry) and run.method == "light-path" and (run.told is None or run.told):
-        return materials  # Of other objects at least, such as varnish on a floor.
-    told: dict[str, str] = dict(zip(KNOWLEDGE, (materials, shapes, masks, masks, pictures), strict=True))
-    if (known := knowledge_of(run)) is not None:
-        return told[known]
-    assert run.geometry != NO_GEOMETRY and not is_fitted(run.geometry)
-    if run.method == "light-path":
+    if is_fitted(geometry):
+        if run.uses_materials and (told is None or told):
+            return materials  # Of other objects at least, such as varnish on a floor.
+        return shapes if told or geometry == FITTED_MATERIALS else masks
+    if run.uses_materials:
         return materials
-    return shapes if run.geometry.startswith(MIXED) else proxies  # A mixture may hold true meshes.
+    if geometry == NO_GEOMETRY:
+        return pictures
+    kind = geometry.partition("-")[0]
+    if geometry == TRUTH or kind in (MIXED, "noise"):  # A mixture may hold true meshes; noise may be less than a pixel.
+        return shapes
+    return proxies if kind in PROXY_KINDS else None
 
 
 def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
-    """The track of a run: the one that was asked for, if it may be told that much there, or the first that fits."""
+    """The track of a run: the one that was asked for, if it may be told that much there, or the first that fits.
+
+    The record of a foreign method is a promise, so its track must be asked for, unless it was told pictures alone.
+    """
     least = least_track(run, tracks)
     if asked is None:
-        if least is None:
+        is_own = run.seal is not None
+        if least is None or not (is_own or run.geometry == NO_GEOMETRY):
             raise HyalineError(
-                f"{run.folder}: run.json does not state the method's inputs; name the track with --track, one of "
-                f"{', '.join(tracks)}"
+                f"{run.folder}: run.json does not show all inputs of the method; name the track with --track, "
+                f"one of {', '.join(tracks)}"
             )
         return least
     choose("track", asked, tracks)

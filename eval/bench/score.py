@@ -2,7 +2,7 @@
 
 import base64
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -11,16 +11,17 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import list_datasets
-from datagen.data.variants import list_variants, open_variant
+from datagen.data.variants import has_variant, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
-from datagen.disk.records import Json, from_json, to_json
+from datagen.disk.records import Json, from_json, load_json, shown, to_json
 from datagen.disk.storage import commit_sealed, load_sealed, sha256, sha256_file
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
+from datagen.terminal.signals import replacing_at_the_end
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
 from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission, read_submission
 from eval.score.kept import Kept
@@ -30,6 +31,8 @@ from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 
 COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
 """What scores repeat of a run's costs.json."""
+ABOVE_CEILING = 1.0
+"""dB by which a score may exceed the ceiling, which is measured."""
 MOST_FAILURES = 3
 """Worst views that a scored submission has pictures of, each of another scene."""
 
@@ -41,7 +44,7 @@ class SplitResult:
     metrics: dict[str, float | None]
     """Means over the split's pictures, by the metric's key; None if undefined."""
     psnr_db: tuple[float | None, ...]
-    """PSNR of each picture; None if it equals the truth."""
+    """PSNR of each picture; None, in files of earlier versions, if it equals the truth."""
     ceiling_db: float | None
     """PSNR of the truth's own noise; None if it is unknown."""
 
@@ -109,7 +112,8 @@ class Scored:
     scenes: dict[str, SceneResult]
     failures: tuple[Failure, ...]
     truths: str = ""
-    """Digest of the datasets and variants that it was scored against; empty in files of earlier versions."""
+    """Digest of the datasets, variants and test views that it was scored against; earlier files have none, or leave the
+    views out."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,22 +131,39 @@ class Summary:
     """Mean distance to the noise ceiling; None if one is unknown."""
 
 
+@replacing_at_the_end()
 def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol, *, overwrite: bool) -> Scored:
     """Scores a submission, and writes the result; one that was scored before is read again.
 
     Raises:
-        HyalineError: the submission is damaged or incomplete, or `out` has another one's scores.
+        HyalineError: the submission is damaged or incomplete, its truth is missing, or `out` has another one's scores.
     """
     if out.is_file() and not overwrite:
-        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root))
+        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root), protocol)
         if (before.submission, before.scored_by, before.truths) == (sha256_file(path), code_version(), truths):
             say(f"{out}: is finished")
             return before
         refuse_file(out)
     with opened_submission(path, find_truths(data_root)) as (index, runs):
-        scored = _score(path, index, runs, protocol)
+        withheld = [scene for scene, run in runs.items() if run.dataset.withheld]
+        if len(withheld) == len(runs):
+            raise HyalineError(
+                f"{path}: predicts hidden scenes alone, whose truth a verifier keeps; send it to the verifier"
+            )
+        if withheld:
+            say(f"left out: {', '.join(withheld)}: a verifier keeps the truth of their test views")
+        scored = _score(path, index, {scene: run for scene, run in runs.items() if scene not in withheld}, protocol)
     commit_sealed(out, cast(dict[str, Json], to_json(scored)))
     return scored
+
+
+def say_lost_costs(runs: Iterable[Run]) -> None:
+    """Says which costs of runs are no numbers, so that their scores will lack them."""
+    for path in (run.folder / "costs.json" for run in runs):
+        with left_out():
+            found = load_json(path) if path.is_file() else {}
+            for key in sorted({*COSTS} & {*found} - {*read_costs(path.parent)}):
+                raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
 
 
 def read_scored(path: Path) -> Scored:
@@ -151,22 +172,39 @@ def read_scored(path: Path) -> Scored:
 
 
 def find_truths(root: Path) -> dict[str, Dataset]:
-    """All datasets in a folder, by their digest; one that cannot be opened is named and left out."""
+    """All datasets in a folder, by their digest; one that cannot be opened is named and left out.
+
+    Of a hidden scene's two datasets, which have one digest, the one with the truth.
+    """
     found: dict[str, Dataset] = {}
     for folder in list_datasets(root):
         with left_out():
             dataset = open_dataset(folder)
-            found[dataset.seal] = dataset
+            if dataset.seal not in found or not dataset.withheld:
+                found[dataset.seal] = dataset
     return found
 
 
-def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset]) -> str:
-    seals: list[str] = []
-    for seal in index.datasets.values():
-        if seal in truths:
-            truth = truths[seal]
-            seals += [seal, *(open_variant(truth, name).seal for name in list_variants(truth.root))]
-    return sha256(" ".join(seals).encode())
+def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset], protocol: Protocol) -> str:
+    """A hash of the truth: of each dataset and variant with the files of its test views."""
+    words: list[str] = []
+    for scene, seal in index.datasets.items():
+        if seal not in truths or truths[seal].withheld:
+            continue
+        variants = [name for name in protocol.variant_splits(scene) if has_variant(truths[seal], name)]
+        for part in (truths[seal], *(open_variant(truths[seal], name) for name in variants)):
+            words.append(part.seal)
+            for split in part.splits:
+                words += [digest for view in part.views(split) if split != "train" for digest in _files_of(view)]
+    return sha256(" ".join(words).encode())
+
+
+def _files_of(view: View) -> list[str]:
+    """SHA-256 of a view's files, by its record; nothing if it is not built."""
+    try:
+        return [digest for _, digest in sorted(view.record.files.items())]
+    except HyalineError:
+        return []
 
 
 def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Protocol) -> Scored:
@@ -210,7 +248,7 @@ def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Pro
         scored_by=code_version(),
         scenes=scenes,
         failures=tuple(sorted(worst, key=lambda failure: failure.psnr_db)[:MOST_FAILURES]),
-        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}),
+        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}, protocol),
     )
 
 
@@ -225,12 +263,17 @@ def _score_part(run: Run, splits: Sequence[Split]) -> Iterator[tuple[Split, tupl
 
 def _result(where: str, truth: Truth, scores: SplitScores) -> SplitResult:
     means = {metric.key: scores.mean(metric.key) for metric in METRICS}
-    if means["psnr_db"] == math.inf:
-        raise HyalineError(f"{where}: every picture equals the truth with its noise, which no method can predict")
+    if math.inf in scores.images["psnr_db"]:
+        raise HyalineError(f"{where}: pictures equal the truth with its noise, which no method can predict")
+    if truth.ceiling_db is not None and (psnr := means["psnr_db"] or 0.0) > truth.ceiling_db + ABOVE_CEILING:
+        raise HyalineError(
+            f"{where}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {truth.ceiling_db:.1f} dB, so these "
+            "pictures know the truth's noise"
+        )
     return SplitResult(
         # A glass PSNR may be infinite where few pixels see glass.
         metrics={key: None if value == math.inf else value for key, value in means.items()},
-        psnr_db=tuple(None if value == math.inf else value for value in scores.images["psnr_db"]),
+        psnr_db=tuple(scores.images["psnr_db"]),
         ceiling_db=truth.ceiling_db,
     )
 
@@ -244,9 +287,19 @@ def _failure(scene: str, psnr_db: float, run: Run, split: Split, view: int) -> F
 # Averages
 
 
-def summarise(scored: Scored, column: str, bootstrap: Bootstrap) -> Summary | None:
-    """A column over the scenes that have it; None if there are none, or a score is undefined."""
+def summarise(
+    scored: Scored, column: str, bootstrap: Bootstrap, *, among: Collection[str] | None = None
+) -> Summary | None:
+    """A column over the scenes that have it; None if there are none, or a score is undefined.
+
+    Args:
+        among: only these scenes, each of which must have the column.
+    """
     scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
+    if among is not None:
+        scenes = {name: scene for name, scene in scenes.items() if name in among}
+        if len(scenes) < len(among):
+            return None
     known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
     if not known or len(known) < len(scenes):
         return None

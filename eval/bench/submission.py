@@ -38,6 +38,7 @@ from datagen.export.archive import (
 )
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say
+from datagen.terminal.signals import replacing_at_the_end
 from eval.analyses.variants import run_of_variant
 from eval.bench.protocol import Protocol, choose_track, has_usual_name, is_of_preset, left_out, load_protocol
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run, read_prediction
@@ -150,6 +151,7 @@ def list_predictions(run: Run, protocol: Protocol) -> list[tuple[Run, list[Split
     return listed
 
 
+@replacing_at_the_end()
 def submit(
     runs: Mapping[str, Run], *, preset: str, track: str | None, out: Path, protocol: Protocol, overwrite: bool
 ) -> Path:

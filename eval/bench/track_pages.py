@@ -1,13 +1,15 @@
 """Pages of RESULTS: a track's tables in Markdown, from stored files of `hyaline-bench score`."""
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
 from eval.bench.leaderboard import NOTES, check_comparable, scene_grid, track_grid
-from eval.bench.protocol import ALL, Protocol, load_protocol
+from eval.bench.protocol import ALL, Protocol, left_out, load_protocol
 from eval.bench.score import Scored, read_scored
-from eval.tables.grids import TABLE_WIDTH, Column, Grid, format_number
+from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.pages import Row
 
@@ -15,9 +17,31 @@ TRACKS = "bench"
 """Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
 
 
+OTHERS = (
+    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
+    "docs/bench.md says."
+)
+"""What the command of a page does not make."""
+
+
 def read_scores(folder: Path) -> list[Scored]:
-    """The scored submissions in a folder."""
-    return [read_scored(path) for path in sorted(folder.glob("*.json"))]
+    """The scored submissions in a folder, named by their files if two have one name.
+
+    A file of another version, or of a track that the protocol does not have, is named and left out.
+    """
+    found: dict[str, Scored] = {}
+    for path in sorted(folder.glob("*.json")):
+        with left_out():
+            scored, protocol = read_scored(path), load_protocol()
+            if scored.version != protocol.version:
+                raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
+            if scored.track not in protocol.tracks:
+                known = ", ".join(protocol.tracks)
+                raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
+            found[path.stem] = scored
+    if len({scored.name for scored in found.values()}) == len(found):
+        return list(found.values())
+    return [dataclasses.replace(scored, name=name) for name, scored in found.items()]
 
 
 def track_rows(folder: Path) -> dict[Row, str]:
@@ -35,7 +59,7 @@ def track_rows(folder: Path) -> dict[Row, str]:
                 f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
                 f"{scenes} datasets",
                 "scores",
-                str(len(seeds)),
+                str(len(seeds)) if seeds else MISSING,
                 ", ".join(sorted({scored.packed_by for scored in inside})),
             )
         ] = track_page(track, found, protocol)
@@ -60,7 +84,9 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
             "Allowed inputs:\n",
             *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
             "",
-            f"```\nmodel sweep bench --preset {preset}\nhyaline-bench leaderboard --preset {preset}\n```\n",
+            f"```\nmodel sweep bench --preset {preset}",
+            f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
+            f"{OTHERS}\n",
             *(f"{markdown_escaped(note)}\n" for note in NOTES),
             *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in grids),
         ]

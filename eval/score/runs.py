@@ -43,7 +43,8 @@ Value = TypeVar("Value", int, str)
 
 RUN_KEYS = frozenset({
     "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
-    "num_layers", "num_parameters", "num_texture_parameters", "seed", "told", "torch", "type", "version",
+    "num_layers", "num_parameters", "num_texture_parameters", "seed", "told", "torch", "type",
+    "uses_materials", "version",
 })  # fmt: skip
 """Allowed keys of run.json: those of `model train`; a foreign method may leave out any."""
 
@@ -59,6 +60,8 @@ class Run:
     geometry: str | None
     knowledge: str | None
     """The method's inputs besides pictures and cameras, in words."""
+    uses_materials: bool
+    """Whether the method reads materials of surfaces; True for light-path, also where its record does not say."""
     told: tuple[str, ...] | None
     """Objects of which a fitted geometry tells more than was found of them: glass, and other materials than matt."""
     num_parameters: int | None
@@ -146,6 +149,7 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None, *, is_
         method=_optional(record, "method", str, path),
         geometry=_optional(record, "geometry", str, path),
         knowledge=_optional(record, "knowledge", str, path),
+        uses_materials=_uses_materials(record, path),
         told=_words(record, "told", path),
         num_parameters=_optional(record, "num_parameters", int, path),
         seed=_optional(record, "seed", int, path),
@@ -283,6 +287,12 @@ def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
     if config is not None and not isinstance(config, dict):
         raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
     return config
+
+
+def _uses_materials(record: dict[str, Json], path: Path) -> bool:
+    if "uses_materials" not in record:
+        return record.get("method") == "light-path"
+    return from_json(bool, record["uses_materials"], where=f"{path}: uses_materials")
 
 
 def _words(record: dict[str, Json], key: str, path: Path) -> tuple[str, ...] | None:

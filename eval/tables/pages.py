@@ -9,7 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from datagen.data.config import TEST_SPLITS, Resolution, Split
+from datagen.build.presets import PRESETS
+from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
 from eval.score.scores import METRICS, Metric, metric_notes
@@ -134,15 +135,13 @@ def _page_grids(path: Path, data: Stored) -> list[Grid]:
 def _grids(scene: Stored) -> list[Grid]:
     """The scores of a scene, then of each variant that its runs predicted."""
     groups = _groups(scene)
-    size = f"{Resolution(**scene['resolution'])} pixels"
-    preset = f", preset {scene['preset']}" if "preset" in scene else ""
     runs = {run["run"]: run for run in scene["runs"]}
     analyses = scene["analyses"]
     slopes = {name: curve["db_per_10deg"] for name, curve in analyses.get("curves", {}).items()}
     minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
     grids = [
         _grid(
-            f"{scene['scene']}{preset}: {size}",
+            f"{scene['scene']}{_size(scene)}",
             groups,
             {name: run["splits"] for name, run in runs.items()},
             TEST_SPLITS,
@@ -169,6 +168,27 @@ def _grids(scene: Stored) -> list[Grid]:
     if fits := analyses.get("fits"):
         grids.append(_fits_grid(f"{scene['scene']}: glass found from masks and pictures", fits))
     return grids
+
+
+def _size(scene: Stored) -> str:
+    """The size of a scene's dataset, with the preset's name only if the size is the preset's.
+
+    Files of earlier versions do not record training views and samples; there, the scored pictures count.
+    """
+    resolution, preset = Resolution(**scene["resolution"]), PRESETS.get(scene.get("preset", ""))
+    if "splits" in scene:
+        splits = {split: SplitConfig(**values) for split, values in scene["splits"].items()}
+        is_own = preset is not None and all(config == getattr(preset, split) for split, config in splits.items())
+        spps = " + ".join("unknown" if config.spp is None else str(config.spp) for config in splits.values())
+        views = f"{' + '.join(str(config.views) for config in splits.values())} views, {spps} samples per pixel"
+    else:
+        scored = [run["splits"].get(split) for run in scene["runs"] for split in TEST_SPLITS]
+        counts = {len(scores[METRICS[0].key]["pictures"]) for scores in scored if scores}
+        is_own = preset is not None and counts <= {preset.interpolating.views}
+        views = f"{' or '.join(map(str, sorted(counts)))} views of each test split"
+    if is_own and preset is not None and resolution == preset.resolution:
+        return f", preset {scene['preset']}: {resolution} pixels"
+    return f": {resolution} pixels, {views}"
 
 
 def _fits_grid(title: str, fits: Stored) -> Grid:

@@ -91,6 +91,7 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
         "dataset_seal": scene.dataset.seal,
         "preset": scene.dataset.config.preset,
         "resolution": dataclasses.asdict(scene.dataset.config.resolution),
+        "splits": {split: dataclasses.asdict(scene.dataset.config.split(split)) for split in scene.dataset.splits},
         "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
         "notes": list(left_out_notes(scene)),
         "runs": [_run_json(scores) for scores in scene.runs],

@@ -87,6 +87,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
         method=config.method,
         geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
         knowledge=knowledge,
+        uses_materials=method.uses_geometry and bool(method.knowledge),
         told=_told(config, dataset) if is_fitted(config.geometry) else (),
         dataset=dataset.root.as_posix(),
         dataset_seal=dataset.seal,

@@ -98,6 +98,8 @@ class RunRecord:
     geometry: str
     knowledge: str
     """The method's inputs besides images and cameras."""
+    uses_materials: bool = False
+    """Whether the method reads materials of surfaces."""
     told: tuple[str, ...] = ()
     """Objects of which a fitted geometry tells more than `model fit` found: glass that it takes from the truth, and
     other objects that are not matt, if the method uses materials."""

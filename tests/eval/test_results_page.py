@@ -74,11 +74,31 @@ def test_the_list_of_pages_begins_with_the_shortest(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    ("change", "title"),
+    [
+        ({}, "glass_table, preset tiny: 32 x 32 pixels"),
+        (
+            {"resolution": {"width": 48, "height": 32}},
+            "48 x 32 pixels, 8 + 3 + 3 views, 16 + 64 + 64 samples per pixel",
+        ),
+        ({"preset": "imported"}, "glass_table: 32 x 32 pixels, 8 + 3 + 3 views, 16 + 64 + 64 samples per pixel"),
+        ({"spp": 32}, "glass_table: 32 x 32 pixels, 8 + 3 + 3 views, 32 + 64 + 64 samples per pixel"),
+    ],
+)
+def test_a_preset_is_named_only_for_datasets_of_its_size(tmp_path: Path, change: dict[str, Any], title: str) -> None:
+    test = {"views": 3, "spp": 64}
+    splits = {"train": {"views": 8, "spp": change.pop("spp", 16)}, "interpolating": test, "extrapolating": test}
+    scene = results()["scenes"][0] | {"resolution": {"width": 32, "height": 32}, "splits": splits} | change
+    page = results_page(write(tmp_path, "demo.json", results(scenes=[scene])))
+    assert f"{title}\n" in page
+
+
 def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_path: Path) -> None:
     lines = results_page(write(tmp_path, "demo.json", results())).splitlines()
     assert lines[:5] == ["# demo", "", "```", "make demo", "```"]
     assert lines[6] == "[demo.json](demo.json); hyaline 0.1.0 (abc)."
-    first = lines.index("### glass_table, preset tiny: 16 x 16 pixels") + 4
+    first = lines.index("### glass_table: 16 x 16 pixels, 1 views of each test split") + 4
     table = [line.replace(MISSING, "none") for line in lines[first:]]
     mean = "31.00 ± 1.41"
     assert table[0].startswith(f"| mine | true \\| geometry | 1,234 | 2 | **{mean}** | none | **{mean}** | none |")

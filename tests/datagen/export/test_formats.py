@@ -1,5 +1,6 @@
 """Tests that each export shows the dataset's world: vertices, pictures, depth, masks and points, by its own reader."""
 
+import dataclasses
 import importlib
 import io
 import json
@@ -30,6 +31,7 @@ from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.export.formats import FORMATS, export_dataset
+from datagen.export.huggingface import plan_huggingface
 from datagen.export.plan import EXPORT, RECORDS
 from datagen.export.source import Source
 from datagen.quantities.surfaces import surfaces_of
@@ -436,4 +438,9 @@ def test_croissant_describes_every_file_and_every_column(exports: dict[str, Path
         assert kinds["w"] == ("sc:Integer", None) and kinds["transform_matrix"] == ("sc:Float", "4,4")
         ids = [field["@id"] for field in records["field"]]
         assert len(set(ids)) == len(ids) and all(name.startswith(f"{records['@id']}/") for name in ids)
+    assert "creator" not in about, "whoever publishes a scene of their own is its creator"
+    ours = dataclasses.replace(dataset, config=dataclasses.replace(dataset.config, scene="glass_table"))
+    parts = plan_huggingface(Source(dataset=ours, num_points=POINTS, flow=False)).parts
+    (part,) = (part for part in parts if part.name == "croissant")
+    assert json.loads(part.make()["croissant.json"])["creator"]["name"] == "The hyaline authors"
     assert about["license"] == dataset.license and dataset.seal.startswith(about["version"].partition("+")[2])

@@ -78,6 +78,12 @@ def test_an_unpacked_dataset_is_the_packed_one_and_is_not_unpacked_twice(here: P
     assert packed_again.status == 0 and "my scene.tar: is finished" in packed_again.err
 
 
+def test_an_archive_is_unpacked_into_a_folder_of_its_own_name(here: Path) -> None:
+    Path("my scene.tar").rename("my scene-demo.tar")
+    run("datagen unpack 'my scene-demo.tar'")
+    assert tree(Path("data/my scene-demo")) == tree(Path("data/my scene"))
+
+
 def refuse(change: Change) -> None:
     raise AssertionError(f"changes {change}")
 

@@ -24,6 +24,7 @@ about = "Two scenes of pane and floor."
 bootstrap = { resamples = 1000, seed = 0, confidence = 0.95 }
 [presets]
 tiny = { resolution = 32, train = { views = 8, spp = 4 }, test = { views = 2, spp = 4 } }
+demo = { resolution = 64, train = { views = 8, spp = 4 }, test = { views = 2, spp = 4 } }
 [scenes]
 synthetic = ["remove:pane"]
 [random]

@@ -7,6 +7,7 @@ import math
 import os
 import re
 import shutil
+import signal
 import tarfile
 import zipfile
 import zlib
@@ -27,8 +28,9 @@ from datagen.data.images import png_bytes, read_png
 from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes, sha256
+from datagen.terminal.signals import Stopped
 from eval.bench.floors import nearest_view
-from eval.bench.leaderboard import track_grid
+from eval.bench.leaderboard import check_comparable, track_grid
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
 from eval.bench.score import mean_interval, read_scored, summarise
 from eval.bench.submission import INDEX, submit
@@ -193,6 +195,56 @@ def test_scores_of_another_submission_stay(packed: Path) -> None:
     assert Path("kept.json").read_bytes() == before
     run(f"hyaline-bench score {other} --out kept.json --overwrite")
     assert read_scored(Path("kept.json")).name == "mean-picture"
+
+
+def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(packed: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    content = json.loads(SCORES.read_text())
+    del content["sha256"]
+    folder = SCORES.parent
+    for name, keys in {"newer": {"version": 2}, "magic": {"track": "magic"}, "again": {}}.items():
+        (folder / f"{name}.json").write_bytes(seal_bytes(content | keys))
+    answer = call(f"hyaline-bench leaderboard {folder}")
+    assert answer.status == 0 and "3 submissions" in answer.err
+    assert "left out: bench/tiny/scores/newer.json: was scored with protocol 2; expected 1" in answer.err
+    assert "left out: bench/tiny/scores/magic.json: is of the track 'magic'; expected one of pictures" in answer.err
+    # The preset is that of the scores; two submissions of one name are told apart by their files.
+    assert answer.out == "bench/tiny/leaderboard/index.html\n"
+    printed = call(f"hyaline-bench leaderboard {folder} --track pictures").out
+    assert "hyaline-bench leaderboard --preset tiny --track pictures\n" in printed
+    assert {line.split(" | ")[0] for line in printed.splitlines() if "2/4" in line} == {
+        "| again",
+        "| mean-picture",
+        "| nearest-view",
+    }
+
+
+def test_scoring_that_is_stopped_goes_on_by_the_same_command(packed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run("hyaline-bench score --preset tiny")
+
+    def stop(*_: object) -> None:
+        raise Stopped(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("eval.bench.score.score_run", stop)
+        answer = call("hyaline-bench score --preset tiny --overwrite")
+    assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to go on")
+    run("hyaline-bench score --preset tiny --overwrite")
+
+
+@pytest.mark.parametrize(
+    ("costs", "message"),
+    [
+        ('{"cpu_seconds": "120 s", "machine": "mine"}', "cpu_seconds is '120 s'; expected a number of at least 0"),
+        ('{"peak_memory_bytes": -1}', "peak_memory_bytes is -1; expected a number of at least 0"),
+        ('{"cpu_seconds": NaN}', "NaN"),
+    ],
+)
+def test_costs_that_scores_will_lack_are_named_when_a_method_is_packed(packed: Path, costs: str, message: str) -> None:
+    Path("runs/synthetic-tiny/nearest-view/costs.json").write_text(costs)
+    answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    assert answer.status == 0 and answer.err.count("left out: ") == 1
+    assert message in answer.err and "runs/synthetic-tiny/nearest-view/costs.json" in answer.err
 
 
 @pytest.mark.parametrize(
@@ -377,43 +429,86 @@ def test_the_truth_itself_is_no_prediction(packed: Path) -> None:
         )
     run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
     answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
-    assert (
-        answer.status == 1 and "synthetic: interpolating: every picture equals the truth with its noise" in answer.error
-    )
+    assert answer.status == 1 and "synthetic: interpolating: pictures equal the truth with its noise" in answer.error
+
+
+def test_pictures_better_than_the_noise_of_the_truth_are_refused(packed: Path) -> None:
+    dataset = open_dataset(Path("data/synthetic-tiny"))
+    for view in dataset.views("interpolating"):
+        near = view.image.copy()
+        near[0, 0, 0] ^= 1
+        path = Path(f"runs/synthetic-tiny/nearest-view/predictions/interpolating/{view.index:04d}.png")
+        path.write_bytes(png_bytes(near))
+    run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
+    assert answer.status == 1 and "is above the noise ceiling of" in answer.error
+
+
+def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(packed: Path, small_protocol: Protocol) -> None:
+    run("hyaline-bench score --preset tiny")
+    scored = read_scored(MEAN)
+    scene = dataclasses.replace(scored.scenes["synthetic"], dataset="0" * 64)
+    other = dataclasses.replace(scored, name="other", scenes={**scored.scenes, "synthetic": scene})
+    check_comparable([scored, dataclasses.replace(scored, name="again")], small_protocol)
+    with pytest.raises(HyalineError, match="other: was scored on another dataset of synthetic"):
+        check_comparable([scored, other], small_protocol)
 
 
 # Tracks
 
 
 @pytest.mark.parametrize(
-    ("method", "geometry", "told", "track"),
+    ("geometry", "uses_materials", "told", "track"),
     [
-        ("deepvoxels", "none", None, "pictures"),
-        ("light-path", "fitted", (), "masks"),
-        ("light-path", "fitted", None, "materials"),
-        ("light-path", "fitted", ("floor",), "materials"),
-        ("light-path", "fitted", ("pane",), "materials"),
-        ("paper", "fitted", None, "masks"),
-        ("paper", "fitted", ("pane",), "shapes"),
-        ("light-path", "fitted-hull", (), "masks"),
-        ("paper", "ellipsoid", None, "proxies"),
-        ("dnr-layers", "truth", None, "shapes"),
-        ("light-path", "fitted-materials", (), "shapes"),
-        ("light-path", "truth", None, "materials"),
-        ("light-path", "ellipsoid", None, "materials"),
+        ("none", False, None, "pictures"),
+        ("none", True, None, "materials"),
+        ("fitted", True, (), "masks"),
+        ("fitted", True, None, "materials"),
+        ("fitted", True, ("floor",), "materials"),
+        ("fitted", False, None, "masks"),
+        ("fitted", False, ("pane",), "shapes"),
+        ("fitted-hull", True, (), "masks"),
+        ("fitted-materials", True, (), "shapes"),
+        ("ellipsoid", False, None, "proxies"),
+        ("ellipsoid", True, None, "materials"),
+        ("noise-0.001", False, None, "shapes"),
+        ("mixed-b", False, None, "shapes"),
+        ("truth", False, None, "shapes"),
+        ("truth", True, None, "materials"),
     ],
 )
 def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
-    here: Path, small_protocol: Protocol, method: str, geometry: str, told: tuple[str, ...] | None, track: str
+    here: Path,
+    small_protocol: Protocol,
+    geometry: str,
+    uses_materials: bool,
+    told: tuple[str, ...] | None,
+    track: str,
 ) -> None:
     folder = here / "runs" / "synthetic-tiny" / "one"
     folder.mkdir(parents=True)
-    found = dataclasses.replace(open_run(folder, here / "data"), method=method, geometry=geometry, told=told)
+    of_any = dataclasses.replace(
+        open_run(folder, here / "data"), geometry=geometry, uses_materials=uses_materials, told=told
+    )
+    found = dataclasses.replace(of_any, seal="of model train")
     assert choose_track(found, None, small_protocol.tracks) == track
     assert choose_track(found, "materials", small_protocol.tracks) == "materials"
     for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:
         with pytest.raises(HyalineError, match=f"that the track {lower} does not allow; submit it to {track}"):
             choose_track(found, lower, small_protocol.tracks)
+    if geometry != "none":  # The record of a foreign method may leave out what it was told.
+        with pytest.raises(HyalineError, match="does not show all inputs of the method; name the track"):
+            choose_track(of_any, None, small_protocol.tracks)
+
+
+@pytest.mark.parametrize("geometry", ["true meshes", "Truth", "masks", ""])
+def test_an_unknown_geometry_has_no_track_of_its_own(here: Path, small_protocol: Protocol, geometry: str) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    found = dataclasses.replace(open_run(folder, here / "data"), geometry=geometry, seal="of model train")
+    with pytest.raises(HyalineError, match="name the track with --track, one of pictures, masks"):
+        choose_track(found, None, small_protocol.tracks)
+    assert choose_track(found, "masks", small_protocol.tracks) == "masks"
 
 
 # Floors and averages

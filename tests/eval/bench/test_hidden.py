@@ -4,11 +4,17 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 from support.builds import tree
 from support.commands import call, run
+from support.export_readers import read_nerfstudio, read_picture
+from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import png_bytes
+from datagen.data.writing import commit_view
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.scene.folder import load_scene
 from eval.bench.hidden import GREY, hidden_seed
@@ -52,11 +58,71 @@ def test_a_method_trains_on_what_is_published_and_is_scored_by_the_verifier(here
     run("hyaline-bench submit paper-batch64-2-steps --preset tiny --data public --out paper.tar")
     assert "which is not there" in call(f"hyaline-bench score paper.tar --data {made / 'data'} --out none.json").error
     answer = call("hyaline-bench score paper.tar --data public --out none.json")
-    assert answer.status == 1 and "the view is not built yet" in answer.error and not Path("none.json").exists()
+    assert answer.status == 1 and "whose truth a verifier keeps" in answer.error and not Path("none.json").exists()
     run("hyaline-bench score paper.tar --data truth --out paper.json")
     scored = read_scored(Path("paper.json"))
     assert scored.track == "shapes" and scored.scenes["hidden-1"].costs["cpu_seconds"] > 0
     assert not scored.failures  # Their pictures would give the truth away.
+
+
+def test_scenes_without_truth_are_left_out_and_the_others_scored(
+    here: Path, made: Path, small_protocol: Protocol
+) -> None:
+    shutil.copytree(made / "data", "data")
+    shutil.copytree("public/hidden-1-tiny", "data/hidden-1-tiny")
+    run("hyaline-bench floors --preset tiny")
+    run("hyaline-bench submit mean-picture --preset tiny --out mean.tar")
+    answer = call("hyaline-bench score mean.tar --out mine.json")
+    assert answer.status == 0 and "left out: hidden-1: a verifier keeps the truth" in answer.err
+    assert set(read_scored(Path("mine.json")).scenes) == {"synthetic", "random-7100"}
+    # Beside what is published, the truth counts, whatever the folders are called.
+    shutil.copytree("truth/hidden-1-tiny", "data/a-hidden-1-tiny")
+    run("hyaline-bench score mean.tar --out verified.json")
+    verified = read_scored(Path("verified.json"))
+    assert set(verified.scenes) == {"synthetic", "random-7100", "hidden-1"}
+    # Other pictures under the same head give other scores, which the record tells.
+    false = open_dataset(Path("data/a-hidden-1-tiny"))
+    exr = Path("truth/hidden-1-tiny/images/interpolating/0000.exr").read_bytes()
+    picture = png_bytes(np.full((32, 32, 3), 90, np.uint8))
+    commit_view(false, "interpolating", 0, png=picture, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+    run("hyaline-bench score mean.tar --out false.json")
+    scored = read_scored(Path("false.json"))
+    assert scored.scenes["hidden-1"].dataset == verified.scenes["hidden-1"].dataset
+    assert scored.truths != verified.truths
+
+
+def test_no_command_makes_the_test_views_of_a_published_scene(here: Path) -> None:
+    before = tree(here)
+    public = "public/hidden-1-tiny"
+    answer = call(f"datagen verify {public}")
+    assert answer.status == 0 and "the pictures of its 4 test views are the verifier's" in answer.err
+    refusals = {
+        f"datagen build {public}/scene --preset tiny --out {public}": "scene hidden-1: is not rendered",
+        f"datagen add {public} --edit remove:pane": "only a verifier knows its light and colours",
+        f"datagen film {public} --out film.webp": "only a verifier knows its light and colours",
+        f"datagen export {public} --format huggingface --out hub": "publishes test pictures, which a verifier keeps",
+    }
+    for line, message in refusals.items():
+        answer = call(line)
+        assert answer.status == 1 and message in answer.error
+    with pytest.raises(HyalineError, match="which a verifier of hyaline-bench keeps"):
+        _ = open_dataset(Path(public)).view("interpolating", 0).image
+    assert tree(here) == before
+
+
+def test_what_is_published_can_be_packed_and_exported_with_all_cameras(here: Path) -> None:
+    run("datagen pack public/hidden-1-tiny")
+    run("datagen unpack exports/hidden-1-tiny.tar")
+    assert tree(Path("data/hidden-1-tiny")) == tree(Path("public/hidden-1-tiny"))
+    answer = call("datagen export hidden-1-tiny --format nerfstudio")
+    assert answer.status == 0 and "the test pictures are grey" in answer.err
+    views, splits = read_nerfstudio(Path("exports/hidden-1-tiny-nerfstudio"))
+    assert len(views) == 12 and len(splits["test"]) == 4
+    for name, read in views.items():
+        assert (np.ptp(read_picture(read.file)) == 0) == (name in splits["test"])
+    run("datagen export hidden-1-tiny --format capture")
+    pictures = Path("exports/hidden-1-tiny-capture/images").iterdir()
+    assert sorted(path.stem for path in pictures) == sorted(set(views) - set(splits["test"]))
 
 
 def test_a_secret_is_drawn_once_and_names_the_scenes(
@@ -81,10 +147,18 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
 
 
 def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
+    same_size = write_synthetic_dataset(here / "same size", scene_name="random-7103", sees_nothing=True)
     before = tree(here)
     for line, message in (
         ("hyaline-bench hide secret --scene random-7100", "no scene 'random-7100'"),
-        (f"hyaline-bench hide {other.root} --scene hidden-1", "hidden-1-tiny: holds another scene; choose another"),
+        (
+            f"hyaline-bench hide {other.root} --scene hidden-0",
+            "8 + 2 + 2 views, 4 and 4 samples per pixel, seed 0, paths of 24 segments; `hyaline-",
+        ),
+        (
+            f"hyaline-bench hide '{same_size.root}' --scene hidden-1",
+            "hidden-1-tiny: holds another scene; choose another",
+        ),
         ("hyaline-bench hide secret/variants/angles --scene hidden-0", "is imported, or a variant"),
     ):
         answer = call(line)

@@ -48,7 +48,9 @@ def test_the_sweep_trains_every_method_on_every_public_scene_and_predicts_every_
     experiment = read_experiment("bench", preset=preset)
     scenes = PROTOCOL.public_scenes(preset)
     found = datasets_of(experiment)
-    assert len(found) == (8 if preset == "small" else 9)  # Without deepvoxels, which learns nothing in a minute.
+    assert len(found) == (
+        8 if preset in ("tiny", "small") else 9
+    )  # Without deepvoxels, which learns nothing in a minute.
     assert all(datasets == {f"{scene}-{preset}" for scene in scenes} for datasets in found.values())
     edited = [shlex.split(line)[2:] for line in experiment.then if line.startswith("model predict")]
     for scene in scenes:
