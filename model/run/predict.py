@@ -25,7 +25,7 @@ from datagen.data.geometries import list_geometries
 from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
 from datagen.data.variants import variant_root
-from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.ownership import remove_files
 from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
@@ -93,7 +93,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
         )
     try:
         state = load_state(out / WEIGHTS)
-    except HyalineError as error:
+    except DamagedError as error:
         raise HyalineError(f"{error}; train again with --overwrite") from error
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_state_of(state, config, inputs, path=out / WEIGHTS)
