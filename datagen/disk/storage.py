@@ -240,15 +240,22 @@ class Opened:
 
 
 def user_cache(name: str) -> Path:
-    """Where this package keeps what it can make again, by kind; it may not be there."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+    """Where this package keeps what it can make again, by kind; it may not be there.
+
+    Raises:
+        HyalineError: the user has no home directory, as in some containers.
+    """
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+    except RuntimeError:
+        raise HyalineError("cache: this user has no home directory; set HOME or XDG_CACHE_HOME") from None
 
 
 def private_cache(name: str) -> Path | None:
     """A folder of the cache that only this user can write; None if there is none, such as without a home directory."""
     try:
         cache = user_cache(name)
-    except RuntimeError:
+    except HyalineError:
         return None
     return cache if make_private(cache) is None else None
 

@@ -54,7 +54,9 @@ def load_state(path: Path) -> dict[str, State]:
     if not is_intact:
         raise DamagedError(f"{path}: damaged (checksum differs)")
     if content.pop("version", None) != CHECKPOINT_VERSION:
-        raise HyalineError(f"{path}: another format version; this program reads {CHECKPOINT_VERSION}; train again with --overwrite")
+        raise HyalineError(
+            f"{path}: another format version; this program reads {CHECKPOINT_VERSION}; train again with --overwrite"
+        )
     return content
 
 
