@@ -351,8 +351,7 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     path = out if out is not None else Path(f"{opened.name}-look.html")
     if path.suffix not in (".html", ".png"):
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
-    if not overwrite:
-        refuse_file(path)
+    refuse_file(path, overwrite=overwrite)
     refuse_owned(path, DATASET)
     say(f"{opened.root}: draws {path}")
     commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))

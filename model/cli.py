@@ -284,8 +284,7 @@ def export(
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
     from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
 
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     refuse_owned(out, DATASET)
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)

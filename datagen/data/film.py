@@ -49,8 +49,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
         return
     if out.suffix not in (ANIMATED, MOVIE):
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     refuse_owned(out, DATASET)
     if out.suffix == MOVIE:
         _find_ffmpeg()
