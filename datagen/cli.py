@@ -268,7 +268,7 @@ def film(
     opened = open_dataset(find_dataset(dataset))
     out = choices.out or Path(f"{opened.name}-truth.webp")
     say(f"{opened.root}: renders {out}")
-    film_scene(opened, plan_film(opened, choices, out), out, fps=choices.fps, spp=spp)
+    film_scene(opened, plan_film(opened, choices, out), out, fps=choices.fps, spp=spp, overwrite=choices.overwrite)
     tell(str(out))
 
 

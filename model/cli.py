@@ -243,20 +243,22 @@ def film(
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, WEIGHTS, open_trained
 
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     say(f"{run}: renders {out}")
     from datagen.build.film import plan_film
-    from datagen.data.film import write_film
+    from datagen.data.film import film_key, write_film
+    from datagen.disk.storage import sha256_file
 
     cameras = plan_film(opened, choices, out)
     from model.run.predict import film_pictures
 
-    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    write_film(out, pictures, choices.fps, frames=len(cameras))
+    draw = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    key = film_key(cameras, opened.seal, sha256_file(run / WEIGHTS))
+    write_film(out, draw, choices.fps, frames=len(cameras), key=key, overwrite=choices.overwrite)
     tell(str(out))
 
 
