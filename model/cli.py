@@ -16,7 +16,7 @@ from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device
-from model.settings.runtime import choose_device, wait_briefly
+from model.settings.runtime import choose_device, process_number, wait_briefly
 
 if TYPE_CHECKING:
     from model.run.train_flags import Asked
@@ -90,10 +90,10 @@ def _train_method(method: str, asked: "Asked") -> None:
 
     if asked.run.tensorboard:
         require_tensorboard()
-    if (is_alone := int(os.environ.get("WORLD_SIZE", "1")) == 1) and (finished := find_finished(method, asked)):
+    if (is_alone := process_number("WORLD_SIZE", 1) == 1) and (finished := find_finished(method, asked)):
         say(told_finished(finished))
         return _end(finished, run=finished)
-    if int(os.environ.get("RANK", "0")) > 0:
+    if process_number("RANK", 0) > 0:
         mute()
     if asked.run.device != "cpu" and not is_alone:
         from model.batches.distributed import see_own_gpu

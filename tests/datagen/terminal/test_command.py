@@ -260,3 +260,19 @@ def test_an_error_that_is_its_own_cause_ends_the_command_in_one_line(capsys: pyt
             command_run("program", run, [])
         assert ended.value.code == 1
         assert capsys.readouterr().err == "error: place: is wrong\n"
+
+
+def test_with_standard_error_closed_work_is_done_and_only_the_result_is_printed(tmp_path: Path) -> None:
+    program = """
+import sys
+from datagen.terminal.command import run, say, tell, track
+def work() -> None:
+    say("works")
+    with open("data", "w") as data:
+        tell(f"{len(list(track([1, 2], label='item', total=2)))} items, {data.fileno() > 2}")
+run("work", work, [])
+"""
+    (tmp_path / "work.py").write_text(program)
+    line = f"cd {tmp_path} && exec {sys.executable} -P work.py <&- 2>&-"
+    answer = subprocess.run(["sh", "-c", line], stdout=subprocess.PIPE, text=True, check=False)
+    assert (answer.returncode, answer.stdout) == (0, "2 items, True\n")
