@@ -195,8 +195,9 @@ def draw_turntable(
     for folder in runs:
         config = read_run(folder).config
         check_trained_on(folder, config, dataset)
-        columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))))
-    write_film(out, _side_by_side(columns, ("truth, path-traced", *names)), fps, frames=frames)
+        columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))(0)))
+    pages = _side_by_side(columns, ("truth, path-traced", *names))
+    write_film(out, lambda _: pages, fps, frames=frames, key="", overwrite=True)
 
 
 def _side_by_side(columns: list[list[Picture]], names: tuple[str, ...]) -> Iterator[Picture]:

@@ -268,7 +268,7 @@ def film(
     out = choices.out or Path(f"{opened.name}-truth.webp")
     cameras = plan_film(opened, choices, out)
     say(f"{opened.root}: rendering {out}")
-    film_scene(opened, cameras, out, fps=choices.fps, spp=spp)
+    film_scene(opened, cameras, out, fps=choices.fps, spp=spp, overwrite=choices.overwrite)
     tell(str(out))
 
 
@@ -350,8 +350,7 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     path = out if out is not None else Path(f"{opened.name}-look.html")
     if path.suffix not in (".html", ".png"):
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
-    if not overwrite:
-        refuse_file(path)
+    refuse_file(path, overwrite=overwrite)
     refuse_owned(path, DATASET)
     say(f"{opened.root}: writing {path}")
     commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))

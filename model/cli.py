@@ -2,6 +2,7 @@
 
 import functools
 import os
+import re
 import shlex
 import signal
 import sys
@@ -16,7 +17,7 @@ from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import mute, next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device
-from model.settings.runtime import choose_device, wait_briefly
+from model.settings.runtime import choose_device, process_number, wait_briefly
 
 if TYPE_CHECKING:
     from model.run.train_flags import Asked
@@ -90,10 +91,10 @@ def _train_method(method: str, asked: "Asked") -> None:
 
     if asked.run.tensorboard:
         require_tensorboard()
-    if (is_alone := int(os.environ.get("WORLD_SIZE", "1")) == 1) and (finished := find_finished(method, asked)):
+    if (is_alone := process_number("WORLD_SIZE", 1) == 1) and (finished := find_finished(method, asked)):
         say(told_finished(finished))
         return _end(finished, run=finished)
-    if int(os.environ.get("RANK", "0")) > 0:
+    if process_number("RANK", 0) > 0:
         mute()
     if asked.run.device != "cpu" and not is_alone:
         from model.batches.distributed import see_own_gpu
@@ -157,8 +158,6 @@ def fit(
         seed: Seed of all random numbers.
         overwrite: Start over. By default, finished stages are kept.
     """
-    import re
-
     from datagen.data.dataset import open_dataset
     from model.fit.fit import FitChoices
     from model.fit.fit import fit as fit_glass
@@ -243,21 +242,23 @@ def film(
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
+    from model.run.run_folder import FOLDER, OWN_ENDINGS, WEIGHTS, find_run, open_trained
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     from datagen.build.film import plan_film
-    from datagen.data.film import write_film
+    from datagen.data.film import film_key, write_film
+    from datagen.disk.storage import sha256_file
 
     cameras = plan_film(opened, choices, out)
     say(f"{run}: rendering {out}")
     from model.run.predict import film_pictures
 
-    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    write_film(out, pictures, choices.fps, frames=len(cameras))
+    draw = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    key = film_key(cameras, opened.seal, sha256_file(run / WEIGHTS))
+    write_film(out, draw, choices.fps, frames=len(cameras), key=key, overwrite=choices.overwrite)
     tell(str(out))
 
 
@@ -285,8 +286,7 @@ def export(
     from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
 
     run = find_run(run)
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     refuse_owned(out, DATASET)
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)

@@ -79,6 +79,7 @@ def _build_scene(
     name: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> Dataset:
     config = _configure(choices, size)
+    part = None if choices.shard is None else parse_shard(choices.shard)
     place = choices.out or DATA_ROOT / name
     if choices.out is not None or ("/" not in name and not is_foreign(name)):
         # Before anything is modelled.
@@ -93,7 +94,6 @@ def _build_scene(
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         _build_in_jobs(name, root, config, choices, size, launch, imports)
-    part = None if choices.shard is None else parse_shard(choices.shard)
     made = build_dataset(
         scene,
         root,

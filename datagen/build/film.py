@@ -1,17 +1,15 @@
 """Films through a dataset's scene: their cameras, and their path-traced pictures."""
 
+import functools
 from collections.abc import Iterator
 from pathlib import Path
-
-import numpy as np
-from jaxtyping import UInt8
 
 from datagen.build.build import refuse_unlit
 from datagen.build.choices import FilmChoices
 from datagen.data.cameras import Cameras
 from datagen.data.config import check_spp
 from datagen.data.dataset import Dataset
-from datagen.data.film import check_film, write_film
+from datagen.data.film import Picture, check_film, film_key, write_film
 from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_path import make_path
@@ -33,23 +31,24 @@ def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     return cameras
 
 
-def film_scene(dataset: Dataset, cameras: Cameras, out: Path, *, fps: float, spp: int) -> None:
+def film_scene(dataset: Dataset, cameras: Cameras, out: Path, *, fps: float, spp: int, overwrite: bool = False) -> None:
     """Path-trace a film and write it.
 
     Raises:
         HyalineError: too few samples per pixel, or too many.
     """
     check_spp(spp)
-    write_film(out, path_trace(dataset, cameras, spp=spp), fps, frames=len(cameras))
+    draw, key = functools.partial(path_trace, dataset, cameras, spp=spp), film_key(cameras, dataset.seal, spp)
+    write_film(out, draw, fps, frames=len(cameras), key=key, overwrite=overwrite)
 
 
-def path_trace(dataset: Dataset, cameras: Cameras, *, spp: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """8-bit sRGB pictures, one a camera, each with noise of its own; seeds follow from the dataset's."""
+def path_trace(dataset: Dataset, cameras: Cameras, first: int = 0, *, spp: int) -> Iterator[Picture]:
+    """8-bit sRGB pictures, one a camera from the `first` on, each with noise of its own; seeds follow the dataset's."""
     use_mitsuba()
     from datagen.render.truth import Renderer, derive_seed, render_view
 
     renderer = Renderer(load_scene(dataset.root / "scene", is_sealed=True), max_depth=dataset.config.max_depth)
-    for view in track(list(range(len(cameras))), label="render", total=len(cameras)):
+    for view in track(range(first, len(cameras)), label="render", total=len(cameras), done=first):
         seed = derive_seed(dataset.config.seed, "film", view)
         truth = render_view(renderer, cameras, view, spp=spp, view_seed=seed, ceiling_db=None)
         yield to_8bit(srgb_from_linear(truth.radiance))

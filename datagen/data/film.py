@@ -1,15 +1,18 @@
 """Films: a WebP, an MP4, or a folder of PNGs."""
 
 import io
+import signal
 import subprocess
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
+from datagen.data.cameras import Cameras
 from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
@@ -25,11 +28,14 @@ from datagen.disk.ownership import (
     refuse_taken,
     remove_files,
 )
-from datagen.disk.records import Json, read_regular
-from datagen.disk.storage import commit, load_sealed, seal_bytes
+from datagen.disk.records import Json, read_regular, to_json
+from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256, sha256_file
+from datagen.terminal.signals import Stopped
+
+Picture = UInt8[np.ndarray, "h w 3"]
 
 FRAMES = FolderKind(what="film", head="film.json", way_out="choose another --out")
-"""A folder of PNGs, which its head lists."""
+"""A folder of PNGs, which its head lists, with the SHA-256 of those that are drawn."""
 
 ANIMATED, MOVIE = ".webp", ".mp4"
 KINDS = f"{ANIMATED} or {MOVIE}, or a folder for a PNG a frame"
@@ -43,28 +49,47 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
     if out.suffix == "":
         refuse_others(out, FRAMES)
         _refuse_foreign_frames(out, frames)
-        is_whole = all((out / name).is_file() for name in _own_frames(out))
-        if is_ours(out, FRAMES) and not overwrite and (is_whole or load_sealed(out / FRAMES.head) != _head(frames)):
-            raise HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --out")
+        own = _own_frames(out)
+        is_whole = all((out / name).is_file() for name in own)
+        if is_ours(out, FRAMES) and not overwrite and (is_whole or own != _names(frames)):
+            raise _another_film(out)
         return
     if out.suffix not in (ANIMATED, MOVIE):
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     refuse_owned(out, DATASET)
     if out.suffix == MOVIE:
         _find_ffmpeg()
 
 
-def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: float, *, frames: int) -> None:
+def film_key(cameras: Cameras, *makers: Json) -> str:
+    """A digest of what determines a film's pictures: the cameras, and what draws them."""
+    return sha256(dump_json([*makers, to_json(cameras)]))
+
+
+def write_film(
+    out: Path, draw: Callable[[int], Iterable[Picture]], fps: float, *, frames: int, key: str, overwrite: bool = False
+) -> None:
     """Writes a film of pictures of one size; call `check_film` first.
 
-    A file gets its name when it is complete. WebP loops for ever.
+    A file gets its name when it is complete. WebP loops for ever. A folder keeps the frames of a stopped call.
+
+    Args:
+        draw: the pictures from a number on.
+        key: see `film_key`; frames that were drawn under another one are not kept.
+        overwrite: replace frames that stand there.
     """
     if out.suffix == "":
-        _write_frames(out, pictures, frames)
-    elif out.suffix == MOVIE:
-        commit(out, _mp4_bytes(list(pictures), fps))
+        _write_frames(out, draw, frames, key, overwrite=overwrite)
+        return
+    try:
+        pictures = list(draw(0))
+    except (KeyboardInterrupt, Stopped) as error:
+        number = error.status - 128 if isinstance(error, Stopped) else signal.SIGINT
+        message = f"stopped; the same command starts {out} over; with a folder as --out, it goes on"
+        raise Stopped(number, message) from None
+    if out.suffix == MOVIE:
+        commit(out, _mp4_bytes(pictures, fps))
     else:
         first, *others = (Image.fromarray(picture) for picture in pictures)
         data = io.BytesIO()
@@ -81,8 +106,12 @@ def write_film(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], fps: f
         commit(out, data.getvalue())
 
 
-def _head(frames: int) -> dict[str, Json]:
-    return {"version": 1, "frames": [f"{view_name(number)}.png" for number in range(frames)]}
+def _names(frames: int) -> list[str]:
+    return [f"{view_name(number)}.png" for number in range(frames)]
+
+
+def _another_film(out: Path) -> HyalineError:
+    return HyalineError(f"{out}: holds another film; pass --overwrite to replace it, or choose another --out")
 
 
 def _own_frames(out: Path) -> list[str]:
@@ -92,20 +121,41 @@ def _own_frames(out: Path) -> list[str]:
 
 
 def _refuse_foreign_frames(out: Path, frames: int) -> None:
-    refuse_taken(out, FRAMES, [f"{view_name(number)}.png" for number in range(frames)], _own_frames(out))
+    refuse_taken(out, FRAMES, _names(frames), _own_frames(out))
 
 
-def _write_frames(out: Path, pictures: Iterable[UInt8[np.ndarray, "h w 3"]], frames: int) -> None:
-    head = _head(frames)
+def _write_frames(
+    out: Path, draw: Callable[[int], Iterable[Picture]], frames: int, key: str, *, overwrite: bool
+) -> None:
+    names, drawn = _names(frames), cast(list[Json], [])
+    head: dict[str, Json] = {"version": 1, "key": key, "frames": [*names], "drawn": drawn}
     with holding(out, FRAMES):
         if is_ours(out, FRAMES):
+            before = load_sealed(out / FRAMES.head)
+            if not overwrite and before.get("key") != key:
+                raise _another_film(out)
             _refuse_foreign_frames(out, frames)
-            remove_files(out, _own_frames(out))
-            commit(out / FRAMES.head, seal_bytes(head))
+            if not overwrite:
+                drawn += _intact(out, names, before.get("drawn"))
+            remove_files(out, [name for name in _own_frames(out) if name not in names[: len(drawn)]])
+            commit_sealed(out / FRAMES.head, head)
         else:
             begin(out, FRAMES, seal_bytes(head))
-        for number, picture in enumerate(pictures):
-            commit(out / f"{view_name(number)}.png", png_bytes(picture))
+        for name, picture in zip(names[len(drawn) :], draw(len(drawn)), strict=True):
+            data = png_bytes(picture)
+            commit(out / name, data)
+            drawn.append(sha256(data))
+            commit_sealed(out / FRAMES.head, head)
+
+
+def _intact(out: Path, names: list[str], digests: Json) -> list[Json]:
+    """The digests of the first frames, up to one that is missing or damaged."""
+    found: list[Json] = []
+    for name, digest in zip(names, digests if isinstance(digests, list) else [], strict=False):
+        if not (out / name).is_file() or sha256_file(out / name) != digest:
+            break
+        found.append(digest)
+    return found
 
 
 def _find_ffmpeg() -> str:

@@ -168,13 +168,15 @@ def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Itera
             )
 
 
-def refuse_file(path: Path) -> None:
-    """Refuses to write an output file where one stands.
+def refuse_file(path: Path, *, overwrite: bool = False) -> None:
+    """Refuses to write an output file where one stands; with `overwrite`, where something else than a file stands.
 
     Raises:
         HyalineError: naming it.
     """
-    if os.path.lexists(path):
+    if path.exists() and not path.is_file():
+        raise HyalineError(f"{path}: is a folder, a device or a pipe; choose another --out")
+    if os.path.lexists(path) and not overwrite:
         raise HyalineError(f"{path}: is there already; pass --overwrite to replace it, or choose another --out")
 
 

@@ -53,8 +53,8 @@ def commit(path: Path, data: bytes) -> None:
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
     """
     with naming(path):
-        temporary = _write_temporary(path, data)
-        temporary.replace(path)
+        with _temporary(path, data) as temporary:
+            temporary.replace(path)
         sync_folder(path.parent)
 
 
@@ -69,26 +69,33 @@ def commit_first(path: Path, data: bytes) -> None:
     if path.is_file():
         return
     with naming(path):
-        temporary = _write_temporary(path, data)
-        try:
-            path.hardlink_to(temporary)
-        except FileExistsError:
-            pass
-        except OSError:  # A file system without hard links: there the last one wins.
-            temporary.replace(path)
-        temporary.unlink(missing_ok=True)
+        with _temporary(path, data) as temporary:
+            try:
+                path.hardlink_to(temporary)
+            except FileExistsError:
+                pass
+            except OSError:  # A file system without hard links: there the last one wins.
+                temporary.replace(path)
+            temporary.unlink(missing_ok=True)
         sync_folder(path.parent)
 
 
-def _write_temporary(path: Path, data: bytes) -> Path:
+@contextlib.contextmanager
+def _temporary(path: Path, data: bytes) -> Iterator[Path]:
+    """A file beside `path` that holds `data`; an error or a signal deletes it."""
     path.parent.mkdir(parents=True, exist_ok=True)
     # A name of its own: another process may be committing to the same path.
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.hyaline-tmp")
-    with temporary.open("wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())
-    return temporary
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        yield temporary
+    except BaseException:
+        with contextlib.suppress(OSError):  # The first error says what is wrong.
+            temporary.unlink(missing_ok=True)
+        raise
 
 
 def sync_folder(path: Path) -> None:
@@ -240,15 +247,22 @@ class Opened:
 
 
 def user_cache(name: str) -> Path:
-    """Where this package keeps what it can make again, by kind; it may not be there."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+    """Where this package keeps what it can make again, by kind; it may not be there.
+
+    Raises:
+        HyalineError: the user has no home directory, as in some containers.
+    """
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+    except RuntimeError:
+        raise HyalineError("cache: this user has no home directory; set HOME or XDG_CACHE_HOME") from None
 
 
 def private_cache(name: str) -> Path | None:
     """A folder of the cache that only this user can write; None if there is none, such as without a home directory."""
     try:
         cache = user_cache(name)
-    except RuntimeError:
+    except HyalineError:
         return None
     return cache if make_private(cache) is None else None
 

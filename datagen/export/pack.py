@@ -105,8 +105,7 @@ def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
     if out.is_file() and not overwrite and holds(out, members):
         say(f"{out}: is finished")
         return out
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     write_archive(out, data, members, {path: root / path for path in files})
     say(f"{out}: {len(files):,} files, {sum(member.length for member in members) / 1e6:,.1f} MB; licence: {terms}")
     return out

@@ -8,7 +8,7 @@ import subprocess
 from dataclasses import asdict, dataclass
 
 from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu, torch_cuda_problem
-from datagen.machine.llvm import advice
+from datagen.machine.llvm import VARIABLE, advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processes import ROOT
 from datagen.terminal.command import tell_json
@@ -46,7 +46,7 @@ def tell_findings(findings: list[Finding], *, as_json: bool) -> None:
     for finding in findings:
         print(f"{finding.what:10} {finding.found}")
         if finding.remedy:
-            print(f"{'':10} install it with: {finding.remedy}")
+            print(f"{'':10} fix it with: {finding.remedy}")
 
 
 def _gpu() -> str:
@@ -63,11 +63,15 @@ def _mitsuba() -> list[Finding]:
     version = _version("mitsuba")
     if version is None:
         return [_missing("Mitsuba", "generate", "building datasets and tracing layers need it")]
-    llvm = choice.llvm
+    llvm, named = choice.llvm, os.environ.get(VARIABLE)
     found = f"{'.'.join(map(str, llvm.version))} ({llvm.source}: {llvm.path})" if llvm else "none of 17 or newer"
+    if llvm is None and named:
+        found = f"{VARIABLE}={named} is no libLLVM of 17 or newer"
+    problem = cuda_problem() if choice.variant == "cuda_ad_rgb" else None
+    reason = choice.reason if problem is None else f"{choice.reason}, but it cannot render: {problem}"
     return [
         Finding(what="libLLVM", found=found, remedy=None if llvm else advice()),
-        Finding(what="Mitsuba", found=f"{version}, variant {choice.variant}: {choice.reason}", remedy=None),
+        Finding(what="Mitsuba", found=f"{version}, variant {choice.variant}: {reason}", remedy=None),
     ]
 
 

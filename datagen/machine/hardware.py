@@ -78,18 +78,18 @@ def cuda_problem(*, again: bool = False) -> str | None:
     Args:
         again: ignore the cached answer.
     """
-    path = user_cache("gpu") / f"{sha256(repr(_asked_about()).encode())[:32]}.json"
+    name = f"{sha256(repr(_asked_about()).encode())[:32]}.json"
     if not again:
         try:
-            problem = load_sealed(path)["problem"]
+            problem = load_sealed(user_cache("gpu") / name)["problem"]
         except (HyalineError, OSError, KeyError):
             pass
         else:
             return problem if isinstance(problem, str) else None
     problem = _render_test_scene()
-    # In a read-only home the next process asks again.
+    # In a read-only home, or without one, the next process asks again.
     with contextlib.suppress(HyalineError, OSError):
-        commit_sealed(path, {"problem": problem})
+        commit_sealed(user_cache("gpu") / name, {"problem": problem})
     return problem
 
 

@@ -88,7 +88,9 @@ print(*(number.value for number in numbers))
 
 
 def advice() -> str:
-    """The command that installs a libLLVM on this machine."""
+    """The command that gives this machine a libLLVM: one that installs it, unless the user's variable hides it."""
+    if os.environ.get(VARIABLE):
+        return f"unset {VARIABLE}"
     if platform.system() == "Darwin":
         return "brew install llvm"
     if platform.system() == "Linux" and platform.machine() == "x86_64":

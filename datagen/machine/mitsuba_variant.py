@@ -79,7 +79,12 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
         import mitsuba as mi
 
         start_workers()
-        mi.set_variant(choice.variant)
+        try:
+            mi.set_variant(choice.variant)
+        except ImportError as error:
+            raise HyalineError(
+                f"Mitsuba cannot run as {choice.variant} here ({error}); unset {OVERRIDE}, or set it to another variant"
+            ) from error
     # Mitsuba looks for plugins in the working directory first: a folder `plugins/` there would run foreign code.
     resolver = mi.file_resolver()
     resolver.clear()
@@ -97,12 +102,15 @@ def _keep_kernels_private() -> None:
     itself. A DRJIT_CACHE_DIR in the environment is respected.
     """
     if "DRJIT_CACHE_DIR" not in os.environ:
-        folder = user_cache("drjit")
-        if (wrong := make_private(folder)) is None:
-            os.environ["DRJIT_CACHE_DIR"] = str(folder)
-        else:
+        try:
+            folder = user_cache("drjit")
+            wrong = make_private(folder)
+        except HyalineError as error:
+            folder, wrong = None, str(error)
+        if wrong is not None:
             say(f"{wrong}; Dr.Jit compiles its kernels again in each run")
-            os.environ["DRJIT_CACHE_DIR"] = os.devnull  # Not a folder, so nothing is cached.
+            folder = os.devnull  # Not a folder, so nothing is cached.
+        os.environ["DRJIT_CACHE_DIR"] = str(folder)
 
 
 def start_workers() -> None:

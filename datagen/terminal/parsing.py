@@ -30,8 +30,8 @@ MAIN = "choices"
 """The parameter whose record's flags help lists among the command's own; any other makes a group of its name."""
 
 REASONS = {
-    r"Error parsing (\S+): invalid literal for int\(\) with base 10: (.*)": r"\1: is \2; expected a whole number",
-    r"Error parsing (\S+): could not convert string to float: (.*)": r"\1: is \2; expected a number",
+    r"Error parsing (\S+): .*invalid literal for int\(\) with base 10: (.*)": r"\1: is \2; expected a whole number",
+    r"Error parsing (\S+): .*could not convert string to float: (.*)": r"\1: is \2; expected a number",
     r"Missing value for argument '(\S+)'.*": r"\1: needs a value",
     r".*(?:required|Missing from).*?: (\S+).*": r"\1 is missing",
 }

@@ -143,7 +143,7 @@ def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol,
         if (before.submission, before.scored_by, before.truths) == (sha256_file(path), code_version(), truths):
             say(f"{out}: is finished")
             return before
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     with opened_submission(path, find_truths(data_root)) as (index, runs):
         withheld = [scene for scene, run in runs.items() if run.dataset.withheld]
         if len(withheld) == len(runs):

@@ -195,8 +195,7 @@ def submit(
     if out.is_file() and not overwrite and holds(out, members):
         say(f"{out}: is finished")
         return out
-    if not overwrite:
-        refuse_file(out)
+    refuse_file(out, overwrite=overwrite)
     write_archive(out, data, members, sources)
     total = len(protocol.all_scenes(preset))
     say(f"{out}: track {index.track}, {len(runs)} of {total} scenes, {len(files):,} files")

@@ -17,6 +17,7 @@ import torch
 from torch import Tensor, distributed, nn
 
 from datagen.disk.errors import HyalineError
+from model.settings.runtime import process_number
 
 PATIENCE = timedelta(days=1)
 """How long processes wait for each other; the first may be scoring or writing a cache. `torchrun` ends all of them if
@@ -33,7 +34,7 @@ class Processes:
     @property
     def count_here(self) -> int:
         """Processes on this machine."""
-        return min(self.count, int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+        return min(self.count, process_number("LOCAL_WORLD_SIZE", 1))
 
     @property
     def is_first(self) -> bool:
@@ -101,7 +102,7 @@ ALONE = Processes()
 
 def is_one_of_several() -> bool:
     """True in one of several processes started by `torchrun`."""
-    return int(os.environ.get("WORLD_SIZE", "1")) > 1
+    return process_number("WORLD_SIZE", 1) > 1
 
 
 def see_own_gpu() -> None:
@@ -112,7 +113,7 @@ def see_own_gpu() -> None:
     """
     if not is_one_of_several() or (count := torch.cuda.device_count()) == 0:
         return
-    index = int(os.environ["LOCAL_RANK"])
+    index = process_number("LOCAL_RANK", 0)
     if index >= count:
         raise HyalineError(
             f"device: process {index + 1} of this machine finds {count} GPUs; expected one each, "

@@ -14,7 +14,8 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.errors import DamagedError, HyalineError, NumericsError
+from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
 from datagen.terminal.command import say
 from model.run.run_folder import CHECKPOINT, PREVIOUS_CHECKPOINT
@@ -33,22 +34,29 @@ def save_state(path: Path, state: dict[str, State]) -> None:
 
 
 def load_state(path: Path) -> dict[str, State]:
-    """A saved state, on the CPU, with its checksum verified."""
-    if not path.is_file():
-        raise HyalineError(f"{path}: the file is missing")
+    """A saved state, on the CPU, with its checksum verified.
+
+    Raises:
+        DamagedError: the file is missing, or its content is damaged.
+        HyalineError: it cannot be read, which says nothing about its content, or has another format version.
+    """
+    data = read_regular(path)
     try:
-        with path.open("rb") as file:
-            content = torch.load(file, map_location="cpu", weights_only=True)
+        content = torch.load(io.BytesIO(data), map_location="cpu", weights_only=True)
         is_intact = isinstance(content, dict) and content.pop("sha256", None) == fingerprint(content)
+    except MemoryError:
+        raise
     except Exception as error:
         # torch 2.13 parses before anything is verified, and raises almost anything on damaged bytes: seven types,
         # including OSError, were seen after truncation and flipped bits.
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise HyalineError(f"{path}: damaged, torch cannot read it ({reason})") from error
+        raise DamagedError(f"{path}: damaged, torch cannot read it ({reason})") from error
     if not is_intact:
-        raise HyalineError(f"{path}: damaged (checksum differs)")
+        raise DamagedError(f"{path}: damaged (checksum differs)")
     if content.pop("version", None) != CHECKPOINT_VERSION:
-        raise HyalineError(f"{path}: another format version; this program reads {CHECKPOINT_VERSION}")
+        raise HyalineError(
+            f"{path}: another format version; this program reads {CHECKPOINT_VERSION}; train again with --overwrite"
+        )
     return content
 
 
@@ -75,7 +83,7 @@ def load_checkpoint(out: Path) -> dict[str, State] | None:
             continue
         try:
             state = load_state(path)
-        except HyalineError as error:
+        except DamagedError as error:
             say(str(error))
             damaged.append(path)
             continue

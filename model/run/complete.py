@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from datagen.data.dataset import Dataset
-from datagen.disk.ownership import holding, is_ours, refuse_others
+from datagen.disk.ownership import holding, is_ours
 from datagen.disk.records import check_text
 from datagen.terminal.command import say
 from model.batches.distributed import Processes, join
@@ -23,6 +23,7 @@ from model.run.run_folder import (
     finish_clearing,
     is_all_drawn,
     is_drawn,
+    refuse_other_folders,
     told_finished,
 )
 from model.run.train import check_processes, train
@@ -73,7 +74,7 @@ def complete_run(
                 train_here()
             return False
         with holding(out, FOLDER):
-            refuse_others(out, FOLDER)
+            refuse_other_folders(out)
             finish_clearing(out)
             if not overwrite and _is_finished(config, dataset, out, processes):
                 return True

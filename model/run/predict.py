@@ -9,7 +9,7 @@ import contextlib
 import dataclasses
 import itertools
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -25,7 +25,7 @@ from datagen.data.geometries import list_geometries
 from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
 from datagen.data.variants import variant_root
-from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.ownership import remove_files
 from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
@@ -93,7 +93,7 @@ def load_renderer(out: Path, config: TrainConfig, dataset: Dataset) -> Renderer:
         )
     try:
         state = load_state(out / WEIGHTS)
-    except HyalineError as error:
+    except DamagedError as error:
         raise HyalineError(f"{error}; train again with --overwrite") from error
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_state_of(state, config, inputs, path=out / WEIGHTS)
@@ -163,20 +163,20 @@ def check_draws_edits(config: TrainConfig) -> None:
 
 def film_pictures(
     run: Path, config: TrainConfig, dataset: Dataset, cameras: Cameras, *, device: torch.device
-) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-    """A run's pictures through these cameras, 8-bit sRGB, drawn one by one."""
+) -> Callable[[int], Iterator[UInt8[np.ndarray, "h w 3"]]]:
+    """Draws a run's pictures through these cameras from a number on, 8-bit sRGB, one by one."""
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_draws_cameras(run, config)
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset).to(device)
 
-    def draw() -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        for view in track(list(range(len(cameras))), label="render", total=len(cameras)):
+    def draw(first: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+        for view in track(range(first, len(cameras)), label="render", total=len(cameras), done=first):
             one = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[view : view + 1])
             pixels = config.net.load_cameras(inputs, one).to(device)
             yield predict_pixels(renderer, pixels).reshape(cameras.height, cameras.width, 3)
 
-    return draw()
+    return draw
 
 
 def check_draws_cameras(run: Path, config: TrainConfig) -> None:

@@ -36,7 +36,7 @@ from datagen.data.paths import find_dataset, view_name
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_taken, remove_files
+from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
 from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import Inputs, MethodConfig
@@ -157,6 +157,18 @@ def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
         finish_clearing(out)
     else:
         commit_sealed(out / RUN, content)
+
+
+def refuse_other_folders(out: Path) -> None:
+    """Refuses a folder that is neither a run nor empty; names a run.json that cannot be read."""
+    if os.path.lexists(out / RUN) and not _is_foreign(out):
+        try:
+            _read_record(out / RUN)
+        except HyalineError as error:
+            raise HyalineError(
+                f"{str(error).partition('; ')[0]}; restore that file, move the folder away, or choose another --out"
+            ) from error
+    refuse_others(out, FOLDER)
 
 
 def finish_clearing(out: Path) -> None:

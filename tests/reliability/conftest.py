@@ -34,7 +34,10 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """
     install(monkeypatch)
     monkeypatch.setattr("model.run.sweep._train_in_child", train_here)
-    monkeypatch.setattr("model.run.predict.film_pictures", lambda run, config, dataset, cameras, device: film(cameras))
+    monkeypatch.setattr(
+        "model.run.predict.film_pictures",
+        lambda run, config, dataset, cameras, device: lambda first: film(cameras, first),
+    )
     make = inspect.unwrap(TrainConfig.__init__)
     often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(make, "__kwdefaults__", often)

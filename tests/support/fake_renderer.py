@@ -59,8 +59,8 @@ def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers
     return trace(*pixel_rays(dataset.cameras(split), view), num_layers)
 
 
-def film(cameras: Cameras) -> Iterator[np.ndarray]:
-    for view in range(len(cameras)):
+def film(cameras: Cameras, first: int = 0) -> Iterator[np.ndarray]:
+    for view in range(first, len(cameras)):
         yield np.full((cameras.height, cameras.width, 3), view, np.uint8)
 
 
@@ -76,7 +76,7 @@ def install(patch: pytest.MonkeyPatch) -> None:
         patch.setattr(datagen.build.build, f"{name}_task", function)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
     patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
-    patch.setattr(datagen.build.film, "path_trace", lambda dataset, cameras, *, spp: film(cameras))
+    patch.setattr(datagen.build.film, "path_trace", lambda dataset, cameras, first=0, *, spp: film(cameras, first))
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

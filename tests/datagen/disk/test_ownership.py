@@ -1,5 +1,6 @@
 """Tests that only what a head lists is ever removed, and that nothing is begun where something else stands."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.cli import main
 from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_taken, remove_files
+from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, refuse_taken, remove_files
 from datagen.disk.storage import commit_sealed, load_sealed, seal_bytes, sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
@@ -108,6 +109,19 @@ def test_a_new_file_takes_no_place_that_is_taken(tmp_path: Path) -> None:
     put(tmp_path, "images/0001.png", "images/0002.png")
     with pytest.raises(HyalineError, match=r"images/0002\.png: is in the way"):
         refuse_taken(tmp_path, DATASET, ["images/0001.png", "images/0002.png"], ["images/0001.png"])
+
+
+def test_overwrite_replaces_files_and_nothing_else(tmp_path: Path) -> None:
+    put(tmp_path, "page.html", "folder/a")
+    os.mkfifo(tmp_path / "pipe.html")
+    (tmp_path / "device.html").symlink_to("/dev/null")
+    for name in ("folder", "pipe.html", "device.html"):
+        for overwrite in (False, True):
+            with pytest.raises(HyalineError, match=f"{name}: is a folder, a device or a pipe; choose another --out"):
+                refuse_file(tmp_path / name, overwrite=overwrite)
+    refuse_file(tmp_path / "page.html", overwrite=True)
+    with pytest.raises(HyalineError, match=r"page\.html: is there already; pass --overwrite"):
+        refuse_file(tmp_path / "page.html")
 
 
 def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) -> None:

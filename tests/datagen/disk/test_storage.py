@@ -2,14 +2,16 @@
 
 import errno
 import os
+import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import TEMPORARY, commit, commit_sealed, load_sealed, one_writer, write_hashed
+from datagen.disk.storage import commit, commit_first, commit_sealed, load_sealed, one_writer, write_hashed
 
 
 def test_a_sealed_file_notices_any_flipped_bit(tmp_path: Path) -> None:
@@ -40,8 +42,17 @@ def test_a_commit_that_dies_at_any_step_leaves_the_old_bytes(
         patch.setattr(*target, die)
         commit(path, b"new")
     assert path.read_bytes() == b"old"
-    rests = [entry.name for entry in tmp_path.iterdir() if entry.name != "file"]
-    assert all(TEMPORARY.fullmatch(name) for name in rests)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize("write", [commit, commit_first])
+def test_a_write_that_is_interrupted_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, bytes], None]
+) -> None:
+    monkeypatch.setattr(os, "fsync", lambda _: os.kill(os.getpid(), signal.SIGINT))
+    with pytest.raises(KeyboardInterrupt):
+        write(tmp_path / "page.html", b"new")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_only_one_process_writes_to_a_folder(tmp_path: Path) -> None:

@@ -70,6 +70,14 @@ def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch
     assert tried.read_text() == "once once once once "
 
 
+def test_without_a_home_directory_the_gpu_is_tried_in_each_process(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
+    monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX')")
+    assert hardware.cuda_problem() == "no OptiX"
+
+
 def test_nvidia_smi_is_found_where_windows_puts_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     nvidia_smi(tmp_path, "echo 'RTX 4090, 566.2'", monkeypatch)
     monkeypatch.setenv("PATH", str(tmp_path / "no programs"))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen.machine import llvm
+from datagen.machine import llvm, mitsuba_variant
 
 SOURCE = """
 void LLVMGetVersion(unsigned *major, unsigned *minor, unsigned *patch) { *major = %d; *minor = 0; *patch = 6; }
@@ -59,7 +59,8 @@ def test_an_old_llvm_means_the_scalar_variant_and_a_remedy(tmp_path: Path) -> No
     answer = doctor(DRJIT_LIBLLVM_PATH=str(pretend(tmp_path, 15)), CUDA_VISIBLE_DEVICES="")
     assert answer.returncode == 0
     assert "variant scalar_rgb" in answer.stdout
-    assert f"install it with: {llvm.advice()}" in answer.stdout
+    assert "libLLVM-15.so.1 is no libLLVM of 17 or newer\n" in answer.stdout
+    assert "fix it with: unset DRJIT_LIBLLVM_PATH" in answer.stdout
 
 
 def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -> None:
@@ -85,6 +86,29 @@ def test_the_scalar_variant_builds_a_dataset_of_the_same_scene(tmp_path: Path) -
         assert (one.object_id != other.object_id).mean() < 0.005
         difference = slow.view(split, 0).image.astype(int) - fast.view(split, 0).image
         assert abs(difference.mean()) < 3
+
+
+def test_a_variant_that_this_machine_lacks_is_one_line(tmp_path: Path) -> None:
+    environment = {**os.environ, "HYALINE_VARIANT": "cuda_ad_rgb", "DRJIT_LIBCUDA_PATH": str(tmp_path / "missing.so")}
+    code = "import datagen.terminal.command as c, datagen.machine.mitsuba_variant as m; c.run('x', m.use_mitsuba, [])"
+    command = [sys.executable, "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 1
+    assert answer.stderr.splitlines()[-1].startswith("error: Mitsuba cannot run as cuda_ad_rgb here (jit_init")
+    described = doctor(**environment).stdout
+    assert "variant cuda_ad_rgb: set by HYALINE_VARIANT, but it cannot render: " in described
+
+
+def test_without_a_home_directory_kernels_are_not_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("HOME", "XDG_CACHE_HOME", "DRJIT_CACHE_DIR"):
+        monkeypatch.setenv(name, "")
+        monkeypatch.delenv(name)
+    monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
+    mitsuba_variant._keep_kernels_private()
+    assert "no home directory; set HOME or XDG_CACHE_HOME; Dr.Jit compiles its kernels" in capsys.readouterr().err
+    assert os.environ["DRJIT_CACHE_DIR"] == os.devnull
 
 
 def test_an_unknown_variant_is_one_line() -> None:

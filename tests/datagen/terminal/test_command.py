@@ -78,6 +78,9 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --resolution 320x9999", 1, "resolution: is 9999; expected 1 to 8192 pixels"),
         ("datagen build --resolution wide", 1, "resolution: is 'wide'; expected a width and height such as 320x240"),
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
+        ("datagen build --views nan", 2, "datagen build: --views: is 'nan'; expected a whole number. See `datagen"),
+        ("datagen build --ceiling x", 2, "datagen build: --ceiling: is 'x'; expected a number. See `datagen build"),
+        ("datagen build --shard 5/4", 1, "shard: is 5/4; expected a part from 1/4 to 4/4"),
         ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
         ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give that, too, or leave it out"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
@@ -260,3 +263,19 @@ def test_an_error_that_is_its_own_cause_ends_the_command_in_one_line(capsys: pyt
             command_run("program", run, [])
         assert ended.value.code == 1
         assert capsys.readouterr().err == "error: place: is wrong\n"
+
+
+def test_with_standard_error_closed_work_is_done_and_only_the_result_is_printed(tmp_path: Path) -> None:
+    program = """
+import sys
+from datagen.terminal.command import run, say, tell, track
+def work() -> None:
+    say("works")
+    with open("data", "w") as data:
+        tell(f"{len(list(track([1, 2], label='item', total=2)))} items, {data.fileno() > 2}")
+run("work", work, [])
+"""
+    (tmp_path / "work.py").write_text(program)
+    line = f"cd {tmp_path} && exec {sys.executable} -P work.py <&- 2>&-"
+    answer = subprocess.run(["sh", "-c", line], stdout=subprocess.PIPE, text=True, check=False)
+    assert (answer.returncode, answer.stdout) == (0, "2 items, True\n")

@@ -198,6 +198,17 @@ def test_each_process_sees_a_gpu_of_its_own(
     assert os.environ["CUDA_VISIBLE_DEVICES"] == seen
 
 
+def test_numbers_of_processes_that_are_none_are_refused_and_empty_ones_count_as_unset(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "abc")
+    answer = commands.call(f"model train paper {tmp_path}")
+    assert answer.error == "error: WORLD_SIZE=abc: expected a whole number, as torchrun sets it; unset WORLD_SIZE"
+    monkeypatch.setenv("WORLD_SIZE", "")
+    with join(torch.device("cpu")) as processes:
+        assert processes == Processes()
+
+
 def test_more_processes_than_gpus_are_refused_by_the_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setenv("WORLD_SIZE", "3")

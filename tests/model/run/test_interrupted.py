@@ -1,5 +1,6 @@
 """Tests that training which was interrupted, in whatever way and however often, ends as if it had not been."""
 
+import errno
 import inspect
 import os
 import shutil
@@ -238,6 +239,34 @@ def test_two_damaged_checkpoints_are_refused_and_kept(two_checkpoints: Path, tmp
     with pytest.raises(HyalineError, match="none of its checkpoints is intact; start over with --overwrite"):
         load_checkpoint(tmp_path)
     assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_checkpoint_that_cannot_be_read_is_no_damaged_one_and_is_kept(
+    two_checkpoints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(two_checkpoints, tmp_path, dirs_exist_ok=True)
+    before, true_open = run_bytes(tmp_path), os.open
+
+    def refuse(path: Path, *arguments: int) -> int:  # Permissions mean nothing to root, whom tests may run as.
+        if path == tmp_path / "checkpoint.pt":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return true_open(path, *arguments)
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(HyalineError, match=r"checkpoint\.pt: permission denied; change the permissions there"):
+        load_checkpoint(tmp_path)
+    monkeypatch.undo()
+    assert run_bytes(tmp_path) == before
+
+
+def test_a_checkpoint_of_another_version_is_refused_and_kept(
+    two_checkpoints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(two_checkpoints, tmp_path, dirs_exist_ok=True)
+    monkeypatch.setattr("model.run.checkpoint.CHECKPOINT_VERSION", 2)
+    with pytest.raises(HyalineError, match="another format version; this program reads 2"):
+        load_checkpoint(tmp_path)
+    assert (tmp_path / "checkpoint.pt").is_file()
 
 
 # Signals

@@ -219,6 +219,19 @@ def test_a_folder_that_is_no_run_is_never_overwritten(dataset: Dataset, tmp_path
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
 
+def test_a_damaged_run_json_is_named_and_its_run_kept(dataset: Dataset, tmp_path: Path) -> None:
+    assert quickly(dataset, tmp_path / "run").status == 0
+    record = tmp_path / "run/run.json"
+    record.write_bytes(record.read_bytes()[:200])
+    before = run_bytes(tmp_path / "run")
+    for flags in ((), ("--overwrite",)):
+        answer = quickly(dataset, tmp_path / "run", *flags)
+        assert answer.status == 1
+        assert answer.error.startswith(f"error: {record}: ")
+        assert answer.error.endswith("; restore that file, move the folder away, or choose another --out")
+    assert run_bytes(tmp_path / "run") == before
+
+
 def test_training_says_that_it_loads_torch_before_it_does(dataset: Dataset, tmp_path: Path) -> None:
     code = (
         "import sys\n"
