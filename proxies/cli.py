@@ -70,8 +70,10 @@ def make(
     """
     from proxies.make import make_and_peel
 
-    if assign and (kind, amount) != ("ellipsoid", None):
+    if assign and kind != "ellipsoid":
         raise UsageError(f"--kind {kind}: does not go with --assign; give --rest for the objects that it does not name")
+    if assign and amount is not None:
+        raise UsageError(f"--amount {amount:g}: does not go with --assign; write OBJECT=noise-{amount:g}")
     if not assign and (rest, name) != (TRUTH, MIXED):
         raise UsageError("--rest, --name: go with --assign OBJECT=KIND; leave them out")
     from datagen.data.layer_writing import check_settings
@@ -118,6 +120,8 @@ def check(
     """
     from proxies.make import read_reports
 
+    if name is not None and (kind, amount) != ("ellipsoid", None):
+        raise UsageError(f"--kind, --amount: do not go with --name; leave them out to check {name}")
     geometry = name if name is not None else _one_kind(kind, amount).geometry
     problems = []
     for opened in _datasets(dataset):

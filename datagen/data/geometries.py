@@ -121,7 +121,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     if not path.is_file():
         check_has_meshes(dataset)
         if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
-            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS})
+            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
         raise HyalineError(f"{path}: no {kind} proxies; make them with `{make_command(dataset, kind)}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:

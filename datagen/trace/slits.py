@@ -146,9 +146,11 @@ def _on_edges(
     """Points along the edges of triangles inside a box, without repeats, sorted by position."""
     start, end = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
     meets = ((np.minimum(start, end) <= high) & (np.maximum(start, end) >= low)).all(axis=-1)
-    # Each edge belongs to two triangles, which traverse it in opposite directions.
-    first = start[:, 0] * 7.1 + start[:, 1] * 3.3 + start[:, 2] <= end[:, 0] * 7.1 + end[:, 1] * 3.3 + end[:, 2]
-    start, end = start[meets & first], end[meets & first]
+    # Two triangles traverse their edge in opposite directions, only one that at the rim of an open wall. All edges are
+    # turned to one direction, so that repeats have the same points.
+    ranks = [ends[:, 0] * 7.1 + ends[:, 1] * 3.3 + ends[:, 2] for ends in (start, end)]
+    forward, backward = meets & (ranks[0] <= ranks[1]), meets & (ranks[0] > ranks[1])
+    start, end = (np.concatenate([one[forward], other[backward]]) for one, other in ((start, end), (end, start)))
     steps = np.ceil(np.linalg.norm(end - start, axis=-1) / spacing).astype(np.int64) + 1
     edge = np.repeat(np.arange(len(start)), steps)
     step = np.arange(steps.sum()) - np.repeat(np.cumsum(steps) - steps, steps)

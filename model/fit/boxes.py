@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
-from datagen.scene.modelling import rotation
+from datagen.scene.modelling import grid_faces, rotation
 from model.fit.lathe import Axis, perpendicular, spread
 from model.fit.outside import WORTH_A_TILT, find_center
 from model.fit.section import SHARP, Section
@@ -295,9 +295,7 @@ def _rounded(box: Box) -> Mesh:
     core = box.half_sizes - box.rounding
     lines = [np.concatenate([-(inner + box.rounding * steps[::-1]), inner + box.rounding * steps]) for inner in core]
     count = len(steps) * 2
-    index = np.arange(count * count).reshape(count, count)
-    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
-    quads = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    quads = grid_faces(count, count)
     points, faces, uv = [], [], []
     for side in range(6):
         axis, sign = side // 2, (-1, 1)[side % 2]

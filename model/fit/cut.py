@@ -9,7 +9,7 @@ from jaxtyping import Bool
 
 from model.fit.handles import Handled
 from model.fit.lathe import evenly
-from model.fit.search import Cell, find_number, reach_of
+from model.fit.search import Cell, find_number, in_even_views, reach_of
 from model.fit.shapes import Glass, Revolution
 from model.fit.silhouettes import contradictions
 from model.fit.views import NearRays
@@ -77,7 +77,7 @@ def _first_guesses(glass: Revolution, count: int, depth: float) -> list[Revoluti
 
 def _searched(cut: Glass, edge: NearRays, number: int) -> Cell:
     """With the numbers of its cut searched once."""
-    is_even = edge.view % 2 == 0
+    is_even = in_even_views(edge.view)
     for name in CUT_NUMBERS[1:]:
         cut, _ = find_number(cut, name, reach_of(name, number), lambda glass: _misses(glass, edge), is_even)
     return _judged(cut, edge)

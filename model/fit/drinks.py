@@ -28,7 +28,8 @@ none."""
 AROUND = 0.9
 """Least share of the pixels around a drink's mask that show its vessel."""
 
-LEVELS = 200
+LEVELS, LEVEL_RAYS = 200, 100_000
+"""Levels that are tried, and most rays that are looked at; together they take 0.5 GB."""
 
 OPENING = 0.1
 """Margin at the rim, relative to the largest radius."""
@@ -108,7 +109,7 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
     """
     if not isinstance(glass, Revolution) or glass.is_closed:
         return None
-    rays = _rays_to(sightings, drink, vessel)
+    rays = _rays_to(sightings, drink, vessel).thinned(LEVEL_RAYS)
     radii, lowest = glass.outside[:, 0], float(glass.outside[:, 1].min())
     heights = np.linspace(lowest, glass.outside[-1, 1], LEVELS + 2)[1:-1]
     at_rim = crossings(rays, glass.axis, glass.outside[-1:, 1], glass.section)[:, 0]

@@ -24,7 +24,8 @@ from datagen.build.build_variant import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
 from datagen.data.images import to_8bit
-from datagen.data.meshes import Mesh
+from datagen.data.layer_writing import find_num_layers
+from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import PROXIES, holding
@@ -38,9 +39,9 @@ from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
 from model.fit.fit_folder import FIT, FitFolder
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, settled, states, summary, write_geometry
-from model.fit.kinds import LEAST_VIEWS, choose_outside, find_shown
+from model.fit.kinds import choose_outside, choose_shown
 from model.fit.materials import find_absorption
-from model.fit.search import alternatives, count_searches, grid_row, guess, guesses, refine
+from model.fit.search import alternatives, count_searches, grid_row, guess, guesses, in_even_views, refine
 from model.fit.shapes import Revolution
 from model.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
@@ -55,6 +56,9 @@ GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Pixels of each object, drawn from all training views."""
 
 ROUNDS, LAST_ROUNDS = 4, 1
+
+MOST_WRONG = 0.15
+"""Share of edge pixels that an outside may get wrong without a remark; masks of other views give 0.2 and more."""
 
 MATT = Diffuse(color=(0.5, 0.5, 0.5))
 """Of everything whose material is unknown; light paths do not read its colour."""
@@ -102,10 +106,14 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     meshes = read_meshes(dataset, TRUTH)
     is_exact = choices.mask_errors == 0
     sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
-    shown = _shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
+    shown = choose_shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
     if shown != unknown:
         sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
     known = known_meshes(meshes, sightings.unknown)
+    if not any(map(is_there, known)):
+        raise HyalineError(
+            f"{dataset.root}: only unknown glass has a mesh; add meshes of what is seen through it, such as the floor"
+        )
     root = geometry_root(dataset.root, geometry)
     with holding(out, FIT), room.one_thread():
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
@@ -125,29 +133,10 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             )
         folder.finish(summary(dataset, found))
     if has_layers(dataset):
-        peel_dataset(dataset, geometry, num_layers=dataset.layer_store().head.num_layers, overwrite=overwrite)
+        num_layers = dataset.layer_store().head.num_layers
+        is_other = find_num_layers(dataset, geometry) not in (None, num_layers)
+        peel_dataset(dataset, geometry, num_layers=num_layers, overwrite=overwrite or is_other)
         peel_variants(dataset, workers=1)
-
-
-def _shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
-    """Ids of the unknown objects whose shape pictures show; the others cannot be fitted.
-
-    Args:
-        must_be_all: refuse objects that pictures do not show well enough, instead of taking them as known.
-    """
-    shown = find_shown(sightings, mask_errors)
-    hidden = [dataset.objects[each - 1].name for each in sightings.unknown if each not in shown]
-    names, needs = ", ".join(hidden), f"{LEAST_VIEWS} training pictures must show an object first, and one its edge"
-    if not shown:
-        raise HyalineError(f"{dataset.root}: nothing to fit: pictures do not show the outside of {names}; {needs}")
-    if hidden and must_be_all:
-        raise HyalineError(
-            f"{dataset.root}: pictures do not show the outside of {names}; {needs}. Objects left out of "
-            "--unknown are taken as known"
-        )
-    if hidden:
-        say(f"taken as known, because pictures do not show their outside: {', '.join(hidden)}")
-    return shown
 
 
 def _asked(dataset: Dataset, geometry: str, choices: FitChoices, sightings: Sightings) -> dict[str, Json]:
@@ -228,16 +217,19 @@ class _Work:
             found |= self._found_if_shown(object_id, sightings)
             if object_id in found and isinstance(found[object_id].hull, Box):
                 sightings = with_known(sightings, object_id, found[object_id].hull.mesh())
+        done = set[int]()
         for inside, vessel in holders.items():
-            if vessel in found:
+            if vessel in done:
                 continue
-            outside = self._find_outside(vessel, drinks.merged(sightings, {inside: vessel}))
-            if (glass := drinks.with_drink(outside.glass, sightings, inside, vessel)) is not None:
+            outside = self._found_if_shown(vessel, drinks.merged(sightings, {inside: vessel})).get(vessel)
+            if outside is None:
+                done.add(vessel)
+            elif (glass := drinks.with_drink(outside.glass, sightings, inside, vessel)) is not None:
                 found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
+                done |= {vessel, inside}
                 say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
-        held = {item.drink_id for item in found.values()}
         for object_id in dict.fromkeys((*holders.values(), *holders)):
-            if object_id not in found and object_id not in held:
+            if object_id not in done:
                 found |= self._found_if_shown(object_id, sightings)
         if not found:
             raise HyalineError(f"{self.dataset.root}: masks show the shape of none of the unknown objects")
@@ -268,6 +260,8 @@ class _Work:
             raise HyalineError(f"{self._name(object_id)}: {error}") from None
         wrong = f"{100 * outside.unexplained:.2g} % of the pixels at its mask's edge are wrong"
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
+        if outside.unexplained > MOST_WRONG:
+            say(f"  {self._name(object_id)}: its masks contradict the cameras; check the order of the masks")
         glass = outside.glass
         if isinstance(glass, Revolution):
             glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
@@ -340,8 +334,7 @@ class _Work:
         return np.sort(np.random.default_rng(self.choices.seed).permutation(rows)[:count])
 
     def _is_even(self, rows: Int[np.ndarray, " pixel"]) -> Bool[np.ndarray, " pixel"]:
-        """Whether pixels are of even views."""
-        return (rows // self.dataset.config.resolution.pixels) % 2 == 0
+        return in_even_views(rows // self.dataset.config.resolution.pixels)
 
     def _pixels(self, found: Objects, limits: Limits = room.COARSE) -> LightPathPixels:
         meshes, materials = self._known(found), [item.material for item in self.scene.objects]

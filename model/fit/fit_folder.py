@@ -39,20 +39,24 @@ class FitFolder:
     def begin(self, *, overwrite: bool) -> None:
         """Claims the folder; what another fit left there stays only where this one asks for the same."""
         head: dict[str, Json] = {"version": FIT_VERSION, **self.asked}
-        if not is_ours(self.root, FIT):
+        path = self.root / FIT.head
+        if not path.is_file():
             refuse_others(self.root, FIT)
             begin(self.root, FIT, seal_bytes(head))
             return
-        before = load_sealed(self.root / FIT.head)
+        if overwrite:
+            remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
+            commit_sealed(path, head)
+            return
+        if not is_ours(self.root, FIT):
+            raise HyalineError(f"{path}: is damaged, or not of a fit; start over with --overwrite, which replaces it")
+        before = load_sealed(path)
         different = next((key for key, value in head.items() if before.get(key) != value), None)
-        if different is not None and not overwrite:
+        if different is not None:
             raise HyalineError(
                 f"{self.root}: holds a fit with another {different}; start over with --overwrite, or choose another "
                 "--name"
             )
-        if overwrite:
-            remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
-        commit_sealed(self.root / FIT.head, head)
 
     def stage(self, name: str, title: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:
         """Runs a stage, or reads its stored result.

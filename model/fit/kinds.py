@@ -7,8 +7,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 from jaxtyping import Float64
 
+from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
+from datagen.terminal.command import say
 from model.fit.boxes import Box, fit_box, outline_of
 from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.drinks import find_holders
@@ -97,6 +99,27 @@ def find_shown(sightings: Sightings, mask_errors: int) -> tuple[int, ...]:
         return bool(edge.hits.any() and (~edge.hits).sum() > mask_errors)
 
     return tuple(filter(is_shown, sightings.unknown))
+
+
+def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
+    """Ids of the unknown objects whose shape pictures show; the others cannot be fitted.
+
+    Args:
+        must_be_all: refuse objects that pictures do not show well enough, instead of taking them as known.
+    """
+    shown = find_shown(sightings, mask_errors)
+    hidden = [dataset.objects[each - 1].name for each in sightings.unknown if each not in shown]
+    names, needs = ", ".join(hidden), f"{LEAST_VIEWS} training pictures must show an object first, and one its edge"
+    if not shown:
+        raise HyalineError(f"{dataset.root}: nothing to fit: pictures do not show the outside of {names}; {needs}")
+    if hidden and must_be_all:
+        raise HyalineError(
+            f"{dataset.root}: pictures do not show the outside of {names}; {needs}. Objects left out of "
+            "--unknown are taken as known"
+        )
+    if hidden:
+        say(f"taken as known, because pictures do not show their outside: {names}")
+    return shown
 
 
 def choose_outside(

@@ -32,7 +32,7 @@ GAP = 4
 def choose_views(seen: Bool[np.ndarray, "view h w"]) -> list[int]:
     """Chooses views to show, spread evenly over those that see the object best."""
     counts = seen.sum(axis=(1, 2))
-    large = np.flatnonzero(counts >= np.quantile(counts, 0.5))
+    large = np.flatnonzero(counts >= np.quantile(counts[counts > 0], 0.5))
     return [int(large[place]) for place in np.linspace(0, len(large) - 1, min(SHOWN_VIEWS, len(large))).astype(int)]
 
 

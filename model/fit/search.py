@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from datagen.scene.values import as_vector
 from datagen.terminal.command import track
@@ -98,6 +98,15 @@ class Cell:
 
     glass: Glass
     loss: float
+
+
+def in_even_views(view: Int[np.ndarray, " pixel"]) -> Bool[np.ndarray, " pixel"]:
+    """Splits pixels into two halves by their views: every other one of those that have any, or pixels of a single view.
+
+    Views that do not see the object must not count, or a half may be empty.
+    """
+    rank = np.unique(view, return_inverse=True)[1]
+    return (rank if rank.any() else np.arange(len(view))) % 2 == 0
 
 
 def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*pixel 3"]:
@@ -194,7 +203,7 @@ def refine(
     """Searches each number in turn, once.
 
     Args:
-        is_even: whether a pixel is of an even view.
+        is_even: see `in_even_views`.
         number: of the round; brackets narrow from round to round.
 
     Yields:

@@ -73,6 +73,9 @@ def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tupl
         is_thin = isinstance(scene.objects[place].material, ThinDielectric)
         if item.name in names or (not names and item.is_glass and not is_thin):
             found.append(place + 1)
+    panes = [item.name for item in dataset.objects if item.is_glass]
+    if not found and panes:
+        raise HyalineError(f"{dataset.root}: its only glass is thin panes ({', '.join(panes)}), which are not fitted")
     if not found:
         raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
     return tuple(found)
@@ -115,7 +118,10 @@ def read_sightings(
     depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
     if masks is not None:
         for object_id in unknown:
-            refuse_inverted(seen == object_id, where=str(masks / dataset.objects[object_id - 1].name))
+            folder = masks / dataset.objects[object_id - 1].name
+            refuse_inverted(seen == object_id, where=str(folder))
+            if not (seen == object_id).any():
+                _refuse_dim(folder, len(seen))
     return Sightings(
         cameras=cameras,
         first=seen,
@@ -202,12 +208,24 @@ def _read_pngs(dataset: Dataset, view: View, unknown: tuple[int, ...], masks: Pa
     seen = np.zeros(shape, np.uint8)
     for object_id in unknown:
         path = masks / dataset.objects[object_id - 1].name / f"{view_name(view.index)}.png"
+        if not path.is_file():
+            raise HyalineError(f"{path}: the file is missing; expected masks of all glass, or of --unknown alone")
         mask = mask_pixels(open_png(path, size=dataset.config.resolution))
         if bool((seen[mask] > 0).any()):
             other = dataset.objects[int(seen[mask].max()) - 1].name
             raise HyalineError(f"{path}: overlaps the mask of {other}; expected the object that is seen first")
         seen[mask] = object_id
     return seen, seen > 0
+
+
+def _refuse_dim(folder: Path, views: int) -> None:
+    """Raises a HyalineError if masks that show nothing have marks that are too dark, such as 1 for an object."""
+    pictures = (open_png(folder / f"{view_name(view)}.png").convert("RGB") for view in range(views))
+    brightest = max(int(np.asarray(picture).max()) for picture in pictures)
+    if 0 < brightest <= 127:
+        raise HyalineError(
+            f"{folder}: its masks are black everywhere; the brightest pixel is {brightest}, expected 255 on the object"
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -248,7 +266,8 @@ def rays_near(sightings: Sightings, object_id: int) -> NearRays:
     near = ndimage.binary_dilation(sees, disc[None]) & sightings.is_open(object_id)
     beside = ndimage.generate_binary_structure(2, 2)[None]
     wide = np.asarray(ndimage.binary_dilation(sees, beside, iterations=2), bool)
-    narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2), bool)
+    # An object goes on beyond the picture's border, which is no edge of it.
+    narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2, border_value=1), bool)
     view, row, column = np.nonzero(near)
     return NearRays(
         origins=origins[view].astype(np.float64),

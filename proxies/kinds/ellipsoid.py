@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.data.meshes import Mesh
-from proxies.meshing.solid import Solid
+from datagen.scene.modelling import grid_faces
+from proxies.meshing.solid import Solid, gauge, planes_of
 
 TOLERANCE = 1e-5
 """Tolerance of the optimality conditions; measured volumes are then within 3e-5 of the least."""
@@ -98,8 +99,8 @@ def sphere_grid(cells: int) -> SphereGrid:
     x = np.where(height >= 0, i, np.where(i < 0, -1, 1) * (cells - np.abs(j)))
     y = np.where(height >= 0, j, np.where(j < 0, -1, 1) * (cells - np.abs(i)))
     lattice, position_of = np.unique(np.stack([x, y, height], axis=-1), axis=0, return_inverse=True)
-    index = np.arange((2 * cells + 1) ** 2).reshape(2 * cells + 1, -1)
-    a, b, c, d = (part.reshape(-1) for part in (index[:-1, :-1], index[1:, :-1], index[1:, 1:], index[:-1, 1:]))
+    lower, upper = np.split(grid_faces(2 * cells + 1, 2 * cells + 1), 2)
+    (a, b, c), d = lower.T, upper[:, 2]
     # The diagonal runs along the octahedron's edges, or the folded cells would be concave.
     is_falling = ((i[a] + i[c]) < 0) == ((j[a] + j[c]) < 0)
     first = np.where(is_falling[:, None], np.stack([a, b, d], axis=-1), np.stack([a, b, c], axis=-1))
@@ -126,13 +127,10 @@ def _to_sphere(octahedron: np.ndarray) -> np.ndarray:
 def _gauge(grid: SphereGrid, root: np.ndarray, points: np.ndarray) -> float:
     """The factor by which the tessellated ellipsoid around the origin must grow to enclose the points."""
     local = np.linalg.solve(root, points.T).T
-    a, b, c = np.moveaxis(grid.positions[grid.position_of][grid.faces], 1, 0)
-    planes = np.cross(b - a, c - a)
-    planes /= np.einsum("fi,fi->f", planes, a)[:, None]
+    planes = planes_of(grid.positions[grid.position_of][grid.faces])
     # No facet is nearer than the innermost, so points near to the centre cannot be the outermost.
     radii = np.linalg.norm(local, axis=-1)
-    outer = local[radii * np.linalg.norm(planes, axis=-1).max() >= radii.max()]
-    return max(float((outer @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))
+    return gauge(planes, local[radii * np.linalg.norm(planes, axis=-1).max() >= radii.max()])
 
 
 def _dual_weights(points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh
 from proxies.kinds.ellipsoid import smallest_ellipsoid, sphere_grid
-from proxies.meshing.solid import Solid, hull_by_scipy, outside_by
+from proxies.meshing.solid import Solid, gauge, hull_by_scipy, outside_by, planes_of
 from proxies.meshing.surface import Surface, unwrap_sound
 
 CELLS = 12
@@ -45,7 +45,7 @@ def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
     kept = _without_slivers(body, min_face)
     body, normals = body[kept], normals[kept]
     # The ball also moves the flat sides outward: the body shrinks until one of its facets touches the hull.
-    body *= _gauge(body, local)
+    body *= gauge(planes_of(body[hull_by_scipy(body)[1]]), local)
     normals_world = np.linalg.solve(root, normals.T).T
     normals_world /= np.linalg.norm(normals_world, axis=-1, keepdims=True)
     outward = np.linalg.solve(root, normals_world.T).T
@@ -78,11 +78,3 @@ def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
             if is_kept[faces[face]].all():
                 is_kept[faces[face, opposite[face].argmax()]] = False
         kept = kept[is_kept]
-
-
-def _gauge(body: np.ndarray, points: np.ndarray) -> float:
-    """The factor by which the convex hull of `body` must grow about the origin to enclose the points."""
-    a, b, c = np.moveaxis(body[hull_by_scipy(body)[1]], 1, 0)
-    planes = np.cross(b - a, c - a)
-    planes /= np.einsum("fi,fi->f", planes, a)[:, None]
-    return max(float((points @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))

@@ -50,18 +50,20 @@ def noisy(truth: Mesh, amount: float, *, rng: np.random.Generator) -> Mesh:
 
     The field only depends on the position, so duplicate vertices move together and seams stay closed. Normals follow
     from the field's derivative instead of being averaged over faces: creases are kept, and without noise they equal
-    the truth's. Over all vertices and coordinates, f has exactly the requested root mean square.
+    the truth's. Over the positions of all faces' corners, f has exactly the requested root mean square.
 
     Source: Rahimi and Recht 2007, random Fourier features of the Gaussian kernel.
     """
     positions, position_of = np.unique(truth.vertices, axis=0, return_inverse=True)
     position_of = position_of.reshape(-1)
-    size = float(np.linalg.norm(np.ptp(positions.astype(np.float64), axis=0)))
+    # Vertices of no face move, too, but how far anything moves does not depend on them.
+    used = np.unique(position_of[truth.faces])
+    size = float(np.linalg.norm(np.ptp(positions[used].astype(np.float64), axis=0)))
     frequencies = rng.normal(size=(WAVES, 3)) / _correlation_length(truth, size)
     phases, weights = rng.uniform(0, 2 * np.pi, WAVES), rng.normal(size=(WAVES, 3))
-    center = positions.mean(axis=0, dtype=np.float64)
+    center = positions[used].mean(axis=0, dtype=np.float64)
     moved, gradients = _field(positions - center, frequencies, phases, weights)
-    scale = amount * size / float(np.sqrt((moved**2).mean()))
+    scale = amount * size / float(np.sqrt((moved[used] ** 2).mean()))
     # Normals transform with the cofactors of the derivative, which keep their sign where the field folds space.
     a, b, c = np.moveaxis(np.eye(3) + scale * gradients[position_of], -1, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)

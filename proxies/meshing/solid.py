@@ -115,6 +115,18 @@ def outside_by(corners: Float64[np.ndarray, "face 3 3"], points: Float64[np.ndar
     return largest
 
 
+def planes_of(corners: Float64[np.ndarray, "face 3 3"]) -> Float64[np.ndarray, "face 3"]:
+    """The planes of triangles that miss the origin, each as the n of n x = 1."""
+    a, b, c = np.moveaxis(corners, 1, 0)
+    planes = np.cross(b - a, c - a)
+    return planes / np.einsum("fi,fi->f", planes, a)[:, None]
+
+
+def gauge(planes: Float64[np.ndarray, "face 3"], points: Float64[np.ndarray, "point 3"]) -> float:
+    """The factor by which a convex polyhedron around the origin must grow about it to enclose points."""
+    return max(float((points @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))
+
+
 def _in_unit_box(points: np.ndarray) -> np.ndarray:
     low, high = points.min(axis=0), points.max(axis=0)
     return (points - 0.5 * (low + high)) / (high - low).max()

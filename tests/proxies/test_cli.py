@@ -208,6 +208,10 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),
         (("make", "--assign", "*=box", "--assign", "pane=hull"), "assign 'pane=hull': pane already has box; expected"),
         (("make", "--kind", "box", "--assign", "pane=box"), "--kind box: does not go with --assign"),
+        (("make", "--amount", "0.02", "--assign", "pane=box"), "--amount 0.02: does not go with --assign"),
+        (("check", "--kind", "box", "--name", "mixed"), "--kind, --amount: do not go with --name; leave them out"),
+        (("check", "--amount", "0.02", "--name", "mixed"), "--kind, --amount: do not go with --name; leave them out"),
+        (("check", "--name", "truth"), "geometry 'truth': there is none of that name; known are blocks, box"),
         (("make", "--rest", "box"), "--rest, --name: go with --assign OBJECT=KIND; leave them out"),
         (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
         (
@@ -226,7 +230,8 @@ def test_errors_are_one_line_with_the_way_out(
 ) -> None:
     with pytest.raises(SystemExit) as stop:
         call(monkeypatch, *arguments)
-    assert stop.value.code == (2 if "--assign" in message and "make them" not in message else 1)
+    is_usage = ("--assign" in message or "go with" in message) and "make them" not in message
+    assert stop.value.code == (2 if is_usage else 1)
     out, err = capsys.readouterr()
     assert out == ""
     assert err.count("\n") == 1

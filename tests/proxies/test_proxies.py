@@ -584,6 +584,15 @@ def test_noisy_normals_are_those_of_the_noisy_surface_and_creases_stay(amount: f
     assert np.abs(np.linalg.det(flat.normals[corner])) > 0.8
 
 
+def test_a_far_vertex_of_no_face_changes_no_noise() -> None:
+    cube = fit("box", scipy_solid(shapes(0)[1]), padding=1e-5)
+    fields = {name: np.concatenate([value, value[:1]]) for name, value in vars(cube).items() if name != "faces"}
+    far = Mesh(**fields, faces=cube.faces)
+    far.vertices[-1] += 500
+    found, other = (noise.noisy_mesh(mesh, 0.01, place=0) for mesh in (cube, far))
+    np.testing.assert_allclose(other.vertices[:-1], found.vertices, atol=1e-6)
+
+
 def _first_of(position_of: np.ndarray) -> np.ndarray:
     return np.unique(position_of, return_index=True)[1]
 

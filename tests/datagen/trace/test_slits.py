@@ -14,7 +14,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material
-from datagen.scene.modelling import merged, moved, rounded_box
+from datagen.scene.modelling import merged, moved, rounded_box, sheet
 from datagen.scene.rig import make_cameras
 from datagen.trace.slits import Slit, describe_slit, find_slits
 
@@ -123,6 +123,24 @@ def test_a_slit_between_parts_of_one_object_is_found() -> None:
     walls = SceneObject(name="walls", mesh=merged([back, side]), material=GREY)
     (slit,) = slits_of(dataclasses.replace(scene, objects=(scene.objects[0], walls)))
     assert slit.between == ("walls", "walls")
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("flips", [(False, False), (False, True), (True, False), (True, True)])
+def test_a_slit_between_walls_of_one_face_is_found_however_they_are_wound(side: int, flips: tuple[bool, bool]) -> None:
+    scene, length, beyond = synthetic_scene(), 1.65, side * 1.71
+    walls = {
+        "floor": sheet((-length, -length, 0), (2 * length, 0, 0), (0, 2 * length, 0)),
+        "wall": sheet((beyond, -length, 0), (0, 2 * length, 0), (0, 0, 2 * length)),
+    }
+    meshes = [
+        dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1])) if flip else mesh
+        for mesh, flip in zip(walls.values(), flips, strict=True)
+    ]
+    objects = tuple(SceneObject(name=name, mesh=mesh, material=GREY) for name, mesh in zip(walls, meshes, strict=True))
+    (slit,) = slits_of(dataclasses.replace(scene, objects=objects))
+    assert 0.06 <= slit.width < 0.09
+    assert slit.place[0] == pytest.approx(side * 1.68, abs=0.02)
 
 
 def test_a_slit_behind_glass_is_found() -> None:

@@ -11,6 +11,7 @@ from model.fit.boxes import Box
 from model.fit.lathe import Axis
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_hull, hull_about
+from model.fit.section import Section
 from model.fit.views import NearRays, Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -237,6 +238,30 @@ def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:
     axis = Axis(point=CENTER, direction=UP)
     cut, whole = (hull_about(rays, axis, np.arange(-0.06, 0.07, 0.001), order=order) for order in (0, 1))
     assert cut.unexplained > whole.unexplained + 0.005
+
+
+def test_many_rays_are_looked_at_part_by_part_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = cameras()
+    rays = rays_near(sightings_of(cone_mask(taken, 0.03, 0.045, 0.11), taken), 1)
+    axis, heights = Axis(point=CENTER, direction=UP), np.arange(-0.06, 0.07, 0.001)
+    section = Section(sides=4, sharpness=4.0, turn=0.2)
+    for around, order in ((None, 0), (None, 2), (section, 1)):
+        monkeypatch.undo()
+        whole = hull_about(rays, axis, heights, order=order, around=around)
+        assert whole.radii.any()
+        monkeypatch.setattr("model.fit.outside.RAYS_AT_ONCE", 101)
+        parts = hull_about(rays, axis, heights, order=order, around=around)
+        np.testing.assert_allclose(parts.bounds, whole.bounds, rtol=1e-12)
+        np.testing.assert_allclose(parts.radii, whole.radii, rtol=1e-12)
+        assert parts.unexplained == whole.unexplained
+
+
+def test_the_border_of_a_picture_is_no_edge_of_an_object_that_goes_on_beyond_it() -> None:
+    taken, mask = cameras(), np.zeros((VIEWS, SIZE, SIZE), bool)
+    mask[:, 20:40, :30] = True
+    rays = rays_near(sightings_of(mask, taken), 1)
+    # Two rows above and below, and two columns at the right.
+    assert (rays.is_edge & rays.hits).sum() == VIEWS * (4 * 30 + 16 * 2)
 
 
 def test_a_thing_in_front_whose_known_outline_is_too_narrow_cuts_nothing_away() -> None:

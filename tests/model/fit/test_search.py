@@ -8,7 +8,7 @@ from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 from model.fit.intervals import intervals
 from model.fit.materials import find_absorption
-from model.fit.search import INDEX_HELD, alternatives, count_searches, guess, refine, scan
+from model.fit.search import INDEX_HELD, alternatives, count_searches, guess, in_even_views, refine, scan
 from model.fit.shapes import Revolution
 
 
@@ -157,6 +157,15 @@ def test_the_index_of_a_vessel_waits_for_its_wall(glass: Revolution, held: bool)
     ]
     assert ["ior" in each for each in names] == [not held] * INDEX_HELD + [True]
     assert [count_searches(glass, number) for number in range(INDEX_HELD + 1)] == list(map(len, names))
+
+
+@pytest.mark.parametrize("views", [(0, 2, 4, 6), (1, 5), (3,)])
+def test_both_halves_of_the_views_have_pixels_whichever_views_see_an_object(views: tuple[int, ...]) -> None:
+    view = np.repeat(views, PIXELS // len(views))
+    is_even = in_even_views(view)
+    assert is_even.sum() == PIXELS / 2
+    if len(views) > 1:
+        assert not set(view[is_even]) & set(view[~is_even])
 
 
 def test_a_floor_stays_below_what_stands_on_it() -> None:
