@@ -26,7 +26,8 @@ def compiled(
         made = numba.njit(function, **options)
         if _has_home():
             with contextlib.suppress(RuntimeError):
-                made._cache = _Cache(function)  # As Numba 0.68 does for `cache=True`.
+                # As Numba 0.68 does for `cache=True`.
+                made._cache = _Cache(function)  # pyright: ignore[reportAttributeAccessIssue]
         return cast(Function, made)
 
     return decorate

@@ -37,7 +37,7 @@ from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
 from model.fit import drinks, pictures, room
 from model.fit.boxes import Box
-from model.fit.fit_folder import FIT, FitFolder
+from model.fit.fit_folder import FIT, FitFolder, refuse_losing
 from model.fit.found import FoundGlass, Objects, digest, history_row, in_words, settled, states, summary, write_geometry
 from model.fit.kinds import choose_outside, choose_shown
 from model.fit.materials import find_absorption
@@ -115,6 +115,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             f"{dataset.root}: only unknown glass has a mesh; add meshes of what is seen through it, such as the floor"
         )
     root = geometry_root(dataset.root, geometry)
+    if not overwrite:
+        refuse_losing(dataset, geometry, sightings.unknown)
     with holding(out, FIT), room.one_thread():
         folder = FitFolder(root=out, asked=_asked(dataset, geometry, choices, sightings))
         folder.begin(overwrite=overwrite)

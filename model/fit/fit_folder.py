@@ -12,7 +12,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import UInt8
 
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import list_geometries, read_assignment
 from datagen.data.images import png_bytes
+from datagen.data.paths import FITTED, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, remove_files
 from datagen.disk.records import Json
@@ -85,3 +88,20 @@ class FitFolder:
 
     def write_picture(self, name: str, image: UInt8[np.ndarray, "h w 3"]) -> None:
         commit(self.root / f"{name}.png", png_bytes(image))
+
+
+def refuse_losing(dataset: Dataset, geometry: str, unknown: tuple[int, ...]) -> None:
+    """Refuses a fit whose geometry would lose glass that another fit has found."""
+    if geometry not in list_geometries(dataset):
+        return
+    named = {dataset.objects[each - 1].name for each in unknown}
+    lost = [
+        item.name
+        for item, own in zip(dataset.objects, read_assignment(dataset, geometry) or ())
+        if own == FITTED and item.name not in named
+    ]
+    if lost:
+        raise HyalineError(
+            f"{geometry_root(dataset.root, geometry)}: holds a fit of {', '.join(lost)}, too; replace it with "
+            "--overwrite, or choose another --name"
+        )

@@ -184,14 +184,7 @@ def list_runs(root: Path) -> list[str]:
 
 
 def find_run(name: Path, root: Path = RUNS) -> Path:
-    """The folder of a run.
-
-    Args:
-        name: The folder, or SCENE/NAME under `root`.
-
-    Raises:
-        HyalineError: neither is a folder.
-    """
+    """The folder of a run: `name` itself, or SCENE/NAME under `root`; raises a HyalineError if neither is a folder."""
     places = list(dict.fromkeys((name, root / name)))  # One place, if the name is an absolute path.
     folders = [place for place in places if place.is_dir()]
     if not folders:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy import ndimage
+from support.builds import tree
 from support.commands import call
 from support.traced_dataset import BALL, glass_scene, write_traced_dataset
 
@@ -115,6 +116,13 @@ def test_runs_record_what_a_fit_did_not_find_itself(dataset: Dataset, fitted: Pa
         assert set(load_sealed(run / "run.json")["told"]) == told
 
 
+def test_a_fit_of_other_glass_does_not_replace_what_was_found(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    before = tree(dataset.root / "proxies")
+    answer = call(f"model fit {dataset.root} --unknown slab --steps 2 --skip grid --skip search --out {tmp_path / 'b'}")
+    assert answer.status == 1 and "fitted: holds a fit of ball, too; replace it with --overwrite" in answer.error
+    assert fitted.is_dir() and not (tmp_path / "b").exists() and tree(dataset.root / "proxies") == before
+
+
 def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
     masks = tmp_path / "masks"
     for name, seen in (("ball", True), ("slab", False)):
@@ -180,7 +188,9 @@ def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(datase
     assert geometry_key(open_dataset(dataset.root), "fitted") == before
     other = call(f"model fit {dataset.root} {FIT.replace('ball', 'slab')} --out {fitted}")
     assert other.status == 1
-    assert "holds a fit with another unknown" in other.error
+    assert "holds a fit of ball, too" in other.error
+    other = call(f"model fit {dataset.root} {FIT.replace('ball', 'slab')} --out {fitted} --name fitted-slab")
+    assert "holds a fit with another geometry" in other.error
 
 
 def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(
@@ -263,7 +273,7 @@ def test_scenes_without_glass_to_fit_or_without_anything_around_it_are_refused(
 @pytest.mark.parametrize(
     ("flags", "why"),
     [
-        ("--unknown bal", "unknown 'bal'"),
+        ("--unknown bal", "no object 'bal'"),
         ("--unknown floor", "is opaque"),
         ("--name box", "--name"),
         ("--masks nowhere", "nowhere/ball/0000.png: the file is missing; expected masks of all glass, or of --unknown"),
