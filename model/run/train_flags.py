@@ -166,7 +166,7 @@ def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
     if opened.parent is not None:
         raise HyalineError(f"{opened.root}: is a variant, without training views; train on {opened.parent.root}")
     if "torch" not in sys.modules:
-        say(f"{opened.root}: loading torch")  # Seconds, in which nothing else is heard.
+        say(f"{opened.root}: loading torch")  # This takes seconds without other output.
     geometry = asked.run.geometry
     if not asked.method.uses_geometry and geometry != TRUTH:
         raise HyalineError(f"--geometry {geometry}: method {method} uses no geometry; leave it out")
