@@ -188,7 +188,7 @@ def find_run(name: Path, root: Path = RUNS) -> Path:
     places = list(dict.fromkeys((name, root / name)))  # One place, if the name is an absolute path.
     folders = [place for place in places if place.is_dir()]
     if not folders:
-        known = f"choose from {', '.join(runs)}" if (runs := list_runs(root)) else "`model train` makes one"
+        known = f"choose from {', '.join(runs)}" if (runs := list_runs(root)) else "`model train paper` makes one"
         raise HyalineError(f"no run at {' or '.join(map(str, places))}; {known}")
     return next((place for place in folders if (place / RUN).is_file()), folders[0])
 
@@ -201,7 +201,7 @@ def read_run(out: Path) -> RunRecord:
             "(`eval report` scores pictures of any method)"
         )
     if not (out / RUN).is_file():
-        raise HyalineError(f"{out}: holds no run; `model train` makes one")
+        raise HyalineError(f"{out}: holds no run; `model train paper` makes one")
     return _read_record(out / RUN)
 
 

@@ -211,7 +211,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         (("make", "--amount", "0.02", "--assign", "pane=box"), "--amount 0.02: does not go with --assign"),
         (("check", "--kind", "box", "--name", "mixed"), "--kind, --amount: do not go with --name; leave them out"),
         (("check", "--amount", "0.02", "--name", "mixed"), "--kind, --amount: do not go with --name; leave them out"),
-        (("check", "--name", "truth"), "geometry 'truth': there is none of that name; known are blocks, box"),
+        (("check", "--name", "truth"), "no geometry 'truth'; choose from blocks, box"),
         (("make", "--rest", "box"), "--rest, --name: go with --assign OBJECT=KIND; leave them out"),
         (("make", "--name", "shelf", "--assign", "pane=box"), "name 'shelf': expected mixed, or mixed- and letters"),
         (

@@ -75,7 +75,7 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     edit = f"datagen add '{SPACED}' --edit remove:pane"
     (draw,) = ask(edit, follow=False)
     assert draw == "model predict RUN --variant remove-pane"
-    assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper --out runs/none"]
+    assert ask(f"model predict runs/none --dataset '{SPACED}'", status=1) == ["model train paper"]
     assert ask("report --table table1", status=1) == [f"model sweep table1 --dataset '{SPACED}'"]
     assert ask(f"proxies make '{SPACED}' --kind box") == [f"model train paper '{SPACED}' --geometry box"]
     assert ask(f"{train} --geometry hull", status=1) == [f"proxies make '{SPACED}' --kind hull"]

@@ -90,9 +90,9 @@ def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
     (root / "images").rename(other)
     (root / "images").symlink_to(other)
     before = {path: sha256(data) for path, data in tree(other).items()}
-    with pytest.raises(HyalineError, match="images: is a link"), holding(root, DATASET):
+    with pytest.raises(HyalineError, match="images: is a symbolic link"), holding(root, DATASET):
         pass
-    with pytest.raises(HyalineError, match="images: is a link"):
+    with pytest.raises(HyalineError, match="images: is a symbolic link"):
         remove_files(root, ["images/train/0000.png"])
     assert {path: sha256(data) for path, data in tree(other).items()} == before
 
