@@ -84,7 +84,7 @@ def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
             "Allowed inputs:\n",
             *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
             "",
-            f"```\nmodel sweep bench --preset {preset}",
+            f"```\nmodel sweep {'bench-fitted' if track == 'masks' else 'bench'} --preset {preset}",
             f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
             f"{OTHERS}\n",
             *(f"{markdown_escaped(note)}\n" for note in NOTES),

@@ -80,15 +80,18 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
     """The content of run.json."""
     method, dataset = config.net, inputs.dataset
     knowledge = method.knowledge
+    told: tuple[str, ...] = ()
     if method.uses_geometry:
-        knowledge = describe_knowledge(dataset, config.geometry, method.knowledge, config.loss.describe())
+        told = _told(config, dataset) if is_fitted(config.geometry) else ()
+        materials = method.knowledge if told or not is_fitted(config.geometry) else ""  # Else a fit has found them.
+        knowledge = describe_knowledge(dataset, config.geometry, materials, config.loss.describe())
     return RunRecord(
         version=RUN_VERSION,
         method=config.method,
         geometry=config.geometry if method.uses_geometry else NO_GEOMETRY,
         knowledge=knowledge,
         uses_materials=method.uses_geometry and bool(method.knowledge),
-        told=_told(config, dataset) if is_fitted(config.geometry) else (),
+        told=told,
         dataset=dataset.root.as_posix(),
         dataset_seal=dataset.seal,
         layers_seal=inputs.layers_seal,
