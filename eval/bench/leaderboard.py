@@ -26,7 +26,7 @@ NOTES = (
     "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
     "percentile bootstrap over scenes. Below ceiling: distance to the PSNR that the noise of the truth allows. Median "
     "and worst: of the scenes. 10°, 20°, 40° and edits: of all built-in scenes. Hidden: of all hidden scenes; everyone "
-    "can build the truth of the others. Edits: averages over whole pictures, of which an edit changes few pixels.",
+    "can build the truth of the others. Edits: whole pictures are compared, although an edit changes few pixels.",
     "CPU min, GB, frames/s: of training and prediction, means over scenes (memory: the largest), where the run's "
     "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with other scenes "
     "than the first come after those with the same: their averages cannot be compared.",

@@ -123,7 +123,7 @@ def planes_of(corners: Float64[np.ndarray, "face 3 3"]) -> Float64[np.ndarray, "
 
 
 def gauge(planes: Float64[np.ndarray, "face 3"], points: Float64[np.ndarray, "point 3"]) -> float:
-    """The factor by which a convex polyhedron around the origin must grow about it to enclose points."""
+    """The scale about the origin at which a convex polyhedron around the origin encloses all points."""
     return max(float((points @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))
 
 
