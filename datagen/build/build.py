@@ -13,7 +13,6 @@ from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
 from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import check_settings, create_layers
 from datagen.data.layers import record_path_of_layers
@@ -27,8 +26,7 @@ from datagen.machine.processes import in_workers
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import Scene
 from datagen.scene.folder import scene_files
-from datagen.scene.rig import make_cameras
-from datagen.scene.soundness import check_cameras_outside
+from datagen.scene.rig import cameras_within, make_cameras
 from datagen.terminal.command import say, this_command, track
 
 MANY_PERCENT = 1.0
@@ -64,9 +62,7 @@ def build_dataset(
     with holding(root, DATASET, shared=shard is not None):
         cameras = None if overwrite else _stored_cameras(scene, root, config)
         if cameras is None:
-            cameras = with_depth_range(make_cameras(scene.cameras, config), [item.mesh for item in scene.objects])
-            for views in cameras.values():
-                check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
+            cameras = cameras_within(scene, make_cameras(scene.cameras, config))
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.

@@ -8,16 +8,14 @@ from datagen.build.angles import make_angle_cameras
 from datagen.data.cameras import Cameras
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig
 from datagen.data.dataset import Dataset, DatasetObject
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import read_meshes
 from datagen.data.metadata import SceneEdit
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, evenly, scale_name
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import Scene
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.soundness import check_cameras_outside
+from datagen.scene.rig import cameras_within
 
 MAX_SCALE = 8
 
@@ -44,7 +42,7 @@ def plan_angles(base: Dataset) -> Plan:
     """
     _check_base(base)
     scene = load_scene(base.root / "scene", is_sealed=True)
-    cameras = _cameras_for(scene, make_angle_cameras(scene, base.config))
+    cameras = cameras_within(scene, make_angle_cameras(scene, base.config))
     return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
 
 
@@ -94,18 +92,11 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     return Plan(
         name=edits_name(edits),
         config=base.config,
-        cameras=_cameras_for(edited.scene, {split: base.cameras(split) for split in TEST_SPLITS}),
+        cameras=cameras_within(edited.scene, {split: base.cameras(split) for split in TEST_SPLITS}),
         objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
         edit=edit,
         scene=scene_files(edited.scene),
     )
-
-
-def _cameras_for(scene: Scene, cameras: dict[Split, Cameras]) -> dict[Split, Cameras]:
-    """Cameras with the scene's range of depth, none of them inside glass."""
-    for views in cameras.values():
-        check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
-    return with_depth_range(cameras, [item.mesh for item in scene.objects])
 
 
 def _check_base(base: Dataset) -> None:

@@ -8,10 +8,12 @@ from jaxtyping import Float
 
 from datagen.data.cameras import Cameras, Lens, direction_of, look_at
 from datagen.data.config import SPLITS, DatasetConfig, Split
+from datagen.data.depth_range import with_depth_range
 from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig
+from datagen.scene.description import CameraRig, Scene
+from datagen.scene.soundness import check_cameras_outside
 from datagen.scene.values import Vector
 
 
@@ -30,6 +32,17 @@ def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Spl
     }
     lens = Lens(fov_x=math.radians(rig.fov_deg), width=config.resolution.width, height=config.resolution.height)
     return {split: lens.cameras(poses[split]) for split in SPLITS}
+
+
+def cameras_within(scene: Scene, cameras: dict[Split, Cameras]) -> dict[Split, Cameras]:
+    """Cameras with the range of depth that they see in a scene.
+
+    Raises:
+        HyalineError: a camera is inside glass.
+    """
+    for views in cameras.values():
+        check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
+    return with_depth_range(cameras, [item.mesh for item in scene.objects])
 
 
 def with_listed_views(config: DatasetConfig, rig: CameraRig | CameraList) -> DatasetConfig:

@@ -32,7 +32,7 @@ from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
 """What scores repeat of a run's costs.json."""
 ABOVE_CEILING = 1.0
-"""dB by which a score may exceed the ceiling, which is measured."""
+"""dB by which a score may exceed the noise ceiling, because the ceiling is an estimate."""
 MOST_FAILURES = 3
 """Worst views that a scored submission has pictures of, each of another scene."""
 

@@ -8,11 +8,13 @@ from support.reference import winding_numbers
 from support.soon import soon
 from support.synthetic import synthetic_scene
 
+from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.meshes import Mesh, check_closed, check_solid, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, ThinDielectric
 from datagen.scene.modelling import ball, cylinder, lathe, merged, moved, rounded_box, sheet, transformed, tube, walled
+from datagen.scene.rig import cameras_within, make_cameras
 from datagen.scene.soundness import check_scene
 
 GLASS, GREY, PANE = Dielectric(), Diffuse(color=(0.5, 0.5, 0.5)), ThinDielectric()
@@ -183,6 +185,20 @@ GOOD: dict[str, Scene] = {
 @pytest.mark.parametrize("case", GOOD)
 def test_what_renders_right_is_not_refused(case: str) -> None:
     check_scene(GOOD[case])
+
+
+def test_real_cameras_in_glass_are_refused_that_a_sample_of_the_rig_misses() -> None:
+    few = SplitConfig(views=8, spp=4)
+    config = DatasetConfig(
+        scene="room", preset="tiny", resolution=square(16), train=few, interpolating=few, extrapolating=few
+    )
+    cameras = make_cameras(RIG, config)
+    cameras_within(scene_of(BALL), cameras)
+    place = cameras["train"].world_from_camera[3, :3, 3]
+    scene = scene_of(moved(ball(0.03, subdivisions=2), place.tolist()))
+    check_scene(scene)
+    with pytest.raises(HyalineError, match="object thing: a camera is inside this glass"):
+        cameras_within(scene, cameras)
 
 
 def test_windings_are_those_of_the_solid_angle() -> None:
