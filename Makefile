@@ -1,6 +1,6 @@
 # `make demo` and `make test` set everything up by themselves; neither needs root.
 # An active virtual or conda environment is used as it is; otherwise .venv is made.
-.PHONY: setup demo test pyright pytest reliability results docs clean
+.PHONY: setup demo test pyright pytest reliability house results docs clean
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
@@ -56,6 +56,10 @@ pytest: setup
 # writes the counts into that file.
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "promise or full" --full --promises=docs/reliability.md
+
+# The lines of every room beside its budget (house.toml), and what three commands walk through.
+house: setup
+	$(BIN)/python tests/support/house.py
 
 # RESULTS.md, docs/results/*.md and the tables of README.md and docs/{index,paper}.md, from the stored results.json files.
 results: setup

@@ -1,0 +1,193 @@
+"""The house: how many lines each room has, and may have (house.toml).
+
+`make house` prints the table, with what it takes to follow a command through the code.
+`python tests/support/house.py --lower` lowers the budgets to today's lines; nothing raises them.
+"""
+
+import argparse
+import io
+import subprocess
+import sys
+import tempfile
+import tokenize
+import tomllib
+from collections import defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+BUDGETS = ROOT / "house.toml"
+CORE = ("datagen", "proxies", "model", "eval", "hyaline")
+HOUSE = (*CORE, "plugins", "benchmarks", "tests")
+KINDS = {".py": "python", ".js": "web", ".css": "web", ".html": "web", ".glsl": "web"}
+SLACK = 0.05
+"""The share of a room by which its budget may exceed it."""
+LAYOUT = {
+    *(tokenize.COMMENT, tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT),
+    *(tokenize.ENCODING, tokenize.ENDMARKER),
+}
+"""Tokens that are not code."""
+
+WALK = """
+import sys
+from pathlib import Path
+root, stop = sys.argv[1], sys.argv[2]
+sys.argv = sys.argv[3:]
+last, moves, files = None, 0, set()
+
+class Arrived(BaseException): pass
+
+def follow(frame, event, _):
+    global last, moves
+    if event == "call":
+        name = frame.f_code.co_filename
+        if name.startswith(root) and "/.venv/" not in name:
+            moves, last = moves + (name != last), name
+            files.add(name)
+            if frame.f_code.co_qualname == stop:
+                raise Arrived
+
+sys.path.insert(0, root)
+sys.setprofile(follow)
+try:
+    module = __import__(sys.argv[0].replace("-", "."), fromlist=["main"])
+    if len(sys.argv) > 1:
+        module.main()
+except (SystemExit, Arrived):
+    pass
+sys.setprofile(None)
+own = {str(getattr(module, "__file__", "")) for module in list(sys.modules.values())}
+own = {name for name in own if name.startswith(root) and "/.venv/" not in name}
+print("walk", moves, len(files), len(own), sum(len(Path(name).read_text().splitlines()) for name in own))
+"""
+"""Runs a command and counts its changes from one of the project's files to another, the files whose functions it
+enters, and the modules it loads with their lines; ends at a function's first call."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """What a folder holds of one kind of code."""
+
+    files: int
+    lines: int
+    density: float
+    """Tokens in a line of Python code, without comments and docstrings; 0 for other kinds."""
+
+
+def room_of(path: Path) -> str:
+    """The folder, at most two levels deep, that a file counts for."""
+    place = path.relative_to(ROOT).parent
+    return "/".join(place.parts[:2])
+
+
+def read_rooms() -> dict[str, dict[str, Room]]:
+    """The rooms of the house by kind of code, then by folder."""
+    files: dict[tuple[str, str], list[Path]] = defaultdict(list)
+    for top in HOUSE:
+        for path in sorted((ROOT / top).rglob("*")):
+            if path.suffix in KINDS and path.is_file():
+                files[KINDS[path.suffix], room_of(path)].append(path)
+    rooms: dict[str, dict[str, Room]] = defaultdict(dict)
+    for (kind, place), paths in sorted(files.items()):
+        lines = sum(len(path.read_text().splitlines()) for path in paths)
+        density = 0.0
+        if kind == "python":
+            counts = [count for path in paths for count in tokens_of_lines(path.read_text())]
+            density = sum(counts) / max(len(counts), 1)
+        rooms[kind][place] = Room(files=len(paths), lines=lines, density=density)
+    return dict(rooms)
+
+
+def tokens_of_lines(text: str) -> Iterator[int]:
+    """How many tokens of code begin on each line that has any; strings that stand alone (docstrings) are left out."""
+    counts: dict[int, int] = defaultdict(int)
+    before = tokenize.NEWLINE
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        alone = token.type == tokenize.STRING and before in (tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT)
+        if token.type not in LAYOUT and not alone:
+            counts[token.start[0]] += 1
+        if token.type not in (tokenize.COMMENT, tokenize.NL):
+            before = token.type
+    yield from counts.values()
+
+
+def faults() -> list[str]:
+    """What in the house is beyond its budget, or has a budget that could be lower."""
+    told = tomllib.loads(BUDGETS.read_text())
+    wrong = []
+    for kind, rooms in read_rooms().items():
+        budgets = told[kind]
+        for place in sorted(rooms.keys() | budgets.keys()):
+            lines, budget = rooms[place].lines if place in rooms else 0, budgets.get(place, 0)
+            if lines > budget:
+                wrong.append(f"{place}: {lines} lines of {kind}; its budget is {budget}: what can go?")
+            elif budget > lines * (1 + SLACK):
+                wrong.append(f"{place}: {lines} of {budget} lines of {kind}; run tests/support/house.py --lower")
+    density = average_density(read_rooms()["python"])
+    if density > told["tokens_a_line"]:
+        wrong.append(f"{density:.2f} tokens in a line of Python; at most {told['tokens_a_line']}")
+    return wrong
+
+
+def average_density(rooms: dict[str, Room]) -> float:
+    """Tokens in a line of code of the whole house, its rooms weighted by their lines."""
+    return sum(room.density * room.lines for room in rooms.values()) / sum(room.lines for room in rooms.values())
+
+
+def lower() -> None:
+    """Writes today's lines as budgets; raises ValueError where a room is above its budget."""
+    told = tomllib.loads(BUDGETS.read_text())
+    rooms = read_rooms()
+    text = BUDGETS.read_text().partition("[python]")[0]
+    for kind, places in rooms.items():
+        for place, room in places.items():
+            if room.lines > told[kind].get(place, room.lines):
+                raise ValueError(f"{place}: {room.lines} lines, budget {told[kind][place]}")
+        text += f"[{kind}]\n" + "".join(f'"{place}" = {room.lines}\n' for place, room in places.items()) + "\n"
+    BUDGETS.write_text(text.rstrip() + "\n")
+
+
+def walk(*words: str, stop: str = "") -> tuple[int, int, int, int]:
+    """Changes of file, files entered, modules loaded and their lines, of `package.cli WORDS`."""
+    program = (sys.executable, "-c", WALK, str(ROOT) + "/", stop, *words)
+    ended = subprocess.run(program, capture_output=True, text=True, check=False)
+    line = next((line for line in ended.stdout.splitlines() if line.startswith("walk ")), None)
+    if line is None:
+        raise RuntimeError(f"{' '.join(words)}: {ended.stderr}")
+    moves, files, modules, lines = (int(word) for word in line.split()[1:])
+    return moves, files, modules, lines
+
+
+def print_table() -> None:
+    """Every room beside its budget, the sums, and three walks through the code."""
+    told = tomllib.loads(BUDGETS.read_text())
+    rooms = read_rooms()
+    for kind, places in rooms.items():
+        print(f"{kind:32}{'files':>7}{'lines':>8}{'budget':>8}{'tokens a line':>15}")
+        for place, room in places.items():
+            density = f"{room.density:15.1f}" if room.density else ""
+            print(f"  {place:30}{room.files:7}{room.lines:8}{told[kind].get(place, 0):8}{density}")
+    python = rooms["python"]
+    groups = {"core": CORE, "plug-ins": ("plugins",), "benchmarks": ("benchmarks",), "tests": ("tests",)}
+    for name, tops in groups.items():
+        chosen = [room for place, room in python.items() if place.split("/")[0] in tops]
+        print(f"{name:32}{sum(room.files for room in chosen):7}{sum(room.lines for room in chosen):8}")
+    _, _, modules, lines = walk("hyaline")
+    print(f"import hyaline: {modules} own modules, {lines} lines")
+    with tempfile.TemporaryDirectory() as folder:
+        world = f"{folder}/world"
+        moves, files, _, _ = walk("datagen-cli", "build", "glass_table", "--preset", "tiny", "--out", world)
+        print(f"a tiny `datagen build`: {moves} changes of file, {files} files")
+        words = ("train", "paper", world, "--perceptual", "1", "--vgg-weights", "random", "--out", f"{folder}/run")
+        moves, files, _, _ = walk("model-cli", *words, stop="PerceptualLoss.forward")
+        print(f"`model train --perceptual` to the first perceptual loss: {files} files, {moves} changes of file")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Print the house's rooms beside their budgets.")
+    parser.add_argument("--lower", action="store_true", help="lower every budget to today's lines")
+    if parser.parse_args().lower:
+        lower()
+    else:
+        print_table()
