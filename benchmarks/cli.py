@@ -12,7 +12,7 @@ from datagen.terminal.parsing import CommandGroup, group
 DESCRIPTION = (
     "Measure speed: compare alternatives in alternation within one process, after checking that their results agree; "
     "exit status 1 if a ratio is missed. "
-    "Draw what runs have learned. Open exports with other tools' loaders."
+    "Compare with other tools: Cycles, and the loaders of exports."
 )
 
 
@@ -26,18 +26,10 @@ def commands() -> CommandGroup:
     by_name = {
         "peel": peel,
         "truth": truth,
-        "scale": scale,
-        "random-scenes": random_scenes,
-        "random-sheet": random_sheet,
         "peers": peers,
         "cycles": cycles,
-        "ceilings": ceilings,
         "step": step,
-        "compare": compare,
-        "infer": infer,
         "gpu": gpu,
-        "sky": sky,
-        "errors": errors,
         "turntable": turntable,
         "browser": browser,
         "screenshot": screenshot,
@@ -121,62 +113,6 @@ def truth(
     )
     cameras = make_cameras(description.cameras, config)["train"]
     show(bench_truth(description, cameras, GOALS[light], rounds=rounds, cycles=cycles), as_json=json)
-
-
-def scale(
-    factor: tuple[float, ...] = (),
-    quantities: tuple[str, ...] = (),
-    out: Path = Path("bench-scale.png"),
-    rounds: int = 3,
-    json: bool = False,
-    overwrite: bool = False,
-) -> None:
-    """How time and memory grow with resolution, layers, objects and triangles: a power law each, and a figure.
-
-    Args:
-        factor: Multiply each quantity by this, the others staying as they are. May be repeated. Default: 1, 2, 4 and 8.
-        quantities: Only these of pixels, layers, objects, triangles.
-        out: The figure, a PNG; an existing file is kept.
-        rounds: Turns at each size.
-        json: Print JSON instead of a table.
-        overwrite: Replace an existing file.
-    """
-    from datagen.disk.ownership import refuse_file
-    from datagen.terminal.command import choose
-
-    if not overwrite:
-        refuse_file(out)
-    from datagen.machine.mitsuba_variant import use_mitsuba
-
-    use_mitsuba()
-    from benchmarks.scale import QUANTITIES, Quantity, bench_scale, show_scale
-
-    for name in quantities:
-        choose("quantity", name, QUANTITIES)
-    chosen: tuple[Quantity, ...] = tuple(name for name in QUANTITIES if not quantities or name in quantities)
-    show_scale(bench_scale(factor or (1, 2, 4, 8), chosen, rounds=rounds), out, as_json=json)
-
-
-def random_scenes(seeds: int = 100, first: int = 0, family: str | None = None, json: bool = False) -> None:
-    """Draw and check random scenes without rendering them: how many draws were refused, and why.
-
-    Exit status 1 where a seed gives no scene.
-
-    Args:
-        seeds: How many.
-        first: The first of them.
-        family: Only object, table or nested. Default: the seeds take turns.
-        json: Print JSON instead of a table.
-    """
-    from json import dumps
-
-    from benchmarks.random_scenes import survey_json, survey_seeds, survey_table
-    from datagen.terminal.command import fail
-
-    surveys = survey_seeds(first, seeds, family)
-    print(dumps(survey_json(surveys)) if json else survey_table(surveys))
-    if failed := sum(len(survey.failed) for survey in surveys):
-        fail(f"{failed} of {seeds} seeds give no scene")
 
 
 def peers(
@@ -271,88 +207,12 @@ def cycles(
     print(cycles_table(rows))
 
 
-def random_sheet(
-    seed: tuple[int, ...] = (),
-    out: Path = Path("random.webp"),
-    *,
-    view: int = 1,
-    size: int = 192,
-    spp: int = 256,
-    quality: int = 88,
-    overwrite: bool = False,
-) -> None:
-    """A picture of random scenes, path-traced: a row for each family.
-
-    Args:
-        seed: A scene to show; 0 is an object, 1 a table, 2 nested media, and so on. May be repeated. Default: 0 to 8.
-        out: The picture, a WebP; an existing file is kept.
-        view: Which of six training cameras.
-        size: Width and height of each in pixels.
-        spp: Samples per pixel.
-        quality: Of the WebP, 1 to 100.
-        overwrite: Replace an existing file.
-    """
-    from datagen.disk.ownership import refuse_file
-
-    if not overwrite:
-        refuse_file(out)
-    from datagen.machine.mitsuba_variant import use_mitsuba
-
-    use_mitsuba()
-    from benchmarks.random_sheet import draw_random_sheet
-
-    out.write_bytes(draw_random_sheet(seed or tuple(range(9)), view=view, size=size, spp=spp, quality=quality))
-    print(out)
-
-
-def ceilings(*, json: bool = False) -> None:
-    """What this machine does at best: matrix products, copies, gathers, page faults.
-
-    Args:
-        json: Print JSON instead of tables.
-    """
-    from benchmarks.harness import show
-    from benchmarks.step import bench_ceilings
-
-    show(bench_ceilings(), as_json=json)
-
-
 def step(choices: BenchChoices) -> None:
     """A training step on a CPU: whole, its phases, its texture part."""
     from benchmarks.harness import show
     from benchmarks.step import all_ceilings, bench_step
 
     show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
-
-
-def compare(
-    commit: str, *, rounds: int = 3, python: Path = Path(sys.executable), threads: int = 0, demo: bool = False
-) -> None:
-    """This version beside an earlier commit: processor time of training, drawing, tracing and short commands, by turns.
-
-    Each version builds small datasets and runs its own commands. A round takes about three minutes of one core. What is
-    measured is kept in build/compare, so the same command continues where it was interrupted.
-
-    Args:
-        commit: The earlier one, such as 4bd2d80; it is compared with the commit that is checked out.
-        rounds: Turns of each version.
-        python: Python interpreter of an environment that also has the earlier commit's libraries, such as zarr for
-            4bd2d80.
-        threads: OpenMP threads of each process; 0: as many as each version takes by itself, which is what its users
-            get. Beside other work give 1, since more threads then add waiting that says little about a version.
-        demo: Also run all commands of `make demo` once in each version: one to two hours of one core.
-    """
-    from benchmarks.versions import compare_versions
-
-    print(compare_versions(commit, rounds=rounds, python=python, threads=threads, demo=demo))
-
-
-def infer(choices: BenchChoices) -> None:
-    """A frame from stored layers on a CPU."""
-    from benchmarks.harness import show
-    from benchmarks.step import all_ceilings, bench_infer
-
-    show(bench_infer(choices, ceilings=all_ceilings()), as_json=choices.json)
 
 
 def gpu(choices: BenchChoices) -> None:
@@ -364,49 +224,6 @@ def gpu(choices: BenchChoices) -> None:
     from benchmarks.harness import show
 
     show(bench_gpu(choices), as_json=choices.json)
-
-
-def sky(
-    runs: tuple[Path, ...], names: tuple[str, ...] = (), out: Path = Path("sky.png"), *, overwrite: bool = False
-) -> None:
-    """The sky that runs of light-path have learned beside the true one, as a picture on one scale.
-
-    Args:
-        runs: Run folders.
-        names: What the picture calls them, instead of their paths.
-        out: The picture, a PNG; an existing file is kept.
-        overwrite: Replace an existing file.
-    """
-    from datagen.disk.ownership import refuse_file
-
-    if not overwrite:
-        refuse_file(out)
-    from benchmarks.drawings import draw_skies
-
-    out.write_bytes(draw_skies(runs, names))
-    print(out)
-
-
-def errors(
-    before: Path, after: Path, out: Path = Path("errors.png"), *, views: int = 2, overwrite: bool = False
-) -> None:
-    """Truth, predictions and error maps of two runs on the views that the first predicts worst, as a picture.
-
-    Args:
-        before: A run folder.
-        after: Another one, of the same dataset.
-        out: The picture, a PNG; an existing file is kept.
-        views: How many views are shown.
-        overwrite: Replace an existing file.
-    """
-    from datagen.disk.ownership import refuse_file
-
-    if not overwrite:
-        refuse_file(out)
-    from benchmarks.drawings import draw_errors
-
-    out.write_bytes(draw_errors(before, after, views=views))
-    print(out)
 
 
 def turntable(
@@ -433,7 +250,7 @@ def turntable(
         fps: Frames a second.
         overwrite: Replace an existing file.
     """
-    from benchmarks.drawings import draw_turntable
+    from benchmarks.turntable import draw_turntable
     from datagen.terminal.command import tell
 
     draw_turntable(runs, names, out, path=path, frames=frames, size=size, spp=spp, fps=fps, overwrite=overwrite)

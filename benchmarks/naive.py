@@ -25,9 +25,6 @@ from model.nets.texture import NeuralTextures
 COVERED = 0.4
 """Share of all (pixel, layer) places that hold a surface, in scenes of transparent objects."""
 
-FRAME_TOLERANCE = {"fp32": 1e-5, "bf16": 1e-2}
-"""How far a frame's colours may be off, as shares of the largest."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class Ball:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import UInt8
 
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
-from benchmarks.scale import NUM_TRIANGLES, make_shells, materials_of, random_cameras
+from benchmarks.shells import NUM_TRIANGLES, make_shells, materials_of, random_cameras
 from datagen.data.cameras import Cameras
 from datagen.data.images import decode_radiance, encode_float_exr
 from datagen.data.layers import UV_SCALE, Layers, quantize_uv

@@ -1,4 +1,4 @@
-"""Benchmarks of networks on a CPU beside the naive baseline: a training step and a frame; ceilings."""
+"""Benchmark of a training step on a CPU beside the naive baseline; ceilings."""
 
 import contextlib
 import itertools
@@ -15,11 +15,9 @@ from torch.nn.functional import linear
 from benchmarks.choices import BenchChoices
 from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, machine_ceilings, measure
 from benchmarks.naive import (
-    FRAME_TOLERANCE,
     NaiveRenderer,
     describe,
     made_up_batch,
-    made_up_frame,
     make_renderer,
     relative_distance,
     relative_error,
@@ -39,7 +37,6 @@ from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels
 from model.methods.paper.renderer import PaperRenderer
 from model.run.optimizer import make_optimizer
-from model.run.predict import predict_colors, predict_pixels
 from model.settings.runtime import keep_freed_memory, start_numba_threads, use_few_threads
 
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
@@ -257,40 +254,6 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
     return report
 
 
-GATE = 3.0
-
-
-@torch.inference_mode()
-def bench_infer(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:
-    """Times frames."""
-    keep_freed_memory()
-    rng = np.random.default_rng(seed)
-    renderer = make_renderer(choices, rng=rng).eval()
-    naive = NaiveRenderer(renderer).eval()
-    pixels = made_up_frame(choices, rng=rng)
-    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
-
-    def compare() -> tuple[bool, str]:
-        error, most = relative_error(predict_colors(renderer, pixels), naive(rays)), FRAME_TOLERANCE[choices.precision]
-        return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
-
-    return measure(
-        "infer",
-        [
-            Candidate(name="naive frame", run=lambda: naive(rays), note="grid_sample, 1x1 convolutions"),
-            Candidate(
-                name="frame", run=lambda: predict_pixels(renderer, pixels), note="as `model predict`, to 8-bit colours"
-            ),
-        ],
-        checks=[Check(name="same colours", run=compare)],
-        gates=[Gate(name="whole frame", baseline="naive frame", candidate="frame", at_least=GATE)],
-        ceilings=ceilings,
-        settings={"resolution": choices.resolution, **describe(choices, renderer)},
-        facts={"places with a surface": f"{float((rays.object_id != 0).float().mean()):.0%}"},
-        rounds=choices.rounds,
-    )
-
-
 FAULTED = 64 << 20
 """Bytes of the block that is written with and without page faults."""
 
@@ -308,12 +271,6 @@ def all_ceilings() -> tuple[Ceiling, ...]:
         ),
         Ceiling(name="writing fresh memory, page faults included", value=_faults(), unit="times as long"),
     )
-
-
-def bench_ceilings() -> BenchReport:
-    """The ceilings alone."""
-    settings = {"threads": torch.get_num_threads(), "torch": torch.__version__}
-    return measure("ceilings", [], ceilings=all_ceilings(), settings=settings)
 
 
 @torch.inference_mode()

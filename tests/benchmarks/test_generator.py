@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,14 +11,7 @@ from support.meshes import mesh_of
 from support.rigs import config
 from support.synthetic import synthetic_scene
 
-from benchmarks.scale import (
-    Point,
-    ScaleReport,
-    fit_growth,
-    make_shells,
-    random_cameras,
-    show_scale,
-)
+from benchmarks.shells import make_shells, random_cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_list import CameraList
@@ -101,37 +93,9 @@ def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
         assert law.spp_for(60) == pytest.approx((12.92 * 1e-4) ** 2 / 1e-6, rel=0.05)
 
 
-def points_of_a_law(exponent: float) -> list[Point]:
-    return [
-        Point(
-            quantity="pixels",
-            factor=factor,
-            value=100 * factor,
-            wall_s=0.1 * factor**exponent,
-            cpu_s=0.2 * factor,
-            memory_mb=7.0,
-        )
-        for factor in (1, 2, 8)
-    ]
-
-
-def test_growth_is_the_exponent_of_the_power_law(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    points = [*points_of_a_law(0.7), *(dataclasses.replace(p, quantity="layers") for p in points_of_a_law(1.3))]
-    growth = fit_growth(points)
-    assert [law.wall for law in growth] == pytest.approx([0.7, 1.3])
-    assert [law.cpu for law in growth] == pytest.approx([1, 1])
-    assert [law.memory for law in growth] == pytest.approx([0, 0], abs=1e-9)
-    from benchmarks.harness import describe_machine
-
-    report = ScaleReport(machine=describe_machine(), points=tuple(points), growth=growth)
-    show_scale(report, tmp_path / "scale.png", as_json=True)
-    assert json.loads(capsys.readouterr().out)["growth"][0]["quantity"] == "pixels"
-    assert (tmp_path / "scale.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_the_command_lists_its_benches_and_prints_json_alone() -> None:
     answer = call("benchmarks --help")
-    assert all(name in answer.out for name in ("peel", "truth", "scale"))
+    assert all(name in answer.out for name in ("peel", "truth", "step"))
     answer = call("benchmarks peel --size 16 --triangles 0.01 --rounds 3 --engines mitsuba-fused --engines exr --json")
     parsed = json.loads(answer.out)
     assert answer.status == (0 if parsed["passed"] else 1)
