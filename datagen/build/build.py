@@ -68,8 +68,6 @@ def build_dataset(
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.
         with holding(layers_root(root, TRUTH), LAYERS, within=root, shared=shard is not None):
             _start_layers(dataset, TRUTH, meshes_hash, num_layers=num_layers, overwrite=False, shard=shard)
-        if shard is None and not dataset.view("train", 0).is_built:
-            _say_slits(scene, cameras)
         render_dataset(dataset, workers=workers, shard=shard)
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
     return dataset
@@ -86,16 +84,6 @@ def _stored_cameras(scene: Scene, root: Path, config: DatasetConfig) -> dict[Spl
         return {split: stored.cameras(split) for split in SPLITS} if is_same else None
     except HyalineError:
         return None
-
-
-def _say_slits(scene: Scene, cameras: dict[Split, Cameras]) -> None:
-    """A remark on each slit through which the sky shines: it may be meant, and pictures of it are right."""
-    from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.trace.slits import describe_slit, find_slits
-
-    use_mitsuba(quiet=True)
-    for slit in find_slits(scene, tuple(cameras.values())):
-        say(describe_slit(scene, slit))
 
 
 def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:

@@ -119,7 +119,7 @@ def write_theirs(root: Path) -> None:
 
 @pytest.fixture(scope="module", autouse=True)
 def mitsuba() -> None:
-    """Light paths and slits are really traced: Mitsuba is ready before `here` keeps commands from starting it."""
+    """Light paths are really traced: Mitsuba is ready before `here` keeps commands from starting it."""
     use_mitsuba(quiet=True)
 
 

@@ -31,7 +31,6 @@ LONGEST = (
     "datagen/build/test_random_scenes.py",
     "hyaline/test_making.py",
     "datagen/trace/test_light_path.py",
-    "datagen/trace/test_slits.py",
     "datagen/machine/test_workers.py",
     "test_architecture.py",
     "datagen/import_dataset/test_import_dataset.py",

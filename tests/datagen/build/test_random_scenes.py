@@ -25,7 +25,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return meshes
 
     monkeypatch.setattr("datagen.scene.procedural.drawing.unwrap_all", as_they_are)
-    monkeypatch.setattr("datagen.build.build._say_slits", lambda scene, cameras: None)
     fake_renderer.install(monkeypatch)
     return tmp_path
 
