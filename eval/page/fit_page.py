@@ -32,7 +32,7 @@ from eval.score.scores import SceneScores
 from eval.tables.grids import MISSING, Column, Grid
 from eval.tables.looks import html_table
 
-LENGTHS = ("wall", "floor", "foot", "level", "cut_low", "cut_high")
+LENGTHS = ("wall", "floor", "foot", "level")
 """Numbers in metres; the page shows millimetres."""
 TITLES = {"ior": "index of refraction"}
 MARGINS = {"left": 0.14, "right": 0.98, "top": 0.98, "bottom": 0.13}

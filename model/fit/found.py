@@ -19,7 +19,6 @@ from model.fit.hull import HullShape
 from model.fit.intervals import intervals
 from model.fit.lathe import Axis
 from model.fit.materials import Found
-from model.fit.polyhedra import Polyhedron
 from model.fit.search import NUMBERS
 from model.fit.section import Section
 from model.fit.shapes import Glass, Revolution
@@ -73,7 +72,7 @@ class FoundGlass:
         )
 
 
-KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Polyhedron, Revolution, Section)
+KINDS = (Axis, Attached, Box, Handled, HullShape, Mesh, Revolution, Section)
 """The records that a state may hold."""
 
 
@@ -126,8 +125,6 @@ def in_words(glass: Glass) -> str:
     else:
         assert glass.floor is not None
         parts.insert(0, f"wall {1000 * glass.wall:.2f} mm, floor {1000 * glass.floor:.1f} mm")
-    if isinstance(glass, Revolution) and glass.cut_count is not None:
-        parts.insert(1, f"{glass.cut_count} facets")
     parts += _tint_in_words(glass.absorption)
     if glass.roughness is not None:
         parts.append(f"roughness {glass.roughness:.2f}")

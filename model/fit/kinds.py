@@ -12,14 +12,12 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from model.fit.boxes import Box, fit_box, outline_of
-from model.fit.cut import cut_in_masks, may_be_cut
 from model.fit.drinks import find_holders
 from model.fit.handles import with_handles, without_handles
 from model.fit.hull import SMOOTH, Carved, HullShape, carve
 from model.fit.lathe import Axis, perpendicular
 from model.fit.outlines import find_ball, find_outside, find_solid
 from model.fit.outside import Hull, find_center, find_hull, find_section, hull_about
-from model.fit.polyhedra import fit_polyhedron
 from model.fit.profiles import between_rays
 from model.fit.section import guess_section
 from model.fit.shapes import Glass, Revolution
@@ -58,15 +56,7 @@ GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
 
 BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
-"""Complexity of a ball, of a box or an outline about an axis, and of a hull or a polyhedron: round bodies are none,
-since facets explain their masks less well."""
-
-CUT = 0.25
-"""By how much more complex an outline is that has facets around it: on round glass, facets explained 0.0007 of the edge
-pixels at most, and right ones 0.0018 at least."""
-
-MAY_BE_CUT = (0.005, 0.1)
-"""Share of edge pixels that a round outline gets wrong where facets are looked for."""
+"""Complexity of a ball, of a box or an outline about an axis, and of a hull."""
 
 SIMPLER = 0.006
 """Share of edge pixels that a unit of complexity has to explain."""
@@ -136,7 +126,6 @@ def choose_outside(
     evidence = _Evidence(rays=rays, up=up, support=support, mask_errors=mask_errors, stands_on=stands_on)
     carved = functools.cache(lambda: carve(sightings, object_id, up, support))
     found = [_judged(rays, *each) for each in _round(evidence, hull)]
-    found += [cut for each in found for cut in _with_facets(evidence, hull, each)]
     good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
     if min((each.unexplained for each in found), default=1.0) > good:
         for kind in _others(evidence, hull, carved):
@@ -197,7 +186,7 @@ def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
 
 
 def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], Carved]) -> Iterator[list[tuple[float, Glass]]]:
-    """Box, hull of any shape, outlines about other sections and axes, vessel with handles, and polyhedron."""
+    """Box, hull of any shape, outlines about other sections and axes, and vessel with handles."""
     box = fit_box(evidence.rays, evidence.up, evidence.bottom())
     if box is not None:
         yield [(OUTLINE, box)]
@@ -214,9 +203,6 @@ def _others(evidence: _Evidence, hull: Hull, carved: Callable[[], Carved]) -> It
     vessel = _vessel_with_handles(evidence, hull, shape)
     if vessel is not None:
         yield [(OUTLINE, vessel)]
-    polyhedron = fit_polyhedron(evidence.rays, shape.surface, evidence.up, evidence.bottom())
-    if polyhedron is not None:
-        yield [(HULL, polyhedron)]
 
 
 def _with_opening(evidence: _Evidence, best: Outside, box: Box) -> Outside:
@@ -233,18 +219,6 @@ def _with_corners(evidence: _Evidence, axis: Axis, shape: HullShape) -> list[tup
     if section is None:
         return []
     return _round(evidence, find_section(evidence.rays, axis, section, order=evidence.mask_errors))
-
-
-def _with_facets(evidence: _Evidence, hull: Hull, outside: Outside) -> list[Outside]:
-    """A round outline with the facets that masks show best, where it explains masks neither well nor badly."""
-    least, most = MAY_BE_CUT
-    if not may_be_cut(outside.glass) or not least < outside.unexplained < most:
-        return []
-    cut = cut_in_masks(outside.glass, evidence.rays)
-    # Where facets are known, views from all around them show the outline, not only those along facets.
-    sharp = hull_about(evidence.rays, hull.axis, hull.heights, order=evidence.mask_errors, around=cut.cut())
-    found = [(outside.complexity, cut), *_round(evidence, sharp)]
-    return [_judged(evidence.rays, complexity + CUT, glass) for complexity, glass in found]
 
 
 def _radii_around(mesh: Mesh, axis: Axis) -> tuple[Float64[np.ndarray, " angle"], Float64[np.ndarray, " angle"]]:

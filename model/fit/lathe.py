@@ -14,9 +14,6 @@ SEGMENTS = 96
 CREASE_COS = np.cos(np.radians(35))
 """Edges of an outline that turn by more are shaded as edges."""
 
-FADE = 0.1
-"""Share of a cut's height over which it fades out, at both ends."""
-
 TURNS = 0.05
 """A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
 the edge of a thin foot."""
@@ -46,73 +43,11 @@ def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2
     return np.stack([first, np.cross(direction, first)])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cut:
-    """Equal facets around an axis, between two heights of an outside.
-
-    With x from -1 to 1 across a facet, its distance from the axis is proportional to 1 + depth x^2: flat facets have a
-    depth of about (pi / count)^2 / 2, flutes more, and ribs with grooves between them less than 0. The outline is the
-    largest circle inside the convex hull, which masks show.
-    """
-
-    count: int
-    depth: float
-    turn: float
-    """Direction of a facet's middle, in facets, from the first vector perpendicular to the axis."""
-    low: float
-    high: float
-    """Metres along the axis."""
-
-    def columns(self, segments: int) -> tuple[Float64[np.ndarray, " column"], Float64[np.ndarray, " column"]]:
-        """Directions around the axis in radians, and x there; an edge between facets has two columns."""
-        sizes = np.diff(np.arange(self.count + 1) * segments // self.count)
-        x = np.concatenate([np.linspace(-1, 1, size) for size in sizes])
-        facet = np.repeat(np.arange(self.count), sizes)
-        angles = (facet + self.turn + x / 2) * (2 * np.pi / self.count)
-        return np.append(angles, angles[0] + 2 * np.pi), np.append(x, x[0])
-
-    def depths(self, x: Float64[np.ndarray, "*place"]) -> Float64[np.ndarray, "*place"]:
-        """By how much the surface is farther from the axis than the outline where the cut is deepest."""
-        return (1 + self.depth * x**2) / self._scale - 1
-
-    def outline_radii(
-        self, x: Float[np.ndarray, "*place"], y: Float[np.ndarray, "*place"], heights: Float64[np.ndarray, "*#place"]
-    ) -> Float64[np.ndarray, "*place"]:
-        """Radii of the outlines whose cut surfaces go through places beside the axis."""
-        facets = np.arctan2(y, x) * (self.count / (2 * np.pi)) - self.turn
-        return np.hypot(x, y) / (1 + self.shares(heights)[0] * self.depths(2 * (facets - np.rint(facets))))
-
-    def middles(self) -> Float64[np.ndarray, "middle 2"]:
-        """As those of `Section`."""
-        return np.zeros((1, 2))
-
-    def slopes(self, x: Float64[np.ndarray, " column"]) -> Float64[np.ndarray, " column"]:
-        """Derivatives of `depths`, per radian."""
-        return 2 * self.depth * x / self._scale * (self.count / np.pi)
-
-    def shares(
-        self, heights: Float64[np.ndarray, "*place"]
-    ) -> tuple[Float64[np.ndarray, "*place"], Float64[np.ndarray, "*place"]]:
-        """How deep the cut is at these heights, from 0 to 1, and the derivative, per metre."""
-        fade = FADE * (self.high - self.low)
-        up, down = (heights - self.low) / fade, (self.high - heights) / fade
-        shares = np.clip(np.minimum(up, down), 0, 1)
-        return shares, np.where((shares > 0) & (shares < 1), np.where(up < down, 1 / fade, -1 / fade), 0.0)
-
-    @property
-    def _scale(self) -> float:
-        """How far the hull of the facets' curve reaches where it reaches least: at their middles, or their edges."""
-        x, half = np.linspace(0, 1, SEGMENTS), np.pi / self.count
-        radii = 1 + self.depth * x**2
-        return float(min((radii * np.cos(half * x)).max(), (radii * np.cos(half * (1 - x))).max()))
-
-
-def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: Cut | None = None) -> Mesh:
+def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Mesh:
     """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge.
 
     Args:
         section: by whose factors the outline's radii change around the axis; None: a circle.
-        cut: into the outside of a circular section, which ends at the outline's highest point.
     """
     edges = np.diff(outline, axis=0)
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
@@ -125,8 +60,7 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None, cut: 
     ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
     rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
     ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    is_outside = np.repeat(np.arange(len(edges)) < outline[:, 1].argmax(), 2)
-    around = _cut_around(rings, is_outside, cut) if cut is not None else _around(section)
+    around = _around(section)
     swept, turned = _swept(axis, rings, ring_normals, around)
     index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
     low, high = index[0::2], index[1::2]
@@ -151,11 +85,9 @@ class _Around:
     """A surface around an axis: by how much an outline's radii change."""
 
     angles: Float64[np.ndarray, " column"]
-    factors: Float64[np.ndarray, "#ring column"]
-    slopes: Float64[np.ndarray, "#ring column"]
+    factors: Float64[np.ndarray, " column"]
+    slopes: Float64[np.ndarray, " column"]
     """Derivatives of the factors, per radian."""
-    rises: Float64[np.ndarray, "#ring column"]
-    """Derivatives of the factors along the axis, times the outline's radius."""
     moved: Float64[np.ndarray, "column 2"]
     """As those of `Columns`."""
 
@@ -164,30 +96,15 @@ def _around(section: Section | None) -> _Around:
     # The last column repeats the first, at u = 1.
     place = np.arange(SEGMENTS + 1) % SEGMENTS
     if section is None:
-        ones = np.ones((1, SEGMENTS + 1))
+        ones = np.ones(SEGMENTS + 1)
         angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros((SEGMENTS + 1, 2))
-        return _Around(angles=angles, factors=ones, slopes=0 * ones, rises=0 * ones, moved=moved)
+        return _Around(angles=angles, factors=ones, slopes=0 * ones, moved=moved)
     columns = section.columns(SEGMENTS)
-    factors, slopes = columns.factors[None, place], columns.slopes[None, place]
     return _Around(
         angles=columns.angles[place],
-        factors=factors,
-        slopes=slopes,
-        rises=0 * factors,
+        factors=columns.factors[place],
+        slopes=columns.slopes[place],
         moved=columns.moved[place],
-    )
-
-
-def _cut_around(rings: Float64[np.ndarray, "ring 2"], is_outside: np.ndarray, cut: Cut) -> _Around:
-    angles, x = cut.columns(SEGMENTS)
-    shares, rises = (np.where(is_outside, each, 0)[:, None] for each in cut.shares(rings[:, 1]))
-    depths = cut.depths(x)
-    return _Around(
-        angles=angles,
-        factors=1 + shares * depths,
-        slopes=shares * cut.slopes(x),
-        rises=rings[:, :1] * rises * depths,
-        moved=np.zeros((len(angles), 2)),
     )
 
 
@@ -196,8 +113,8 @@ def _swept(
 ) -> tuple[Float64[np.ndarray, "vertex 3"], Float64[np.ndarray, "vertex 3"]]:
     """Vertices and normals, ring by ring.
 
-    Where r(s) f(a, z) sweeps around the axis, with (n_r, n_z) the outline's normal, the surface's normal is n_r
-    outward, -n_r f_a / f sideways and n_z f - n_r r f_z along the axis.
+    Where r(s) f(a) sweeps around the axis, with (n_r, n_z) the outline's normal, the surface's normal is n_r outward,
+    -n_r f_a / f sideways and n_z f along the axis.
     """
     u, v = perpendicular(axis.direction)
     cos, sin = np.cos(around.angles)[:, None], np.sin(around.angles)[:, None]
@@ -206,7 +123,7 @@ def _swept(
     moved = around.moved[:, :1] * u + around.moved[:, 1:] * v
     vertices = axis.point + radii[..., None] * outward + moved + rings[:, None, 1:] * axis.direction
     n_r, n_z = normals[:, :1], normals[:, 1:]
-    aside, along = -n_r * around.slopes / around.factors, n_z * around.factors - n_r * around.rises
+    aside, along = -n_r * around.slopes / around.factors, n_z * around.factors
     turned = n_r[..., None] * outward + aside[..., None] * sideways + along[..., None] * axis.direction
     turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-12)
     return vertices.reshape(-1, 3), turned.reshape(-1, 3)

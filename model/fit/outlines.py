@@ -1,11 +1,9 @@
 """Outlines of vessels, solids and balls from visual hulls of revolution."""
 
-import dataclasses
-
 import numpy as np
 from scipy import interpolate
 
-from model.fit.lathe import Cut, Outline, evenly, spread
+from model.fit.lathe import evenly, spread
 from model.fit.outside import Hull
 from model.fit.shapes import OUTSIDE, POINTS, Revolution
 
@@ -67,7 +65,7 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     side = np.interp(along, heights[kept], shown) + slope * np.maximum(along - high, 0)
     line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
     outside = spread(np.concatenate([[(0, bottom)], line]), OUTSIDE)
-    return _about(hull, outside)
+    return Revolution(axis=hull.axis, outside=outside, section=hull.around)
 
 
 def find_solid(hull: Hull, support: float | None) -> Revolution | None:
@@ -115,24 +113,7 @@ def find_solid(hull: Hull, support: float | None) -> Revolution | None:
     line = np.concatenate(pieces)
     is_loose = support is None and hull.around is None
     dish = 0.0 if is_loose and not closes_below and not closes_above else None
-    return dataclasses.replace(_about(hull, evenly(line, OUTSIDE)), solid=line, dish=dish)
-
-
-def _about(hull: Hull, outside: Outline) -> Revolution:
-    """An outside, with the section or the cut of its hull."""
-    cut = hull.around
-    if not isinstance(cut, Cut):
-        return Revolution(axis=hull.axis, outside=outside, section=cut)
-    lowest = float(outside[:, 1].min())
-    return Revolution(
-        axis=hull.axis,
-        outside=outside,
-        cut_count=cut.count,
-        cut_depth=cut.depth,
-        cut_turn=cut.turn,
-        cut_low=cut.low - lowest,
-        cut_high=cut.high - lowest,
-    )
+    return Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), section=hull.around, solid=line, dish=dish)
 
 
 def find_ball(hull: Hull) -> Revolution | None:

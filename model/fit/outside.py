@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from scipy import optimize
 
 from datagen.disk.errors import HyalineError
-from model.fit.lathe import Axis, Cut, perpendicular
+from model.fit.lathe import Axis, perpendicular
 from model.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, SHARP, Section
 from model.fit.views import NearRays
 
@@ -59,10 +59,6 @@ SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
 
 
-Around = Section | Cut
-"""By what the radii of an outline change around the axis."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Hull:
     """The visual hull of revolution about an axis."""
@@ -78,7 +74,7 @@ class Hull:
     """Share of the mask's rays that miss the hull."""
     is_exact: bool
     """No mask is wrong: it is nowhere too narrow."""
-    around: Around | None = None
+    around: Section | None = None
     """None: a circle."""
 
 
@@ -126,7 +122,7 @@ def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) ->
         upright, both = np.append(upright, 0.03), np.append(both, 0.01)
     stages = ((upright, 80), (np.concatenate([both, [0.03, 0.03]]), 160))
     rounded = _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
-    assert isinstance(rounded.around, Section)
+    assert rounded.around is not None
     sharp = dataclasses.replace(rounded.around, sharpness=SHARP)
     hulls = [rounded, hull_about(rays, rounded.axis, rounded.heights, order=order, around=sharp)]
     return min(hulls, key=lambda hull: hull.unexplained)
@@ -167,7 +163,7 @@ def _searched(
 
 
 def hull_about(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, around: Around | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, around: Section | None = None
 ) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
     num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
@@ -202,7 +198,7 @@ def hull_about(
 
 
 def _span_inside(
-    rays: NearRays, axis: Axis, heights: np.ndarray, around: Around | None, radii: Float64[np.ndarray, " height"]
+    rays: NearRays, axis: Axis, heights: np.ndarray, around: Section | None, radii: Float64[np.ndarray, " height"]
 ) -> tuple[Bool[np.ndarray, " hit"], Int[np.ndarray, " hit"], Int[np.ndarray, " hit"]]:
     """Which of the rays that meet the object are inside these radii somewhere, and their first and last place there."""
     inside = crossings(rays, axis, heights, around)[rays.hits] <= radii
@@ -228,7 +224,7 @@ def _end(
 
 
 def crossings(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Around | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Section | None = None
 ) -> Float[np.ndarray, "ray height"]:
     """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera.
 
@@ -278,7 +274,7 @@ def _bounds(
 
 
 def _closest(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Around | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Section | None = None
 ) -> tuple[Int[np.ndarray, " hit"], Float64[np.ndarray, " hit"]]:
     """Where rays that meet the object come closest to the axis: the place of the nearest height, and the distance.
 

@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float64, Int
 from scipy import ndimage, sparse
 
 from model.fit.lathe import Axis, perpendicular
-from model.fit.outside import Around, Hull, along_and_across
+from model.fit.outside import Hull, along_and_across
+from model.fit.section import Section
 from model.fit.shapes import find_shelf
 from model.fit.silhouettes import descend, misfit, pull
 from model.fit.views import NearRays
@@ -65,7 +66,7 @@ class _Profile:
     """A body about an axis, by its squared radii at evenly spaced heights."""
 
     axis: Axis
-    around: Around | None
+    around: Section | None
     heights: Float64[np.ndarray, " height"]
     squares: Float64[np.ndarray, " height"]
     """Squared radii, in square metres."""

@@ -37,9 +37,6 @@ FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS, PANE_CORNERS = (0.15, 0.5), (0.03,)
 """The grid: parts of the largest radius, of the height, and of the floor's radius; of vessels made of panes."""
 
-GROOVES = -0.06
-"""A depth of ribs that is tried besides the one found in masks, which show only the tops of ribs."""
-
 DISHES = (0.0, 0.12, 0.24)
 """First guesses for solids whose ends may be sunk."""
 
@@ -82,10 +79,6 @@ NUMBERS: dict[str, Number] = {
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=LEAST_ROUGHNESS, high=0.8, reach=0.5, least=0.25),
-    "cut_turn": Number(low=-10.0, high=10.0, reach=0.12, least=0.03, is_factor=False),
-    "cut_depth": Number(low=-0.3, high=0.6, reach=0.03, least=0.01, is_factor=False),
-    "cut_low": Number(low=1e-5, high=10.0, reach=0.4, least=0.1),
-    "cut_high": Number(low=1e-5, high=10.0, reach=0.2, least=0.05),
     "level": Number(low=1e-5, high=10.0, reach=0.06, least=0.02),
     "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
@@ -185,16 +178,9 @@ def _cells(outside: Glass) -> list[Glass]:
     dishes = (None,) if outside.dish is None else DISHES
     solids = [dataclasses.replace(outside, ior=ior, dish=dish) for ior in INDICES for dish in dishes]
     grid = itertools.product(WALLS, FLOORS, PANE_CORNERS if outside.is_of_panes else CORNERS)
-    vessels: list[Glass] = [each.hollowed(*cell) for cell in grid for each in _with_grooves(outside)]
+    vessels: list[Glass] = [outside.hollowed(*cell) for cell in grid]
     # A vessel with handles has other faces than a solid.
     return [*solids, *vessels] if outside.wall is None else vessels
-
-
-def _with_grooves(outside: Revolution) -> list[Revolution]:
-    """As masks show it, and if that is with ribs, with deeper grooves between them."""
-    if outside.cut_depth is None or not GROOVES < outside.cut_depth < 0:
-        return [outside]
-    return [outside, dataclasses.replace(outside, cut_depth=GROOVES)]
 
 
 def refine(

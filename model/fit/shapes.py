@@ -10,7 +10,7 @@ from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
-from model.fit.lathe import Axis, Cut, Outline, evenly, lengths_of, perpendicular, point_at, revolved, spread
+from model.fit.lathe import Axis, Outline, evenly, lengths_of, perpendicular, point_at, revolved, spread
 from model.fit.section import SHARP, Section
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
@@ -30,9 +30,6 @@ USUAL_WALL = 0.05
 
 MOSTLY_INSIDE = 0.5
 """Share of the vertices of a thing inside a vessel that lie within its outside; a straw stands out."""
-
-MOST_LOW = 0.9
-"""Where a cut begins at most, in parts of where it ends."""
 
 FOOT, PANE_FOOT = 0.04, 0.004
 """First guess of a foot's rounding, in parts of the largest radius; of a vessel made of panes."""
@@ -100,14 +97,6 @@ class Revolution(Glass):
     show that. None: they are flat, or stand on something."""
     section: Section | None = None
     """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
-    cut_count: int | None = None
-    """Number of facets around a part of the outside; None: it is not cut."""
-    cut_depth: float | None = None
-    cut_turn: float | None = None
-    """As those of `Cut`."""
-    cut_low: float | None = None
-    cut_high: float | None = None
-    """Where the cut begins and ends, in metres above the outside's lowest point."""
     wall: float | None = None
     """Thickness of a vessel's wall above the floor, in metres; None: solid."""
     taper: float | None = None
@@ -133,8 +122,6 @@ class Revolution(Glass):
     def kind(self) -> str:
         if self.section is not None:
             return "oblong" if self.section.is_oblong else f"{self.section.sides}-sided"
-        if self.cut_count is not None:
-            return f"revolution with {self.cut_count} facets"
         return "ball" if self.is_closed and self._is_spherical() else "revolution"
 
     @property
@@ -219,21 +206,7 @@ class Revolution(Glass):
         return np.concatenate([side, inside])
 
     def mesh(self) -> Mesh:
-        return revolved(self.axis, self.outline(), self.section, self.cut())
-
-    def cut(self) -> Cut | None:
-        """Its facets; None: it is round."""
-        if self.cut_count is None:
-            return None
-        assert self.cut_depth is not None
-        assert self.cut_turn is not None
-        assert self.cut_low is not None
-        assert self.cut_high is not None
-        # Bottom and rim stay round.
-        rim = 0.0 if self.wall is None or self.taper is None else self.wall * self.taper
-        high = min(self.cut_high, self.height - rim)
-        low, lowest = min(self.cut_low, MOST_LOW * high), float(self.outside[:, 1].min())
-        return Cut(count=self.cut_count, depth=self.cut_depth, turn=self.cut_turn, low=lowest + low, high=lowest + high)
+        return revolved(self.axis, self.outline(), self.section)
 
     def bodies(self) -> tuple[Body, ...]:
         if self.drink_ior is None:

@@ -23,11 +23,6 @@ def test_an_interval_is_no_narrower_than_the_values_that_were_tried() -> None:
     assert intervals({"absorption_blue": Found(value=0.0, even=0.0, odd=0.0)}, 0.0) == {"absorption_blue": (0.0, 0.5)}
 
 
-def test_numbers_that_may_be_negative_keep_their_sign() -> None:
-    ribs = Found(value=-0.05, even=-0.06, odd=-0.04, before=-0.05)
-    assert intervals({"cut_depth": ribs}, 0.0) == {"cut_depth": pytest.approx((-0.07, -0.03))}
-
-
 def test_what_the_last_round_moved_is_in_doubt() -> None:
     low, high = intervals({"ior": INDEX}, 0.0)["ior"]
     moved = intervals({"ior": dataclasses.replace(INDEX, before=1.45)}, 0.0)["ior"]

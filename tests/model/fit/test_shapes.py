@@ -109,45 +109,6 @@ def off_normal(mesh: Mesh) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(cosines, -1, 1)))
 
 
-@pytest.mark.parametrize(("count", "depth"), [(7, 0.11), (16, 0.06), (12, -0.08)], ids=["facets", "flutes", "ribs"])
-def test_a_cut_lies_between_two_heights_of_the_outside(count: int, depth: float) -> None:
-    whole = CYLINDER.hollowed(0.15, 0.2, 0.3)
-    glass = dataclasses.replace(
-        whole, cut_count=count, cut_depth=depth, cut_turn=0.3, cut_low=0.2 * HEIGHT, cut_high=0.7 * HEIGHT
-    )
-    mesh = glass.mesh()
-    assert mesh.faces.shape == whole.mesh().faces.shape
-    mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
-    check_mesh(mesh, where="glass")
-    assert open_edges(mesh) == 0
-    assert np.quantile(off_normal(mesh), 0.99) < 12
-    x = np.linspace(-1, 1, 2001)
-    radii = np.tile(1 + depth * x**2, count)
-    angles = ((np.arange(count)[:, None] + x / 2) * (2 * np.pi / count)).ravel()
-    # The largest circle in the convex hull touches it where the hull reaches least far.
-    inscribed = min((radii * np.cos(angles - towards)).max() for towards in np.linspace(0, np.pi / count, 50))
-    outside = (1 + depth * x**2) / inscribed
-    # Half of the height is cut; the cut fades out over a tenth of that at both ends. A facet has few columns.
-    share = np.clip(10 * np.minimum(np.linspace(0, 1, 1001), np.linspace(1, 0, 1001)), 0, 1)[:, None]
-    more = 0.5 * ((1 + share * (outside - 1)) ** 2 - 1).mean()
-    # Eight chords of a rib of this depth are 0.12 % of the volume too large.
-    grown = signed_volume(mesh) - signed_volume(whole.mesh())
-    assert grown == pytest.approx(ROUND * HEIGHT * more, rel=0.1, abs=0.0015 * ROUND * HEIGHT)
-
-
-@pytest.mark.parametrize(("low", "high"), [(0.0, 10.0), (0.9, 0.1)])
-def test_a_cut_leaves_bottom_and_rim_round(low: float, high: float) -> None:
-    cut = dataclasses.replace(
-        CYLINDER.hollowed(0.1, 0.2, 0.3), cut_count=9, cut_depth=0.1, cut_turn=0.0, cut_low=low, cut_high=high
-    )
-    for glass in (cut, dataclasses.replace(cut, wall=None)):
-        mesh = glass.mesh()
-        mesh = dataclasses.replace(mesh, faces=mesh.faces[face_areas(mesh) >= MIN_AREA])
-        check_mesh(mesh, where="glass")
-        assert open_edges(mesh) == 0
-        assert np.isfinite(mesh.normals).all()
-
-
 def test_flat_ends_of_a_solid_are_sunk_as_spheres() -> None:
     line = np.array([*np.linspace((0, 0), (RADIUS, 0), 40), *np.linspace((RADIUS, HEIGHT), (0, HEIGHT), 40)])
     whole = dataclasses.replace(CYLINDER, solid=line, dish=0.0)
