@@ -130,14 +130,14 @@ def import_file(
     resolution: str = "128",
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
-    """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL, 3MF or Mitsuba XML.
+    """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL or Mitsuba XML.
 
     Writes a scene folder for `datagen build`. Its import.json lists everything that is rendered differently from what
     the file asks for. The file is read in a separate process, limited to 8 s of CPU time and 2 GB of memory, and for
     large files to 30 s and 24 MB per MB.
 
     Args:
-        file: A file that ends in .glb, .gltf, .obj, .ply, .stl, .3mf or .xml.
+        file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .xml.
         out: Folder to write. Default: scenes/NAME.
         overwrite: Replace an existing imported scene.
         resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.

@@ -56,7 +56,7 @@ class Object:
     name: str
     """Letters, digits, _ and -."""
     mesh: Triangles | Arrays | Path | str
-    """A trimesh mesh, a pair of arrays (vertices, faces), or a .glb, .gltf, .obj, .ply, .stl, .3mf or .xml file, of
+    """A trimesh mesh, a pair of arrays (vertices, faces), or a .glb, .gltf, .obj, .ply, .stl or .xml file, of
     which only the triangles are read. Lengths are metres and +z is up, in files, too. Glass has to be closed. Meshes
     are shaded smoothly except across edges of more than 40 degrees, and unwrapped unless they have uv."""
     material: Material

@@ -23,14 +23,13 @@ READERS: Group[Callable] = Group(
         "obj": "datagen.scene.importers.meshes.obj:read_obj",
         "ply": "datagen.scene.importers.meshes.bare:read_ply_file",
         "stl": "datagen.scene.importers.meshes.bare:read_stl",
-        "3mf": "datagen.scene.importers.meshes.bare:read_3mf",
         "xml": "datagen.scene.importers.mitsuba.scene:read_mitsuba",
     },
     guide="docs/adding-a-reader.md",
 )
 """Functions (Path, Remarks) -> ForeignScene by the ending of a file (datagen/scene/importers/foreign.py)."""
 
-OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "max", "c4d", "skp")
+OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "3mf", "max", "c4d", "skp")
 """Endings of other common scene files, which need a conversion first."""
 
 EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"

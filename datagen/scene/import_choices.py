@@ -16,7 +16,7 @@ class ImportChoices:
     """Metres per unit of the file, such as 0.001 for millimetres. Default: the format's own unit, or a reported guess
     if the scene would be smaller than 2 cm or larger than 5 m."""
     up: Literal["auto", "x", "y", "z"] = "auto"
-    """The file's axis that points up; auto: as usual for the format (y in glTF, OBJ and PLY, z in STL and 3MF)."""
+    """The file's axis that points up; auto: as usual for the format (y in glTF, OBJ and PLY, z in STL)."""
     material: tuple[str, ...] = ()
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
@@ -37,7 +37,7 @@ class ImportChoices:
     """Merge all surfaces of a material into one object: a scene has at most 255 objects."""
     crease: float | None = None
     """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
-    every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY, STL and 3MF."""
+    every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY and STL."""
     max_triangles: int | None = None
     """Reduce surfaces until the scene has about this many triangles, each by the same share; needs the extra `proxies`.
     Surfaces with images keep theirs. A solid may change its volume by 5 %."""

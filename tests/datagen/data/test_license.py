@@ -1,7 +1,6 @@
 """Tests that a dataset says what may be done with it, by the commands that make it and hand it on."""
 
 import json
-import zipfile
 from pathlib import Path
 
 import pytest
@@ -105,24 +104,6 @@ def test_a_foreign_file_brings_its_licence(kind: str, tmp_path: Path) -> None:
     if kind == "copyright":
         build_whole(file, tmp_path / "data")
         assert open_dataset(tmp_path / "data").license == expected
-
-
-def test_a_3mf_file_brings_its_licence(tmp_path: Path) -> None:
-    pytest.importorskip("lxml")
-    corners = "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in ((0, 0, 0), (9, 0, 0), (0, 9, 0), (0, 0, 9)))
-    faces = "".join(
-        f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
-    )
-    text = (
-        '<model unit="centimeter"><metadata name="Title">Cup</metadata>'
-        '<metadata name="LicenseTerms">CC BY-SA 4.0 &amp; more</metadata><resources><object id="1"><mesh>'
-        f"<vertices>{corners}</vertices><triangles>{faces}</triangles></mesh></object></resources>"
-        '<build><item objectid="1"/></build></model>'
-    )
-    with zipfile.ZipFile(tmp_path / "cup.3mf", "w") as archive:
-        archive.writestr("3D/3dmodel.model", text)
-    run(f"datagen import {tmp_path / 'cup.3mf'} --out {tmp_path / 'scene'}")
-    assert json.loads((tmp_path / "scene" / "scene.json").read_text())["license"] == "CC BY-SA 4.0 & more"
 
 
 @pytest.mark.parametrize("terms", [pytest.param("CC0-1.0", marks=pytest.mark.full), "Mine alone"])

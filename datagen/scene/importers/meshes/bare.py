@@ -1,41 +1,23 @@
-"""Files of triangles without materials: PLY, STL and 3MF."""
+"""Files of triangles without materials: PLY and STL."""
 
-import graphlib
-import importlib.util
-import io
 import re
-import warnings
-import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from datagen.data.metadata import license_line
 from datagen.data.ply import MAX_PLY_BYTES, PLY_TYPES, read_ply
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import shown
 from datagen.scene.importers.foreign import (
-    MAX_FILE_BYTES,
-    MAX_SURFACES,
     MAX_TRIANGLES,
     PLAIN,
     ForeignObject,
     ForeignScene,
-    elementwise,
     read_foreign,
 )
 from datagen.scene.importers.remarks import Remarks
-from datagen.terminal.distribution import install_command
-
-if TYPE_CHECKING:
-    import trimesh
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
-RIGHTS = ("LicenseTerms", "Copyright")
-METRES = {"micron": 1e-6, "millimeter": 1e-3, "centimeter": 1e-2, "inch": 0.0254, "foot": 0.3048, "meter": 1.0}
-"""Metres in each unit of 3MF."""
 
 
 def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
@@ -166,90 +148,3 @@ def _text(data: bytes, path: Path) -> np.ndarray:
     if len(words) % 3 or data.count(b"endfacet") * 3 != len(words) or b"endsolid" not in data:
         raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
     return values.reshape(-1, 3, 3)
-
-
-# 3MF
-
-
-def read_3mf(path: Path, remarks: Remarks) -> ForeignScene:
-    """The objects that a 3MF file would print, without their colours."""
-    if importlib.util.find_spec("lxml") is None:
-        raise HyalineError(f"{path}: reading 3MF needs lxml; `{install_command('generate')}` brings it")
-    import trimesh
-
-    data = read_foreign(path)
-    try:
-        rights = _checked_model(data, path, remarks)
-        with warnings.catch_warnings():
-            # numpy 2.4 stops at a word that is not a number, and warns.
-            warnings.filterwarnings("error", "string or file could not be read", DeprecationWarning)
-            scene = trimesh.load_scene(io.BytesIO(data), file_type="3mf", process=False)
-    # zipfile, lxml and trimesh answer a broken file with many kinds of exception (BadZipFile, KeyError, ...).
-    except (HyalineError, MemoryError):
-        raise
-    except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise HyalineError(f"{path}: not a 3MF file that can be read ({reason}); export it again") from None
-    objects: list[ForeignObject] = []
-    triangles = 0
-    for node in scene.graph.nodes_geometry:
-        matrix, geometry = scene.graph[node]
-        name = str(geometry)
-        if name not in scene.geometry or not len(scene.geometry[name].faces):
-            continue
-        triangles += len(scene.geometry[name].faces)
-        if triangles > MAX_TRIANGLES:
-            raise HyalineError(f"{path}: places more than {MAX_TRIANGLES:,} triangles; expected fewer")
-        objects.append(_placed(scene.geometry[name], name, matrix, path))
-    if not objects:
-        raise HyalineError(f"{path}: builds no object; expected a 3MF file with a mesh")
-    metres = METRES.get(str(scene.units), 1e-3)
-    return ForeignScene(objects=tuple(objects), up="z", metres=metres, license=license_line(*rights))
-
-
-def _checked_model(data: bytes, path: Path, remarks: Remarks) -> list[str]:
-    """The rights in an archive's model; refuses what trimesh 5.2 skips or reads wrong."""
-    from lxml import etree  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
-
-    with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        if (size := sum(info.file_size for info in archive.infolist())) > MAX_FILE_BYTES:
-            raise HyalineError(f"{path}: unpacks to {size:,} bytes; expected at most {MAX_FILE_BYTES:,}")
-        names = [name for name in archive.namelist() if "3d/3dmodel.model" in name.lower()]
-        if not names:
-            raise HyalineError(f"{path}: holds no model; expected a 3MF file")
-        root = etree.fromstring(archive.read(names[0]), etree.XMLParser(resolve_entities=False, no_network=True))
-    if any(key.endswith("}path") for item in root.iter("{*}item", "{*}component") for key in item.attrib):
-        raise HyalineError(f"{path}: has its model in several parts; export it as one model")
-    parts = {
-        item.get("id"): [part.get("objectid") for part in item.iter("{*}component")] for item in root.iter("{*}object")
-    }
-    if not (placed := [item.get("objectid") for item in root.iter("{*}item")]):
-        raise HyalineError(f"{path}: builds no object; expected a 3MF file with a mesh")
-    if missing := {name for names in (placed, *parts.values()) for name in names} - parts.keys():
-        raise HyalineError(f"{path}: places object {shown(min(map(str, missing)))}, which is not there")
-    copies: dict[str, int] = {}
-    for name in graphlib.TopologicalSorter(parts).static_order():  # Raises a CycleError.
-        copies[name] = 1 + sum(copies[part] for part in parts[name])
-    if (count := sum(copies[name] for name in placed)) > MAX_SURFACES:
-        raise HyalineError(f"{path}: places {count:,} objects; expected at most {MAX_SURFACES:,}")
-    if next(root.iter("{*}basematerials", "{*}colorgroup", "{*}texture2dgroup"), None) is not None:
-        remarks.approximate(path.name, "has colours, which are left out")
-    return ["".join(item.itertext()) for item in root.iter("{*}metadata") if item.get("name") in RIGHTS]
-
-
-def _placed(mesh: "trimesh.Trimesh", name: str, matrix: np.ndarray, path: Path) -> ForeignObject:
-    """A mesh of trimesh's in the file's world."""
-    positions, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
-    if faces.min(initial=0) < 0 or faces.max(initial=-1) >= len(positions) or not np.isfinite(positions).all():
-        raise HyalineError(f"{path}: {name} has vertices that are not there or not finite; export it again")
-    determinant = float(np.linalg.det(matrix[:3, :3])) if np.isfinite(matrix).all() else 0.0
-    if not 1e-30 < abs(determinant) < 1e30:
-        raise HyalineError(f"{path}: flattens {name} to nothing; export it again")
-    return ForeignObject(
-        name=name,
-        positions=elementwise(positions, matrix[:3, :3], matrix[:3, 3]),
-        faces=faces[:, ::-1] if determinant < 0 else faces,
-        normals=None,
-        uv=None,
-        material=PLAIN,
-    )
