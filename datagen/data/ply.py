@@ -1,12 +1,13 @@
 """PLY files: written here, and read from anywhere; polygons become triangles."""
 
-import io
 import re
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float64, Int, Int64
 
 from datagen.data.meshes import Mesh, unfolded, vertex_normals
 from datagen.disk.errors import HyalineError
@@ -15,6 +16,15 @@ from datagen.disk.records import read_regular, shown
 MAX_PLY_BYTES = 1 << 30
 """Twenty million triangles."""
 MAX_HEADER_BYTES = 1 << 16
+MAX_POLYGONS = 4_000_000
+"""Limit for lists of different lengths and for the triangles of polygons; both take more memory than triangles do."""
+ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+LETTERS = {
+    **{"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"},
+    **{"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I"},
+    **{"float32": "f", "float64": "d"},
+}
+"""NumPy's letters for PLY's types of numbers."""
 
 _OUR_HEADER = """ply
 format binary_little_endian 1.0
@@ -47,239 +57,174 @@ def write_ply(mesh: Mesh) -> bytes:
     return header.encode() + vertices.tobytes() + faces.tobytes()
 
 
-def _read_our_ply(data: bytes) -> Mesh | None:
-    """The mesh in bytes from `write_ply`; None for any other PLY."""
-    counts = re.findall(rb"element (?:vertex|face) (\d{1,9})\n", data[: len(_OUR_HEADER) + 16])
-    if len(counts) != 2:
-        return None
-    num_vertices, num_faces = map(int, counts)
-    header = _OUR_HEADER.format(vertices=num_vertices, faces=num_faces).encode()
-    middle = len(header) + num_vertices * _OUR_VERTEX.itemsize
-    if not num_faces or not data.startswith(header) or len(data) != middle + num_faces * _OUR_FACE.itemsize:
-        return None
-    vertices = np.frombuffer(data[len(header) : middle], _OUR_VERTEX)
-    faces = np.frombuffer(data[middle:], _OUR_FACE)
-    if (faces["count"] != 3).any():
-        return None
-    return Mesh(
-        vertices=vertices["vertices"].astype(np.float32),
-        faces=faces["indices"].astype(np.int32),
-        normals=vertices["normals"].astype(np.float32),
-        uv=vertices["uv"].astype(np.float32),
-    )
-
-
 def read_ply(path: Path) -> tuple[Mesh, bool]:
     """The mesh in a PLY file, and whether the file has uv (otherwise all uv are 0).
 
     Missing normals are computed, smooth over shared vertices.
     """
-    data = read_regular(path, at_most=MAX_PLY_BYTES)
-    if (ours := _read_our_ply(data)) is not None:
-        _check_indices(ours.faces, len(ours.vertices), where=path)
-        return ours, True
-    _check_header(data, where=path)
-    data, fans = triangulated(data, where=path)
-    # Slow to import, and not needed for what was written here.
-    import trimesh
-
-    try:
-        loaded = trimesh.load(io.BytesIO(data), file_type="ply", process=False, fix_texture=False)
-    # trimesh answers a broken file with eight kinds of exception (ValueError, KeyError, IndexError, ...).
-    except Exception as error:
-        raise HyalineError(f"{path}: not a PLY mesh that can be read ({type(error).__name__}: {error})") from error
-    if not isinstance(loaded, trimesh.Trimesh):
-        raise HyalineError(f"{path}: holds no triangles; expected a PLY mesh")
-    raw = loaded.metadata["_ply_raw"]
-    vertex = raw["vertex"]["data"]
-    faces = np.asarray(loaded.faces)
-    # trimesh 5.2 shortens a truncated ASCII file in silence; the header's counts tell. (Quads become two triangles.)
-    promised = (raw["vertex"]["length"], raw["face"]["length"])
-    if len(loaded.vertices) != promised[0] or faces.ndim != 2 or len(faces) < promised[1]:
-        raise HyalineError(
-            f"{path}: holds {len(loaded.vertices)} vertices and {len(faces)} faces, "
-            f"its header says {promised[0]} and {promised[1]}; it is truncated, export it again"
-        )
-    names = vertex.dtype.names if isinstance(vertex, np.ndarray) else tuple(vertex)
-    uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= set(names)), None)
-    uv = np.stack([vertex[name] for name in uv_names], axis=-1) if uv_names else np.zeros((len(loaded.vertices), 2))
-    _check_indices(faces, len(loaded.vertices), where=path)
-    if isinstance(lists := raw["face"].get("data"), dict):  # A file in words.
-        faces, fans = _fans_of(lists, faces)
-    if fans is not None:
-        faces = unfolded(np.asarray(loaded.vertices, np.float64), faces, fans)
-    if {"nx", "ny", "nz"} <= set(names):
-        normals = np.stack([vertex["nx"], vertex["ny"], vertex["nz"]], axis=-1)
-    else:
-        normals = vertex_normals(np.asarray(loaded.vertices), faces)
+    with _reading(path) as elements:
+        vertex = elements["vertex"]
+        positions = _positions(vertex, where=path)
+        faces = _faces(elements.get("face", {}), positions, where=path)
+        if not len(faces):
+            raise HyalineError(f"{path}: holds {shown(', '.join(elements))}, but no faces; expected a mesh of polygons")
+        has_normals = {"nx", "ny", "nz"} <= vertex.keys()
+        normals = _stacked(vertex, ("nx", "ny", "nz")) if has_normals else vertex_normals(positions, faces)
+        uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= vertex.keys()), None)
+        uv = _stacked(vertex, uv_names) if uv_names else np.zeros((len(positions), 2))
     mesh = Mesh(
-        vertices=np.asarray(loaded.vertices, np.float32),
+        vertices=positions.astype(np.float32),
         faces=faces.astype(np.int32),
-        normals=normals.reshape(-1, 3).astype(np.float32),
-        uv=uv.reshape(-1, 2).astype(np.float32),
+        normals=normals.astype(np.float32),
+        uv=uv.astype(np.float32),
     )
     return mesh, uv_names is not None
 
 
-def read_ply_points(path: Path) -> np.ndarray:
-    """The positions in a PLY file of points, float64 (point, 3)."""
+def read_ply_points(path: Path) -> Float64[np.ndarray, "point 3"]:
+    """The positions in a PLY file of points."""
+    with _reading(path) as elements:
+        return _positions(elements["vertex"], where=path).astype(np.float64)
+
+
+class _Column(NamedTuple):
+    """A property of all rows of an element."""
+
+    values: np.ndarray
+    """Those of lists one after the other."""
+    sizes: Int[np.ndarray, " row"]
+    """How many numbers each row has: 1, unless the property is a list."""
+
+
+class _Property(NamedTuple):
+    name: str
+    dtype: np.dtype
+    size: np.dtype | None
+    """Type of the number that says how long a list is."""
+
+
+Columns = dict[str, _Column]
+
+
+def _stacked(columns: Columns, names: tuple[str, ...]) -> np.ndarray:
+    return np.stack([columns[name].values for name in names], axis=-1)
+
+
+def _positions(vertex: Columns, *, where: Path) -> np.ndarray:
+    positions = _stacked(vertex, ("x", "y", "z"))
+    if not np.isfinite(positions).all():
+        raise HyalineError(f"{where}: has positions that are not three finite numbers; export it again")
+    return positions
+
+
+def _faces(columns: Columns, positions: np.ndarray, *, where: Path) -> Int64[np.ndarray, "face 3"]:
+    """Triangles of the polygons."""
+    if not columns:
+        return np.zeros((0, 3), np.int64)
+    corners, sizes = columns.get("vertex_indices") or columns["vertex_index"]
+    if len(corners) and (corners.min() < 0 or corners.max() >= len(positions)):
+        worst = corners.min() if corners.min() < 0 else corners.max()
+        raise HyalineError(f"{where}: a face names vertex {worst:.0f}; expected 0 to {len(positions) - 1}")
+    if corners.dtype.kind == "f" and not np.array_equal(corners, np.rint(corners)):
+        raise ValueError("a face names a vertex by a fraction")
+    corners = corners.astype(np.int64)
+    if (sizes == 3).all():
+        return corners.reshape(-1, 3)
+    fans = np.maximum(sizes - 2, 0)
+    if (count := int(fans.sum())) > MAX_POLYGONS:
+        raise HyalineError(f"{where}: holds polygons of {count:,} triangles; expected at most {MAX_POLYGONS:,}")
+    corner = np.arange(count) - np.repeat(np.cumsum(fans) - fans, fans) + 1
+    places = np.stack([np.zeros_like(corner), corner, corner + 1], axis=-1)
+    return unfolded(positions, corners[np.repeat(np.cumsum(sizes) - sizes, fans)[:, None] + places], fans)
+
+
+@contextmanager
+def _reading(path: Path) -> Iterator[dict[str, Columns]]:
+    """The columns of a PLY file by element and property; what a broken file raises becomes a HyalineError."""
     data = read_regular(path, at_most=MAX_PLY_BYTES)
-    _check_header(data, where=path)
-    import trimesh
-
     try:
-        points = np.asarray(trimesh.load(io.BytesIO(data), file_type="ply").vertices, np.float64)  # pyright: ignore[reportAttributeAccessIssue]
-    except Exception as error:
-        raise HyalineError(f"{path}: not a PLY of points ({type(error).__name__}: {error}); export it again") from error
-    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise HyalineError(f"{path}: has points that are not three finite numbers; export it again")
-    return points
+        yield _elements(data)
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise HyalineError(f"{path}: not a PLY file that can be read ({reason}); export it again") from error
 
 
-def _check_header(data: bytes, *, where: Path) -> None:
-    """Raises unless the header's counts fit the file; trimesh would allocate memory for any count."""
-    header, end, _ = data[:MAX_HEADER_BYTES].partition(b"end_header")
-    if not data.startswith(b"ply") or not end:
-        raise HyalineError(f"{where}: not a PLY mesh that can be read (it has no header); expected a PLY mesh")
-    rest = len(data) - len(header) - len(end)
-    for name, count in re.findall(rb"^\s*element\s+(\S+)\s+(\S+)\s*$", header, re.MULTILINE):
-        if not count.isdigit() or len(count) > 12 or int(count) > rest:
-            number, what = (shown(word.decode(errors="replace")) for word in (count, name))
-            raise HyalineError(
-                f"{where}: its header says {number} of {what}, in {rest:,} bytes; it is truncated, export it again"
-            )
+def _elements(data: bytes) -> dict[str, Columns]:
+    header = re.match(rb"ply[ \t\r]*\n(.*?)^end_header[ \t\r]*\n", data[:MAX_HEADER_BYTES], re.DOTALL | re.MULTILINE)
+    if header is None:
+        raise ValueError("it has no header")
+    at, lines = header.end(), [line.split() for line in header[1].decode("latin-1").split("\n")]
+    form = next((line[1] for line in lines if line[:1] == ["format"]), "")
+    order, is_text = ORDERS[form], form == "ascii"
+
+    def dtype(kind: str) -> np.dtype:
+        return np.dtype(np.float64) if is_text else np.dtype(order + LETTERS[kind])
+
+    listed: list[tuple[str, int, list[_Property]]] = []
+    for line in lines:
+        match line:
+            case ["element", name, count]:
+                listed.append((name, int(count), []))
+            case ["property", "list", size, kind, name]:
+                listed[-1][2].append(_Property(name, dtype(kind), dtype(size)))
+            case ["property", kind, name]:
+                listed[-1][2].append(_Property(name, dtype(kind), None))
+    if is_text:  # From here on a file in binary, of doubles alone.
+        data, at = np.array(data[at:].split(), np.float64).tobytes(), 0
+    found = {}
+    for name, count, properties in listed:
+        found[name], at = _columns(data, at, count, properties)
+    if at != len(data):
+        raise ValueError(f"it has {len(data) - at:,} bytes more than its header promises")
+    return found
 
 
-def _fans_of(lists: Mapping[str, np.ndarray], triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """The faces that trimesh read from a file in words as fans, and how many triangles each has; or its triangles."""
-    polygons = lists.get("vertex_index", lists.get("vertex_indices"))
-    if polygons is None:
-        return triangles, None
-    sizes = np.array([len(polygon) for polygon in polygons])
-    if sizes.max() < 4:
-        return triangles, None
-    fans = np.maximum(sizes - 2, 0)
-    corners = np.repeat(np.cumsum(sizes) - sizes, fans)[:, None] + _corners_of(fans)
-    return np.concatenate(polygons).astype(np.int64)[corners], fans
+def _columns(data: bytes, at: int, count: int, properties: list[_Property]) -> tuple[Columns, int]:
+    """The properties of an element's `count` rows from byte `at` on, and where the next element begins."""
+    if count < 1:
+        return {}, at
+    first, after = _row(data, at, properties)
+    stride = after - at
+
+    def all_rows(place: int, dtype: np.dtype, size: int) -> np.ndarray:
+        return np.ndarray((count, size), dtype, data, place, (stride, dtype.itemsize))
+
+    spans = list(zip(properties, first, strict=True))
+    if at + count * stride <= len(data) and all(
+        (all_rows(place - kind.itemsize, kind, 1) == size).all()
+        for (_, _, kind), (place, size) in spans
+        if kind is not None
+    ):
+        return {
+            name: _Column(all_rows(place, dtype, size).reshape(-1), np.broadcast_to(size, count))
+            for (name, dtype, _), (place, size) in spans
+        }, at + count * stride
+    # The lists differ in length.
+    if count > MAX_POLYGONS:
+        raise ValueError(f"it holds {count:,} lists; expected at most {MAX_POLYGONS:,} of different lengths")
+    rows = []
+    for _ in range(count):
+        row, at = _row(data, at, properties)
+        rows.append(row)
+    columns = {}
+    for (name, dtype, _), spans in zip(properties, zip(*rows, strict=True), strict=True):
+        packed = b"".join(data[place : place + size * dtype.itemsize] for place, size in spans)
+        columns[name] = _Column(np.frombuffer(packed, dtype), np.array([size for _, size in spans]))
+    return columns, at
 
 
-def _corners_of(fans: np.ndarray) -> np.ndarray:
-    """The corners of the triangles of fans, counted from the first of their polygon."""
-    corner = np.arange(fans.sum()) - np.repeat(np.cumsum(fans) - fans, fans) + 1
-    return np.stack([np.zeros_like(corner), corner, corner + 1], axis=-1)
-
-
-def _check_indices(faces: np.ndarray, num_vertices: int, *, where: Path) -> None:
-    if len(faces) and (faces.min() < 0 or faces.max() >= num_vertices):
-        raise HyalineError(
-            f"{where}: a face names vertex {faces.min() if faces.min() < 0 else faces.max()}; "
-            f"expected 0 to {num_vertices - 1}"
-        )
-
-
-MAX_TRIANGLES = 4_000_000
-"""Limit for polygons, which take more memory than triangles."""
-
-PLY_TYPES = {
-    "char": "i1",
-    "int8": "i1",
-    "uchar": "u1",
-    "uint8": "u1",
-    "short": "i2",
-    "int16": "i2",
-    "ushort": "u2",
-    "uint16": "u2",
-    "int": "i4",
-    "int32": "i4",
-    "uint": "u4",
-    "uint32": "u4",
-    "float": "f4",
-    "float32": "f4",
-    "double": "f8",
-    "float64": "f8",
-}
-"""NumPy's names for PLY's types of numbers."""
-
-
-def triangulated(data: bytes, *, where: Path) -> tuple[bytes, np.ndarray | None]:
-    """A binary PLY with its polygons as fans around their first corners, and how many triangles each has.
-
-    Any other file is unchanged, without these numbers.
-
-    trimesh 5.2 reads binary faces only if all have the same number of corners; Blender mixes triangles and quads.
-    """
-    end = data.index(b"end_header")
-    begin = data.find(b"\n", end) + 1
-    words = [[word.decode("latin-1") for word in line.split()] for line in data[:end].split(b"\n")]
-    form = next((word[1] for word in words if word[:1] == ["format"] and len(word) == 3), "")
-    order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
-    starts = [place for place, word in enumerate(words) if word[:1] == ["element"] and len(word) == 3]
-    if order is None or not begin or [words[place][1] for place in starts[:2]] != ["vertex", "face"]:
-        return data, None
-    bounds = [*starts, len(words)][:3]
-    vertex, face = ([word for word in words[a:b] if word[:1] == ["property"]] for a, b in pairwise(bounds))
-    lists = [place for place, word in enumerate(face) if len(word) == 5 and word[1] == "list"]
-    if len(lists) != 1:
-        return data, None
-    (place,) = lists
-    numbers = (vertex, face[:place], face[place + 1 :])
-    kinds = [word[1] if len(word) == 3 else "" for part in numbers for word in part] + face[place][2:4]
-    if not set(kinds) <= PLY_TYPES.keys():
-        return data, None
-    size_type, index_type = (np.dtype(order + PLY_TYPES[kind]) for kind in face[place][2:4])
-    if "f" in size_type.kind + index_type.kind:
-        return data, None
-    stride, before, after = (sum(np.dtype(PLY_TYPES[word[1]]).itemsize for word in part) for part in numbers)
-    num_vertices, num_faces = (int(words[line][2]) for line in starts[:2])
-    first_face = begin + num_vertices * stride
-    if _are_triangles(data, first_face, num_faces, size_type, before, 3 * index_type.itemsize + after):
-        return data, None
-    _check_number(num_faces, where=where)
-    found = _list_places(data, first_face, num_faces, size_type, index_type.itemsize, before, after)
-    if found is None:
-        return data, None
-    places, sizes, rest = found
-    if rest and len(starts) == 2:
-        return data, None  # Its counts are wrong, which trimesh says.
-    fans = np.maximum(sizes - 2, 0)
-    _check_number(int(fans.sum()), where=where)
-    at = np.repeat(places, fans)[:, None] + index_type.itemsize * _corners_of(fans)
-    indices = np.frombuffer(data, np.uint8)[at[..., None] + np.arange(index_type.itemsize)].view(index_type)[..., 0]
-    triangles = np.empty(len(indices), np.dtype([("count", "u1"), ("indices", order + "i4", 3)]))
-    triangles["count"], triangles["indices"] = 3, indices
-    head = [
-        *words[: starts[1]],
-        ["element", "face", str(len(triangles))],
-        ["property", "list", "uchar", "int", "vertex_indices"],
-    ]
-    header = "".join(" ".join(line) + "\n" for line in [*head, ["end_header"]])
-    return header.encode("latin-1") + data[begin:first_face] + triangles.tobytes(), fans
-
-
-def _are_triangles(data: bytes, at: int, count: int, size_type: np.dtype, before: int, after: int) -> bool:
-    stride = before + size_type.itemsize + after
-    if at + count * stride > len(data):
-        return False
-    faces = np.frombuffer(data, np.uint8, count * stride, at).reshape(count, stride)
-    return bool((faces[:, before : before + size_type.itemsize] == np.array([3], size_type).view(np.uint8)).all())
-
-
-def _check_number(count: int, *, where: Path) -> None:
-    if count > MAX_TRIANGLES:
-        raise HyalineError(f"{where}: holds {count:,} polygons or triangles; expected at most {MAX_TRIANGLES:,}")
-
-
-def _list_places(
-    data: bytes, at: int, count: int, size_type: np.dtype, index_bytes: int, before: int, after: int
-) -> tuple[np.ndarray, np.ndarray, int] | None:
-    """Offset and length of each face's list, and the bytes after the last; None if the file is truncated."""
-    order = "big" if size_type.byteorder == ">" else "little"
-    places, sizes = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    for face in range(count):
-        place = at + before + size_type.itemsize
-        size = int.from_bytes(data[at + before : place], order)
-        at = place + index_bytes * size + after
-        if at > len(data):
-            return None
-        places[face], sizes[face] = place, size
-    return places, sizes, len(data) - at
+def _row(data: bytes, at: int, properties: list[_Property]) -> tuple[list[tuple[int, int]], int]:
+    """Where each property of a row begins, how many numbers it has, and where the next row begins."""
+    spans = []
+    for _, dtype, kind in properties:
+        size = 1
+        if kind is not None:
+            size = int(np.frombuffer(data, kind, 1, at)[0])
+            at += kind.itemsize
+        if size < 0:
+            raise ValueError(f"it has a list of {size} numbers")
+        spans.append((at, size))
+        at += size * dtype.itemsize
+    if at > len(data):
+        raise ValueError("it is cut off")
+    return spans, at
