@@ -8,6 +8,7 @@ import numpy as np
 from datagen.data.ply import MAX_PLY_BYTES, read_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.foreign import (
+    MAX_SURFACES,
     MAX_TRIANGLES,
     PLAIN,
     ForeignObject,
@@ -17,6 +18,7 @@ from datagen.scene.importers.foreign import (
 from datagen.scene.importers.remarks import Remarks
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE | re.IGNORECASE)
 _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
 
 
@@ -28,10 +30,6 @@ def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
     if re.search(rb"^comment\s+TextureFile\b", header, re.MULTILINE):
         remarks.approximate(path.name, "has a texture, which is left out; OBJ and glTF keep it")
     mesh, has_uv = read_ply(path)
-    if len(mesh.faces) > MAX_TRIANGLES:
-        raise HyalineError(f"{path}: holds {len(mesh.faces):,} triangles; expected at most {MAX_TRIANGLES:,}")
-    if not np.isfinite(mesh.vertices).all():
-        raise HyalineError(f"{path}: holds numbers that are not finite; export it again")
     item = ForeignObject(
         name=path.stem,
         positions=mesh.vertices.astype(np.float64),
@@ -40,38 +38,58 @@ def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
         uv=mesh.uv if has_uv else None,
         material=PLAIN,
     )
-    return ForeignScene(objects=(item,), up="y")
+    return ForeignScene(objects=_checked([item], path), up="y")
 
 
 def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
-    """The triangles of an STL file."""
+    """The triangles of an STL file; several solids of a file in text are objects of their own."""
     data = read_foreign(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _TRIANGLE.itemsize * count:
-        corners = np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64)
+        solids = [(path.stem, np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64))]
     elif data.lstrip()[:5].lower() == b"solid":
-        corners = _text(data, path)
+        solids = _solids(data, path)
     else:
         raise HyalineError(
             f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or not an STL file"
         )
-    if not 0 < len(corners) <= MAX_TRIANGLES:
-        raise HyalineError(f"{path}: holds {len(corners):,} triangles; expected 1 to {MAX_TRIANGLES:,}")
-    if not np.isfinite(corners).all():
+    objects = [
+        ForeignObject(
+            name=name,
+            positions=corners.reshape(-1, 3),
+            faces=np.arange(3 * len(corners)).reshape(-1, 3),
+            normals=None,
+            uv=None,
+            material=PLAIN,
+        )
+        for name, corners in solids
+    ]
+    return ForeignScene(objects=_checked(objects, path), up="z", metres=0.001)
+
+
+def _solids(data: bytes, path: Path) -> list[tuple[str, np.ndarray]]:
+    """Names and triangles (face, corner, axis) of a file in text; one solid alone is called as the file is."""
+    found = []
+    for solid in _SOLID.split(data)[1:]:
+        line, _, rest = solid.partition(b"\n")
+        text = rest.lower()
+        words = _VERTEX.findall(text)
+        try:
+            values = np.array(words, np.float64)
+        except ValueError as error:
+            raise HyalineError(f"{path}: not an STL file that can be read ({error})") from None
+        if len(words) % 3 or text.count(b"endfacet") * 3 != len(words) or b"endsolid" not in text:
+            raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
+        if words:
+            found.append((line.decode(errors="replace").strip() or path.stem, values.reshape(-1, 3, 3)))
+    return found if len(found) != 1 else [(path.stem, corners) for _, corners in found]
+
+
+def _checked(objects: list[ForeignObject], path: Path) -> tuple[ForeignObject, ...]:
+    if len(objects) > MAX_SURFACES:
+        raise HyalineError(f"{path}: holds {len(objects):,} solids; expected at most {MAX_SURFACES:,}")
+    if not 0 < (count := sum(len(item.faces) for item in objects)) <= MAX_TRIANGLES:
+        raise HyalineError(f"{path}: holds {count:,} triangles; expected 1 to {MAX_TRIANGLES:,}")
+    if not all(np.isfinite(item.positions).all() for item in objects):
         raise HyalineError(f"{path}: holds numbers that are not finite; export it again")
-    faces = np.arange(3 * len(corners)).reshape(-1, 3)
-    item = ForeignObject(
-        name=path.stem, positions=corners.reshape(-1, 3), faces=faces, normals=None, uv=None, material=PLAIN
-    )
-    return ForeignScene(objects=(item,), up="z", metres=0.001)
-
-
-def _text(data: bytes, path: Path) -> np.ndarray:
-    words = _VERTEX.findall(data)
-    try:
-        values = np.array(words, np.float64)
-    except ValueError as error:
-        raise HyalineError(f"{path}: not an STL file that can be read ({error})") from None
-    if len(words) % 3 or data.count(b"endfacet") * 3 != len(words) or b"endsolid" not in data:
-        raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
-    return values.reshape(-1, 3, 3)
+    return tuple(objects)

@@ -222,6 +222,25 @@ def test_an_stl_is_a_closed_solid_in_millimetres(kind: str, tmp_path: Path) -> N
     assert solid_volume(scene.objects[0]) == pytest.approx(BALL.volume, rel=1e-5)
 
 
+def test_two_solids_of_an_stl_are_two_objects_by_their_names(tmp_path: Path) -> None:
+    """The lower one in capitals, as some CAD programs write them."""
+    upper = trimesh.creation.icosphere(2, 20).apply_translation((0, 0, 60)).export(file_type="stl_ascii")
+    lower = trimesh.creation.box((40, 40, 40)).export(file_type="stl_ascii").upper()
+    (tmp_path / "a.stl").write_text(f"{_named(upper, 'ball')}\n{_named(lower, 'Foot 1')}\n")
+    answer = call(f"datagen import {tmp_path / 'a.stl'} --out {tmp_path / 'out'} --material ball=glass --ground never")
+    assert answer.status == 0, answer.err
+    ball, foot = load_scene(tmp_path / "out").objects
+    assert (ball.name, type(ball.material).__name__) == ("ball", "Dielectric")
+    assert (foot.name, type(foot.material).__name__) == ("Foot_1", "Diffuse")
+    assert signed_volume(foot.mesh) == pytest.approx(0.04**3, rel=1e-5)
+
+
+def _named(stl: str, name: str) -> str:
+    """A solid of this name; trimesh writes none."""
+    first, _, rest = stl.partition("\n")
+    return f"{first.split()[0]} {name}\n{rest}"
+
+
 def test_a_ply_of_strips_is_refused_by_what_it_holds(tmp_path: Path) -> None:
     strips = (
         PLY + b"element tristrips 1\nproperty list int int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
@@ -316,6 +335,12 @@ BROKEN: dict[str, tuple[str, Bytes]] = {
     "stl of none": ("a.stl", stl(0, 0)),
     "stl of nan": ("a.stl", stl(1, 0) + b"\xff" * 50),
     "text stl that is cut off": ("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"),
+    "text stl whose second solid is cut off": (
+        "a.stl",
+        "solid a\nendsolid a\nsolid b\nfacet normal 0 0 1\nouter loop\n",
+    ),
+    "text stl of empty solids": ("a.stl", "solid a\nendsolid a\nsolid b\nendsolid b\n"),
+    "text stl of 30,000 solids": ("a.stl", ("solid a\n" + "vertex 0 0 0\n" * 3 + "endfacet\nendsolid\n") * 30_000),
     "text stl of words": ("a.stl", "solid a\n" + "vertex x y z\n" * 3 + "endfacet\nendsolid\n"),
     "empty ply": ("a.ply", b""),
     "ply of nothing": ("a.ply", b"ply\nend_header\n"),
