@@ -20,7 +20,7 @@ MIN_SIZE, MAX_SIZE = 128, 2048
 """Texels per side of an image that is baked into new uv."""
 MAX_PIXELS = 1 << 26
 """Largest number of pixels of a user's image."""
-FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF"]
+FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF", "TIFF"]
 """Accepted formats, whatever a file's ending: Pillow would start other programs for some others."""
 
 
@@ -47,8 +47,11 @@ def opened_image(data: bytes, *, where: str) -> Iterator["Image.Image"]:
 
 
 def _in_8_bits(image: "Image.Image") -> "Image.Image":
-    """The image, scaled if it is grey of 16 bits, which Pillow would clip."""
+    """The image, scaled if it is grey of 16 bits, which Pillow would clip, as it would 32 bits."""
     from PIL import Image
+
+    if image.mode == "F" or (image.mode == "I" and image.format == "TIFF"):
+        raise ValueError("it has 32 bits per channel; expected 8 or 16")
 
     if not image.mode.startswith("I"):
         return image

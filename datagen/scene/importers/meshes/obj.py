@@ -15,6 +15,7 @@ from datagen.data.meshes import unfolded
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import shown
+from datagen.scene.images import opened_image
 from datagen.scene.importers.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -43,23 +44,24 @@ GLASS_MODELS = (4, 6, 7, 9)
 MAX_OPAQUE = 0.9
 """Dissolve from which on a surface is opaque."""
 USUAL_IOR = 1.5
-OPTION_VALUES = {
-    "-blendu": 1,
-    "-blendv": 1,
-    "-boost": 1,
-    "-mm": 2,
-    "-o": 3,
-    "-s": 3,
-    "-t": 3,
-    "-texres": 1,
-    "-clamp": 1,
-    "-bm": 1,
-    "-imfchan": 1,
-    "-cc": 1,
+DEFAULTS: dict[str, tuple[float | str, ...]] = {
+    "-blendu": ("on",),
+    "-blendv": ("on",),
+    "-boost": (0,),
+    "-mm": (0, 1),
+    "-o": (0, 0, 0),
+    "-s": (1, 1, 1),
+    "-t": (0, 0, 0),
+    "-texres": ("",),
+    "-clamp": ("off",),
+    "-bm": (1,),
+    "-imfchan": ("",),
+    "-cc": ("off",),
 }
-"""How many words follow each option of an image."""
+"""The words that follow each option of an image if it changes nothing."""
 VECTORS = ("-o", "-s", "-t")
 """Options whose second and third number may be left out."""
+COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 IGNORED = {
     "map_bump": "a bump map",
@@ -104,7 +106,7 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
-        if not words or words[0].startswith("#"):
+        if not words:
             continue
         key, rest, where = words[0], words[1:], f"{path}: line {number}"
         if key in WIDTHS:
@@ -222,7 +224,7 @@ def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
     entry: Entry = {}
     for line in lines_of(read_foreign(path, at_most=MAX_MTL_BYTES), where=str(path)):
         words = line.split()
-        if not words or words[0].startswith("#"):
+        if not words:
             continue
         if words[0] == "newmtl":
             entry = entries.setdefault(" ".join(words[1:]), {})
@@ -314,17 +316,25 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
     words = list(entry.get(key, []))
     if not words:
         return None
-    while words and words[0] in OPTION_VALUES:
+    while words and words[0] in DEFAULTS:
         option, *words = words
-        remarks.approximate(name, f"has an image with the option {option}, which is left out")
-        values = words[: OPTION_VALUES[option]]
+        values = words[: len(DEFAULTS[option])]
         values = list(takewhile(NUMBER.fullmatch, values)) if option in VECTORS else values
         words = words[len(values) :]
+        given = tuple(float(value) if NUMBER.fullmatch(value) else value for value in values)
+        if given != DEFAULTS[option][: len(given)]:
+            remarks.approximate(name, f"has an image with the option {option}, which is left out")
     found = _find(path, file := file_named(words), where=f"{path}: material {name}")
     if found is None:
         remarks.approximate(name, f"has the image {shown(file)}, which is not in its folder; drawn without it")
         return None
-    return ForeignImage(name=name, data=read_foreign(found))
+    image = ForeignImage(name=name, data=read_foreign(found))
+    try:
+        with opened_image(image.data, where=f"has the image {shown(file)}"):
+            return image
+    except HyalineError as error:
+        remarks.approximate(name, f"{error}; drawn without it")
+        return None
 
 
 def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
@@ -339,11 +349,13 @@ def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
 
 
 def lines_of(data: bytes, *, where: str) -> list[str]:
-    """The lines of a text in UTF-8 or Latin-1; those that end in a backslash go on in the next."""
+    """The lines of a text in UTF-8 or Latin-1, without comments; those that end in a backslash go on in the next."""
     if b"\0" in data:
         raise HyalineError(f"{where}: holds zero bytes; expected text")
     try:
         text = data.decode()
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    return text.replace("\\\r\n", " ").replace("\\\n", " ").splitlines()
+    # A comment may end in a backslash, as folders of Windows do.
+    text = COMMENT.sub("", text.replace("\r\n", "\n").replace("\r", "\n"))
+    return text.replace("\\\n", " ").splitlines()

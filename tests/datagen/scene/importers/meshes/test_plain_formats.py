@@ -20,6 +20,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene
 from datagen.scene.foreign_files import READERS
 from datagen.scene.importers.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
+from datagen.scene.importers.pictures import stored
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import made_sound, mesh_of
 
@@ -150,8 +151,57 @@ def test_glass_of_index_1_is_drawn_as_glass_and_said(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("options", ["-s 2 2 1 -clamp on", "-s 2 2", "-o .5", "-t 1e-1 -2 -mm 0 1", "-bm 1"])
 def test_an_image_is_found_after_its_options(options: str, tmp_path: Path) -> None:
-    (tmp_path / "a b.png").write_bytes(b"picture")
+    Image.new("RGB", (2, 2)).save(tmp_path / "a b.png")
     assert material_of(tmp_path, f"map_Kd {options} a b.png").image is not None
+
+
+@pytest.mark.parametrize(
+    ("options", "lost"),
+    [
+        ("-s 1.000 1.000 1.000 -o 0.000 0.000 0.000", []),
+        ("-blendu on -blendv on -boost 0 -mm 0 1 -t 0 -clamp off -bm 1.0 -cc off", []),
+        ("-s 1 1 2 -o 0 0 0 -clamp on", ["-s", "-clamp"]),
+        ("-mm 0 .5 -texres 512 -imfchan l", ["-mm", "-texres", "-imfchan"]),
+    ],
+)
+def test_options_of_an_image_that_change_nothing_are_not_told_as_lost(
+    options: str, lost: list[str], tmp_path: Path
+) -> None:
+    Image.new("RGB", (2, 2)).save(tmp_path / "a b.png")
+    remarks = Remarks()
+    assert material_of(tmp_path, f"map_Kd {options} a b.png", remarks).image is not None
+    assert [line.what for line in remarks.lines] == [
+        f"has an image with the option {option}, which is left out" for option in lost
+    ]
+
+
+@pytest.mark.parametrize("compression", ["raw", "tiff_lzw", "jpeg"])
+def test_a_tiff_is_read_as_a_texture(compression: str, tmp_path: Path) -> None:
+    Image.new("RGB", (8, 8), (200, 100, 50)).save(tmp_path / "a.tif", compression=compression)
+    material = material_of(tmp_path, "Kd 1 1 1\nmap_Kd a.tif")
+    assert material.image is not None
+    assert stored(material.image)[3, 3] == pytest.approx([200, 100, 50, 255], abs=2)
+
+
+@pytest.mark.parametrize("kind", ["text", "float"])
+def test_a_texture_in_a_format_that_is_not_read_is_left_out_and_that_is_said(kind: str, tmp_path: Path) -> None:
+    if kind == "float":
+        Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "a.tif")
+    else:
+        (tmp_path / "a.tif").write_bytes(b"DDS and so on")
+    remarks = Remarks()
+    assert material_of(tmp_path, "map_Kd a.tif", remarks).image is None
+    (line,) = remarks.lines
+    assert line.is_approximation and line.what.startswith("has the image 'a.tif': not an image that can be read")
+    assert line.what.endswith("; drawn without it")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_comment_that_ends_in_a_backslash_leaves_the_next_line_as_it_is(end: str, tmp_path: Path) -> None:
+    (tmp_path / "m.mtl").write_bytes(end.join(["newmtl m", " # from C:\\models\\", "Kd 1 0 0", ""]).encode())
+    text = f"# saved in C:\\models\\\nmtllib m.mtl\n# by\\\nusemtl m\n{CUBE}".replace("\n", end)
+    material = read(tmp_path / "a.obj", text.encode()).objects[0].material
+    assert isinstance(material, ForeignMaterial) and material.base_color == (1, 0, 0)
 
 
 @pytest.mark.parametrize("name", ["gone.png", "../secret.png", "/etc/passwd", "C:\\wood.png", "-s 1 1 1", "."])
