@@ -27,8 +27,10 @@ from datagen.scene.importers.foreign import (
     ForeignObject,
     ForeignScene,
     read_foreign,
+    substance_of,
 )
 from datagen.scene.importers.remarks import Remarks
+from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
 MAX_BYTES = 1 << 28
@@ -250,29 +252,42 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     if entry.get("d", [])[:1] == ["-halo"]:
         remarks.approximate(name, "is more opaque at its outline (d -halo), which is left out")
         entry = {**entry, "d": entry["d"][1:]}
-    dissolve = number("d", 1.0 - number("tr", 0.0))
-    model = number("illum", 2.0)
+    model, named = int(number("illum", 2.0)), substance_of(name)
+    transparency, ior = number("tr", 0.0), number("ni", SUBSTANCES.get(named or "", USUAL_IOR))
+    # A lone Tr 1 says nothing: MeshLab and OpenMVS write it for opaque scans.
+    dissolve = number("d", 1 - transparency if transparency < 1 else 1.0)
+    has_picture = bool(entry.get("map_kd"))
     filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
-    is_blenders = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
-    transmission = 1.0 if model in GLASS_MODELS or dissolve < MAX_OPAQUE else 0.0
-    if is_blenders and transmission == 0:
-        transmission = max(filtered)
-    elif "tf" in entry and transmission == 0:
-        remarks.note(name, "has a transmission filter (Tf), and is opaque by d and illum; --material makes it glass")
+    is_weight = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
+    transmission = max(filtered) if is_weight else 0.0
+    is_hinted = transparency > 0 or "ni" in entry or "glass" in name.lower() or named is not None
+    if _is_glass(dissolve, model, is_hinted=is_hinted, is_denied=has_picture or ior <= 1.001):
+        transmission = 1.0
     is_glass = transmission >= 0.5
-    ior = number("ni", USUAL_IOR)
+    told = {f"illum {model}": model in GLASS_MODELS, "Tf": len(set(filtered)) > 1, "Tr": transparency >= 1}
+    if transmission == 0 and any(told.values()) and not has_picture:
+        keys = " and ".join(key for key, is_told in told.items() if is_told)
+        remarks.note(name, f"{keys} alone does not make it glass; drawn opaque, and --material makes it glass")
+    if is_glass and named and "ni" not in entry:
+        remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {ior:g}")
     if is_glass and not 1.001 < ior < 10:
         remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
+    if is_glass and entry.get("map_d"):
+        remarks.approximate(name, "is glass with a map of opacity (map_d), which is left out")
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
     glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
     highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
     is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
-    base_color = filtered if is_glass and not is_blenders else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
+    image = _image(name, entry, path, remarks, key="map_kd")
+    is_tinted = is_glass and not is_weight
+    base_color = filtered if is_tinted else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
+    if max(base_color) == 0 and (is_tinted or image is not None):
+        base_color = (1.0, 1.0, 1.0)  # Rhino writes Tf 0 for any glass, and Maya Kd 0 beside a picture.
     opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
     factor_images = tuple(
-        FactorImage(factor=factor, image=image, channel=0)
+        FactorImage(factor=factor, image=found, channel=0)
         for key, factor in FACTOR_MAPS.items()
-        if (image := _image(name, entry, path, remarks, key=key)) is not None
+        if (found := _image(name, entry, path, remarks, key=key)) is not None
     )
     # An image replaces the factor.
     numbers: dict[Factor, float] = {
@@ -283,7 +298,7 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     return ForeignMaterial(
         name=name,
         base_color=base_color,
-        image=None if is_glass and not is_blenders else _image(name, entry, path, remarks, key="map_kd"),
+        image=image,
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
         metallic=min(max(numbers["metallic"], 0.0), 1.0),
@@ -292,6 +307,20 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         factor_images=factor_images,
         ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
     )
+
+
+def _is_glass(dissolve: float, model: int, *, is_hinted: bool, is_denied: bool) -> bool:
+    """True for glass, by the keys of which each means something else in the files of some program.
+
+    | the file says | glass | reason |
+    |---|---|---|
+    | `d` below 0.9 or `Tr` above 0.1 | yes | Blender, 3ds Max, Rhino |
+    | `illum` 4, 6, 7, 9 with `map_Kd` or `Ni` 1 | no | Maya writes `illum` 4 and `Ni` 1 for everything |
+    | `illum` 4, 6, 7, 9 with `d` below 1, `Tr`, `Ni`, or a name of glass | yes | written by hand |
+    | `illum` 4, 6, 7, 9 alone | no | Cinema 4D writes `illum` 7 for everything |
+    | none of these | no, but one `Tf` beside `Pr`, `Pm`, `Ps` or `Pc` is Blender's weight of transmission | |
+    """
+    return dissolve < MAX_OPAQUE or (model in GLASS_MODELS and not is_denied and (dissolve < 1 or is_hinted))
 
 
 def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:

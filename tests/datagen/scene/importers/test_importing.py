@@ -436,7 +436,11 @@ def test_a_table_of_blended_metal_is_seen_through_and_a_file_without_glass_says_
         ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 0.2\nPm 0\nTf 1 1 1", RoughDielectric(ior=1.5, roughness=0.2**2), ""),
         ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 1\nPm 0", Diffuse(color=(1, 1, 1)), "none of them glass"),
         # As 3ds Max writes what is opaque.
-        ("Kd 0.8 0.8 0.8\nNs 0\nNi 1.5\nd 1\nTr 0\nTf 1 1 1\nillum 2", Diffuse(color=(0.8, 0.8, 0.8)), "(Tf)"),
+        (
+            "Kd 0.8 0.8 0.8\nNs 0\nNi 1.5\nd 1\nTr 0\nTf 1 1 1\nillum 2",
+            Diffuse(color=(0.8, 0.8, 0.8)),
+            "none of them glass",
+        ),
         ("Kd 0.8 0.8 0.8\nNi 1.5\nd 1\nillum 4\nTf 1 1 1", Dielectric(ior=1.5), ""),
     ],
 )

@@ -23,6 +23,8 @@ from datagen.scene.importers.foreign import PLAIN, ForeignMaterial, ForeignObjec
 from datagen.scene.importers.pictures import stored
 from datagen.scene.importers.remarks import Remarks
 from datagen.scene.importers.surfaces import made_sound, mesh_of
+from datagen.scene.materials import Diffuse, ThinDielectric
+from datagen.scene.textures import ImageTexture
 
 
 def read(path: Path, data: bytes | str, remarks: Remarks | None = None) -> ForeignScene:
@@ -128,11 +130,98 @@ def material_of(folder: Path, text: str, remarks: Remarks | None = None) -> Fore
     return material
 
 
-@pytest.mark.parametrize("text", ["d 0.3", "Tr 0.5", "illum 4", "illum 6", "illum 7", "illum 9"])
-def test_what_an_mtl_calls_transparent_is_glass(text: str, tmp_path: Path) -> None:
-    material = material_of(tmp_path, f"Ni 1.62\nTf 0.9 0.8 0.7\nKd 0.2 0.2 0.2\nNs 20\n{text}")
+MAYA = "illum 4\nKd 0.7 0.1 0.1\nKa 0 0 0\nTf 1.00 1.00 1.00\nNi 1.00"
+MESHLAB = "Ka 0.2 0.2 0.2\nKd 1 1 1\nKs 1 1 1\nTr 1.000000\nillum 2\nNs 0.0"
+BLENDER = "Ns 250\nKa 1 1 1\nKs 0.5 0.5 0.5\nKe 0 0 0\nNi 1.45\nd {}\nillum {}"
+BLENDER_PBR = "Ns 250\nKs 0.5 0.5 0.5\nNi 1.45\nd 1\nillum 2\nPr 0.1\nPm 0\nPs 0\nPc 0\nTf {0} {0} {0}"
+MAX = "Ns 32\nd {}\nTr {}\nTf {}\nillum 2\nKa 0.6 0.6 0.6\nKd 0.6 0.6 0.6\nKs 0.35 0.35 0.35"
+RHINO = "Ka 0 0 0\nKd 1 1 1\nKs 1 1 1\nTf 0.0 0.0 0.0\nd {}\nNs 0"
+PICTURE = "\nmap_Kd a.png"
+CLEAR = (1.0, 1.0, 1.0)
+PROGRAMS: dict[str, tuple[str, tuple[float, float, float] | None]] = {
+    "Maya: a lambert": (MAYA, None),
+    "Maya: a lambert with a picture": (MAYA + PICTURE, None),
+    "Maya: a clear lambert": (MAYA.replace("Tf 1.00 1.00 1.00", "Tf 0.00 0.00 0.00"), None),
+    "Maya: a blinn with a dissolve": (MAYA.replace("Tf 1.00 1.00 1.00", "d 0.5"), CLEAR),
+    "Maya: glass with an index": ("illum 4\nKd 0 0 0\nTf 0.00 0.00 0.00\nNi 1.50", CLEAR),
+    "MeshLab: a scan": (MESHLAB + PICTURE, None),
+    "MeshLab: a mesh without a picture": (MESHLAB, None),
+    "OpenMVS: a scan": ("Ka 1 1 1\nKd 1 1 1\nKs 0 0 0\nTr 1.000000\nillum 1\nNs 1.0" + PICTURE, None),
+    "Blender: opaque": (BLENDER.format(1, 2), None),
+    "Blender: opaque with a picture": (BLENDER.format(1, 2) + PICTURE, None),
+    "Blender: alpha 0.3": (BLENDER.format(0.3, 9), CLEAR),
+    "Blender: alpha 0.95": (BLENDER.format(0.95, 9), CLEAR),
+    "Blender: alpha 0.95 with a picture": (BLENDER.format(0.95, 9) + PICTURE, None),
+    "Blender: transmission 0 by its extension": (BLENDER_PBR.format(0), None),
+    "Blender: transmission 1 by its extension": (BLENDER_PBR.format(1), (0.7, 0.7, 0.7)),
+    "3ds Max: opaque": (MAX.format(1, 0, "1 1 1"), None),
+    "3ds Max: opaque with a picture": (MAX.format(1, 0, "1 1 1") + PICTURE, None),
+    "3ds Max: transparent": (MAX.format(0.2, 0.8, "0.5 0.6 0.7"), (0.5, 0.6, 0.7)),
+    "Rhino: opaque": (RHINO.format(1), None),
+    "Rhino: transparent": (RHINO.format(0.2), CLEAR),
+    "Cinema 4D: opaque": ("Kd 0.8 0.8 0.8\nKs 1 1 1\nNs 50\nillum 7", None),
+    "by hand: illum and index": ("illum 6\nNi 1.5\nTf 0.9 0.8 0.7", (0.9, 0.8, 0.7)),
+    "by hand: illum and Tr": ("illum 7\nTr 1", CLEAR),
+    "by hand: dissolve": ("d 0", CLEAR),
+    "by hand: illum alone": ("illum 4", None),
+    "the specification: a windscreen": ("Ka 0 0 0\nKd 0 0 0\nKs 0.9 0.9 0.9\nd 0.1\nNs 200\nillum 4", CLEAR),
+}
+"""The material as a program writes it, and the colour of its glass; None where it is opaque."""
+
+
+@pytest.mark.parametrize("case", PROGRAMS)
+def test_what_programs_write_for_glass_is_glass_and_what_they_write_for_opaque_things_is_not(
+    case: str, tmp_path: Path
+) -> None:
+    Image.new("RGB", (2, 2), (9, 8, 7)).save(tmp_path / "a.png")
+    text, color = PROGRAMS[case]
+    material = material_of(tmp_path, text)
+    assert material.transmission == (0 if color is None else 1)
+    assert material.base_color == color if color else max(material.base_color) > 0
+    assert (material.image is not None) == (PICTURE in text)
+
+
+@pytest.mark.parametrize(("name", "ior"), [("Window_Glass", 1.5), ("diamond.001", 2.417), ("paint", None)])
+@pytest.mark.parametrize(("text", "is_denied"), [("illum 4", False), ("illum 4\nNi 1", True)])
+def test_illum_is_glass_where_the_name_says_so_unless_its_index_is_1(
+    name: str, ior: float | None, text: str, is_denied: bool, tmp_path: Path
+) -> None:
+    (tmp_path / "m.mtl").write_text(f"newmtl {name}\n{text}\n")
+    material = read(tmp_path / "a.obj", f"mtllib m.mtl\nusemtl {name}\n{CUBE}").objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    assert (material.transmission, material.ior) == ((1, ior) if ior and not is_denied else (0, 1))
+
+
+def test_a_material_of_maya_keeps_its_picture_and_one_line_says_what_was_taken_for_opaque(tmp_path: Path) -> None:
+    Image.new("RGB", (2, 2), (90, 80, 70)).save(tmp_path / "a.png")
+    (tmp_path / "m.mtl").write_text(f"newmtl card\n{MAYA}{PICTURE}\nKd 0 0 0\nnewmtl red\n{MAYA}\n")
+    sheet = "v 0 0 0\nv .1 0 0\nv .1 .1 0\nv 0 .1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\n"
+    text = f"mtllib m.mtl\n{sheet}o a\nusemtl card\nf 1/1 2/2 3/3 4/4\no b\nusemtl red\nf 4/1 3/2 2/3 1/4\n"
+    (tmp_path / "a.obj").write_text(text)
+    answer = call(f"datagen import {tmp_path / 'a.obj'} --out {tmp_path / 'out'} --strict --ground never")
+    assert answer.status == 0, answer.err
+    kinds = [(type(item.material), getattr(item.material, "color", 0)) for item in load_scene(tmp_path / "out").objects]
+    assert kinds == [(Diffuse, ImageTexture(path="textures/0_card.png")), (Diffuse, (0.7, 0.1, 0.1))]
+    assert "red: illum 4 alone does not make it glass; drawn opaque, and --material makes it glass" in answer.err
+
+
+def test_glass_with_a_picture_has_its_mean_colour_and_that_is_said(tmp_path: Path) -> None:
+    Image.new("RGB", (2, 2), (255, 188, 0)).save(tmp_path / "a.png")
+    (tmp_path / "m.mtl").write_text("newmtl label\nKd 1 1 1\nd 0.3\nNi 1.5\nmap_Kd a.png\nmap_d a.png\n")
+    corners = "v 0 0 0\nv .1 0 0\nv 0 .1 0\nvt 0 0\nvt 1 0\nvt 0 1\n"
+    (tmp_path / "a.obj").write_text(f"mtllib m.mtl\n{corners}o pane\nusemtl label\nf 1/1 2/2 3/3\n")
+    answer = call(f"datagen import {tmp_path / 'a.obj'} --out {tmp_path / 'out'} --ground never")
+    (pane,) = load_scene(tmp_path / "out").objects
+    assert isinstance(pane.material, ThinDielectric)
+    assert pane.material.tint == pytest.approx((1, 0.503, 0), abs=1e-3)
+    assert "pane: has an image where only one colour can be; drawn in its mean colour" in answer.err
+    assert "label: is glass with a map of opacity (map_d), which is left out" in answer.err
+
+
+def test_rough_glass_and_its_index_are_those_of_the_file(tmp_path: Path) -> None:
+    material = material_of(tmp_path, "Ni 1.62\nd 0.3\nKd 0.2 0.2 0.2\nNs 20")
     assert (material.transmission, material.ior, material.roughness) == (1.0, 1.62, 0.0)
-    assert material.base_color == (0.9, 0.8, 0.7)
+    assert material_of(tmp_path, "Ni 1.62\nd 0.3\nPr 0.3").roughness == 0.3
 
 
 def test_what_an_mtl_calls_opaque_has_its_colour_and_highlight(tmp_path: Path) -> None:
