@@ -149,9 +149,9 @@ class Scene:
 
 def _described_scene(given: Scene) -> description.Scene:
     from datagen.scene.images import read_map
-    from datagen.scene.importers.staging import LIGHT
     from datagen.scene.mending import mend_scene
     from datagen.scene.soundness import check_scene
+    from datagen.scene.staging import LIGHT
 
     if not given.objects:
         raise HyalineError(f"scene {printable(given.name)}: has no objects; expected at least one")
@@ -176,8 +176,8 @@ def _described_scene(given: Scene) -> description.Scene:
 
 def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
     """The scene's cameras; those of a hemisphere are fitted around its objects."""
-    from datagen.scene.importers.remarks import Remarks
-    from datagen.scene.importers.staging import make_rig
+    from datagen.scene.remarks import Remarks
+    from datagen.scene.staging import make_rig
 
     cameras = given.cameras
     if not isinstance(cameras, Hemisphere):
@@ -195,8 +195,8 @@ def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList
 
 def _described(item: Object) -> tuple[SceneObject, bool]:
     """An object with a mesh of ours, and whether that came with uv."""
-    from datagen.scene.importers.remarks import Remarks
-    from datagen.scene.importers.surfaces import made_sound, mesh_of
+    from datagen.scene.remarks import Remarks
+    from datagen.scene.surfaces import made_sound, mesh_of
 
     where, remarks = f"object {printable(item.name)}", Remarks()
     if isinstance(item.mesh, Mesh):
@@ -255,7 +255,7 @@ def write_arrays(folder: Path, path: Path) -> None:
     """Reads a mesh file, in the process that `confined` starts."""
     from datagen.machine.confined import allow_triangles
     from datagen.scene.foreign_files import READERS, ending_of
-    from datagen.scene.importers.remarks import Remarks
+    from datagen.scene.remarks import Remarks
 
     parts = READERS.find(ending_of(path))(path, Remarks()).objects
     allow_triangles(sum(len(part.faces) for part in parts))

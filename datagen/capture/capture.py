@@ -33,15 +33,16 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.foreign_files import scene_name
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.confined_import import save_answer, scene_from
+from datagen.scene.importers.foreign import z_up_from
 from datagen.scene.importers.importing import scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.overlaps import apart, nested
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import even_sky, z_up_from
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.mending import mend_scene
 from datagen.scene.modelling import ball, moved, transformed
+from datagen.scene.remarks import Remarks
 from datagen.scene.soundness import check_scene
+from datagen.scene.staging import even_sky
 from datagen.terminal.command import say
 
 DISTANCE = 1.0

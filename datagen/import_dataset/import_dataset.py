@@ -25,7 +25,7 @@ from datagen.import_dataset.pictures import view_files
 from datagen.import_dataset.surfaces import find_scene
 from datagen.scene.description import Scene
 from datagen.scene.foreign_files import scene_name
-from datagen.scene.importers.staging import z_up_from
+from datagen.scene.importers.foreign import z_up_from
 from datagen.terminal.command import track
 from datagen.terminal.plugins import Group
 

@@ -24,15 +24,15 @@ from datagen.scene.foreign_files import (
 )
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.confined_import import save_answer, scene_from
-from datagen.scene.importers.foreign import PLAIN, ForeignObject
+from datagen.scene.importers.foreign import PLAIN, ForeignObject, z_up_from
 from datagen.scene.importers.importing import scene_object, unique_names
 from datagen.scene.importers.mapping import Mapper
 from datagen.scene.importers.overlaps import apart, nested, parted
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import even_sky, z_up_from
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
 from datagen.scene.mending import mend_scene
+from datagen.scene.remarks import Remarks
 from datagen.scene.soundness import check_scene
+from datagen.scene.staging import even_sky
 
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
 """Stands in for the unknown light: such a scene is never rendered."""

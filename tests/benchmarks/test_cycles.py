@@ -23,8 +23,8 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import RectangleLight, Scene, SceneObject
-from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Diffuse, Material, Plastic, ThinDielectric
+from datagen.scene.staging import LIGHT
 
 FAKE = """#!{python}
 import json, shutil, sys

@@ -20,7 +20,7 @@ from datagen.disk.names import find_file
 from datagen.disk.records import shown
 from datagen.scene.camera_list import CameraList
 from datagen.scene.importers.foreign import lens_of, read_foreign, rotation_of
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 NAMES = ("transforms.json", "transforms_train.json")
 

@@ -13,9 +13,9 @@ from datagen.data.cameras import Camera, Lens, check_lens
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.materials import Material
 from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 
@@ -251,3 +251,13 @@ def _merged(group: list[ForeignObject]) -> ForeignObject:
         material=first.material,
         crease_deg=first.crease_deg,
     )
+
+
+def z_up_from(up: Axis) -> Float[np.ndarray, "3 3"]:
+    """The rotation that turns an axis upwards."""
+    rows = {
+        "x": [[0, 1, 0], [0, 0, 1], [1, 0, 0]],
+        "y": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
+        "z": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    }
+    return np.array(rows[up], np.float64)

@@ -49,29 +49,19 @@ from datagen.scene.importers.foreign import (
     ForeignScene,
     elementwise,
     merged_by_material,
+    z_up_from,
 )
+from datagen.scene.importers.lights import lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.overlaps import apart, joined, nested, parted
 from datagen.scene.importers.pictures import cut_of, veiled
-from datagen.scene.importers.remarks import Remark, Remarks
-from datagen.scene.importers.staging import (
-    LIGHT,
-    even_sky,
-    find_scale,
-    has_ground,
-    lit,
-    make_ground,
-    make_rig,
-    placed_light,
-    placed_map,
-    subject_box,
-    z_up_from,
-)
-from datagen.scene.importers.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
+from datagen.scene.remarks import Remark, Remarks
 from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
+from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig, subject_box
+from datagen.scene.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""

@@ -17,10 +17,10 @@ from datagen.disk.names import file_name
 from datagen.scene.import_choices import Thin
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
 from datagen.scene.importers.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.remarks import Remarks
 from datagen.scene.substances import MAX_DISPERSION
+from datagen.scene.surfaces import Shape
 from datagen.scene.textures import ImageTexture, Reflectance
 from datagen.scene.values import Color
 

@@ -27,14 +27,14 @@ from datagen.data.meshes import (
 from datagen.disk.errors import HyalineError
 from datagen.scene.contact import TOLERANCE, touching_share
 from datagen.scene.description import SceneObject
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import MAX_CHANGE
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.remarks import Remarks
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import MAX_TOUCHING
+from datagen.scene.surfaces import MAX_CHANGE
 
 if TYPE_CHECKING:
     import manifold3d

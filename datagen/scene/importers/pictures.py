@@ -11,7 +11,7 @@ from datagen.data.meshes import Mesh, face_areas
 from datagen.scene.cutouts import Cut, Opacity, corner_uv_of
 from datagen.scene.images import opened_image
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 
 MAX_SIDE = 2048

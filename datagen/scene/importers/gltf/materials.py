@@ -16,7 +16,7 @@ from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import PLAIN, Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf.file import GltfFile
 from datagen.scene.importers.pictures import stored
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 
 IGNORED = {

@@ -16,7 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import MAX_SURFACES, ForeignLamp, lens_of, rotation_of
 from datagen.scene.importers.gltf.file import GltfArrays, GltfFile
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 LAMPS = "KHR_lights_punctual"
 MAX_NODES = 20_000

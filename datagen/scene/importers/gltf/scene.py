@@ -22,7 +22,7 @@ from datagen.scene.importers.foreign import (
 from datagen.scene.importers.gltf.file import GltfArrays, GltfFile, read_draco, unread_extensions
 from datagen.scene.importers.gltf.materials import TextureUse, clamped, read_material
 from datagen.scene.importers.gltf.nodes import Instance, Standing, instances
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 TRIANGLES, FAN = 4, 6
 """Modes of a primitive; 5 is a strip."""

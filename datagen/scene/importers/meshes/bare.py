@@ -15,7 +15,7 @@ from datagen.scene.importers.foreign import (
     ForeignScene,
     read_foreign,
 )
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE | re.IGNORECASE)

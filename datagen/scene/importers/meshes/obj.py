@@ -29,7 +29,7 @@ from datagen.scene.importers.foreign import (
     read_foreign,
     substance_of,
 )
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 

@@ -11,7 +11,7 @@ from datagen.disk.records import shown
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign
 from datagen.scene.importers.gltf.materials import mirrored
 from datagen.scene.importers.mitsuba.nodes import Node
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 
 IORS = {

@@ -36,8 +36,8 @@ from datagen.scene.importers.meshes.bare import read_ply_file
 from datagen.scene.importers.meshes.obj import read_obj
 from datagen.scene.importers.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from datagen.scene.importers.mitsuba.nodes import Node, NodeList
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import ball, sheet
+from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")

@@ -22,8 +22,9 @@ from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.cameras import colmap_images, read_camera_file
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.staging import IRRADIANCE, subject_box
+from datagen.scene.importers.lights import IRRADIANCE
+from datagen.scene.remarks import Remarks
+from datagen.scene.staging import subject_box
 
 
 @pytest.fixture(scope="module")

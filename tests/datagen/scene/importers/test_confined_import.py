@@ -23,7 +23,7 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine import confined
 from datagen.scene.importers.importing import READERS
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 
 @pytest.fixture(autouse=True)

@@ -13,9 +13,9 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers import surfaces
 from datagen.scene.importers.foreign import substance_of
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import check_decimation, decimated
 from datagen.scene.modelling import ball
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import check_decimation, decimated
 
 BALL = ball(0.1, subdivisions=4)
 

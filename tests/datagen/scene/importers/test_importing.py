@@ -21,11 +21,11 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
-from datagen.scene.importers.staging import LIGHT
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import ball, lathe, sheet
 from datagen.scene.rig import make_cameras
 from datagen.scene.shading_normals import edge_tilt_deg
+from datagen.scene.staging import LIGHT
 from datagen.scene.textures import ImageTexture, SolidTexture
 
 
@@ -93,8 +93,8 @@ def test_an_image_comes_along_as_a_png(imported: Imported) -> None:
 
 @pytest.mark.parametrize("resolution", [32, 128])
 def test_a_period_of_the_grounds_pattern_is_four_texels(imported: Imported, resolution: int) -> None:
-    from datagen.scene.importers.remarks import Remarks
-    from datagen.scene.importers.staging import make_ground
+    from datagen.scene.remarks import Remarks
+    from datagen.scene.staging import make_ground
 
     ground = make_ground(imported.scene.objects[:2], resolution=square(resolution), remarks=Remarks())
     assert isinstance(ground.material, Diffuse) and isinstance(ground.material.color, SolidTexture)

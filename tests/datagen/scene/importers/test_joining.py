@@ -15,8 +15,8 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json
 from datagen.scene.importers import overlaps
 from datagen.scene.importers.overlaps import filled_volume, joined
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.remarks import Remarks
 
 BALL = ball(0.1, subdivisions=3)
 

@@ -16,9 +16,9 @@ from datagen.scene.importers.foreign import ForeignMaterial
 from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mapping import MIN_ALPHA, Mapper, coat_of
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import Shape
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import Shape
 from datagen.scene.textures import ImageTexture
 
 CLOSED = Shape(is_closed=True, has_uv=True)

@@ -24,10 +24,10 @@ from datagen.disk.records import load_json
 from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import closed
 from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import closed
 
 BALL = ball(0.1, subdivisions=3)
 

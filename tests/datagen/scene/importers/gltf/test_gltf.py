@@ -18,9 +18,9 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.gltf.scene import read_gltf
 from datagen.scene.importers.importing import import_scene
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import mesh_of
 from datagen.scene.modelling import ball
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import mesh_of
 
 CORNERS = BOX.vertices[BOX.faces]
 

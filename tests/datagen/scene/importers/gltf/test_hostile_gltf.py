@@ -14,7 +14,7 @@ from support.soon import soon
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.importers.gltf.scene import read_gltf
-from datagen.scene.importers.remarks import Remarks
+from datagen.scene.remarks import Remarks
 
 Change = Callable[[dict], object]
 

@@ -21,9 +21,9 @@ from datagen.scene.folder import load_scene
 from datagen.scene.foreign_files import READERS
 from datagen.scene.importers.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.pictures import stored
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import made_sound, mesh_of
 from datagen.scene.materials import Diffuse, ThinDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import made_sound, mesh_of
 from datagen.scene.textures import ImageTexture
 
 

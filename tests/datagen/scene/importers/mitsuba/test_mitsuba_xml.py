@@ -27,9 +27,9 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.importers.mitsuba.scene import read_mitsuba
-from datagen.scene.importers.remarks import Remarks
-from datagen.scene.importers.surfaces import mesh_of
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import mesh_of
 from datagen.scene.values import Color
 
 SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>

@@ -16,8 +16,8 @@ from jaxtyping import Float, Int
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
 from datagen.machine.processes import ChildError, arrays_from_child
-from datagen.scene.importers.remarks import Remarks
 from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.remarks import Remarks
 from datagen.scene.shading_normals import with_new_normals
 from datagen.terminal.distribution import install_command
 
@@ -280,7 +280,7 @@ def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
     positions, faces = welded(mesh)
     try:
         found = arrays_from_child(
-            "datagen.scene.importers.surfaces",
+            "datagen.scene.surfaces",
             {"vertices": positions.astype(np.float64), "faces": faces.astype(np.int64), "target": np.array(target)},
             timeout_s=TIMEOUT_S + count / FACES_A_SECOND,
         )
