@@ -10,7 +10,7 @@ from datagen.data.meshes import open_edges, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.importers import surfaces
+from datagen.scene import surfaces
 from datagen.scene.importers.foreign import substance_of
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.modelling import ball
