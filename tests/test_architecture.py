@@ -33,7 +33,7 @@ ALLOWED = {
 HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
-    "pymeshlab": {"proxies/meshing/meshlab.py", "datagen/scene/surfaces.py"},
+    "pymeshlab": {"proxies/meshing/meshlab.py"},
     "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
     "skimage": {"eval", "model/fit/hull.py", "datagen/capture/fusing.py"},
     "colour": {"eval"},

@@ -70,9 +70,13 @@ SAMPLES = 1024
 """Points on a surface, spread by area, with which its contact is measured."""
 
 
-def touching_share(mesh: Mesh, other: Mesh) -> float:
-    """The share of a mesh's surface that lies in faces of another, measured at `SAMPLES` points."""
-    return float(np.isfinite(_distances(mesh, other, TOLERANCE)).mean())
+def touching_share(mesh: Mesh, other: Mesh, *, are_opposed: bool = False) -> float:
+    """The share of a mesh's surface that lies in faces of another, measured at `SAMPLES` points.
+
+    Args:
+        are_opposed: only in faces with opposite normals: the meshes touch from outside.
+    """
+    return float(np.isfinite(_distances(mesh, other, TOLERANCE, are_opposed=are_opposed)).mean())
 
 
 def thin_share(mesh: Mesh, limit: float) -> tuple[float, float]:

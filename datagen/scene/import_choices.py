@@ -38,9 +38,6 @@ class ImportChoices:
     crease: float | None = None
     """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
     every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY and STL."""
-    max_triangles: int | None = None
-    """Reduce surfaces until the scene has about this many triangles, each by the same share; needs the extra `proxies`.
-    Surfaces with images keep theirs. A solid may change its volume by 5 %."""
     strict: bool = False
     """Fail if any feature of the file cannot be reproduced."""
 

@@ -5,30 +5,21 @@ request, holes are closed and triangles are reduced.
 """
 
 import dataclasses
-import importlib.util
-import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
-from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.remarks import Remarks
 from datagen.scene.shading_normals import with_new_normals
-from datagen.terminal.distribution import install_command
 
 WELD = 1e-5
 """Distance, as a share of a surface's size, below which vertices may be merged."""
 MAX_CHANGE = 0.05
 """The most that mending or reducing may change a solid's volume; beyond it, it is another shape."""
-LEAST = 64
-"""Triangles that every surface keeps."""
-TIMEOUT_S, FACES_A_SECOND = 60.0, 2000.0
-"""Time limit of the child process that reduces triangles, in seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +58,7 @@ def mesh_of(
 def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     """The mesh with its seams joined and its faces outward, as far as that is known; a line for each change."""
     if open_edges(mesh):
-        joined, distance = _joined(mesh)
+        joined, distance = seams_joined(mesh)
         if open_edges(joined) < open_edges(mesh):
             remarks.note(where, f"vertices up to {1000 * distance:.2g} mm apart were joined")
             mesh = joined
@@ -91,7 +82,7 @@ def _unit(normals: np.ndarray) -> np.ndarray:
     return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1), 0).astype(np.float32)
 
 
-def _joined(mesh: Mesh) -> tuple[Mesh, float]:
+def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:
     """The mesh with vertices that are very near each other in one place, and how far apart they were at most."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -253,82 +244,3 @@ def _loops(faces: np.ndarray) -> list[np.ndarray]:
             places[point] = len(walk)
             walk.append(point)
     return [loop for loop in loops if len(loop) > 2]
-
-
-# Reducing triangles
-
-
-def check_decimation(max_triangles: int | None) -> None:
-    """Refuses a number that cannot be, and a machine that cannot do it."""
-    if max_triangles is None:
-        return
-    if max_triangles < LEAST:
-        raise HyalineError(f"--max-triangles: is {max_triangles}; expected at least {LEAST}")
-    if importlib.util.find_spec("pymeshlab") is None:
-        raise HyalineError(f"--max-triangles: needs pymeshlab; `{install_command('proxies')}` brings it")
-
-
-def decimated(mesh: Mesh, target: int, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with about `target` triangles by quadric edge collapse, with new normals; unchanged if it has no more.
-
-    Its uv are lost: they stay 0.
-    """
-    target = max(target, LEAST)
-    count = len(mesh.faces)
-    if count <= target:
-        return mesh
-    positions, faces = welded(mesh)
-    try:
-        found = arrays_from_child(
-            "datagen.scene.surfaces",
-            {"vertices": positions.astype(np.float64), "faces": faces.astype(np.int64), "target": np.array(target)},
-            timeout_s=TIMEOUT_S + count / FACES_A_SECOND,
-        )
-    except ChildError as error:
-        raise HyalineError(f"{where}: pymeshlab cannot reduce it ({error}); reduce it in a modeller") from None
-    vertices, corners = found["vertices"].astype(np.float32), found["faces"].astype(np.int32)
-    if len(corners) < 4 or not np.isfinite(vertices).all() or corners.min() < 0 or corners.max() >= len(vertices):
-        raise HyalineError(f"{where}: nothing is left of it with {target:,} triangles; pass more --max-triangles")
-    bare = Mesh(
-        vertices=vertices, faces=corners, normals=np.zeros_like(vertices), uv=np.zeros((len(vertices), 2), "f4")
-    )
-    what = f"reduced from {count:,} to {len(corners):,} triangles"
-    if not open_edges(mesh):
-        what += _compared(mesh, bare, what, where=where)
-    remarks.approximate(where, what)
-    return with_new_normals(bare, crease_deg=CREASE_DEG)
-
-
-def _compared(before: Mesh, after: Mesh, what: str, *, where: str) -> str:
-    """The volumes of a solid, in words."""
-    if count := open_edges(after):
-        raise HyalineError(f"{where}: {what}, and {count} edges are open then; pass more --max-triangles")
-    volumes = abs(signed_volume(before)), abs(signed_volume(after))
-    change = abs(volumes[1] - volumes[0]) / max(volumes[0], 1e-30)
-    told = f"; its volume was {1e6 * volumes[0]:.4g} cm^3, and is {1e6 * volumes[1]:.4g} cm^3"
-    if change > MAX_CHANGE:
-        raise HyalineError(
-            f"{where}: {what}{told}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, pass more "
-            "--max-triangles"
-        )
-    return told
-
-
-def _child(source: Path, target: Path) -> None:
-    """Reduces validated arrays in a process of its own, which pymeshlab ends on some inputs."""
-    import pymeshlab  # It fills its namespace when it is imported; pyright sees none of it.
-
-    with np.load(source) as arrays:
-        vertices, faces, count = (arrays[name] for name in ("vertices", "faces", "target"))
-    meshes = pymeshlab.MeshSet()  # pyright: ignore[reportAttributeAccessIssue]
-    mesh = pymeshlab.Mesh(vertex_matrix=vertices, face_matrix=faces)  # pyright: ignore[reportAttributeAccessIssue]
-    meshes.add_mesh(mesh)
-    meshes.meshing_decimation_quadric_edge_collapse(
-        targetfacenum=int(count), preservetopology=True, preservenormal=True
-    )
-    mesh = meshes.current_mesh()
-    np.savez(target, allow_pickle=False, vertices=mesh.vertex_matrix(), faces=mesh.face_matrix())
-
-
-if __name__ == "__main__":
-    _child(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,5 +1,6 @@
 """What a foreign file holds, whatever its format: surfaces in the file's own units and axes, and their materials."""
 
+import dataclasses
 import math
 import re
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.data.cameras import Camera, Lens, check_lens
+from datagen.data.meshes import open_edges, volume_within, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
@@ -17,6 +19,7 @@ from datagen.scene.materials import Material
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
+from datagen.scene.surfaces import mesh_of, seams_joined
 from datagen.scene.values import Color
 
 Axis = Literal["x", "y", "z"]
@@ -28,6 +31,8 @@ MAX_TRIANGLES = 4_000_000
 """The most triangles of a scene, each instance counted."""
 MAX_SURFACES = 20_000
 """The most instances of surfaces in a file; a scene has at most 255 objects, after --merge."""
+MOST_POINTS = 1000
+"""Points of a part that must lie inside another; the surfaces of closed parts do not cross."""
 PLAIN_WORDS = ("material", "mat", "shader")
 """Words without meaning in names of materials."""
 
@@ -234,6 +239,37 @@ def merged_by_material(parts: tuple[ForeignObject, ...], remarks: Remarks, *, wh
     return tuple(_merged(group) for group in groups.values())
 
 
+def with_cavities(parts: tuple[ForeignObject, ...], remarks: Remarks) -> tuple[ForeignObject, ...]:
+    """The objects; a closed one that faces inwards, inside another of its material, is the cavity of that one."""
+    corners = [part.positions[part.faces].astype(np.float64) for part in parts]
+    volumes = [volume_within(each) for each in corners]
+    cavities: dict[int, list[int]] = {}
+    for inner in (index for index, volume in enumerate(volumes) if volume < 0):
+        around = [
+            outer
+            for outer, volume in enumerate(volumes)
+            if volume > -volumes[inner]
+            and parts[outer].material == parts[inner].material
+            and (windings(corners[outer], parts[inner].positions[:MOST_POINTS]) > 0).all()
+        ]
+        if around and _is_closed(parts[inner]):
+            cavities.setdefault(min(around, key=lambda outer: volumes[outer]), []).append(inner)
+    for outer, inside in cavities.items():
+        names = ", ".join(parts[inner].name for inner in inside)
+        remarks.note(parts[outer].name, f"is hollow: {names} faces inwards inside it")
+    joined = {index for inside in cavities.values() for index in inside}
+    return tuple(
+        dataclasses.replace(_merged([part, *(parts[inner] for inner in cavities.get(index, ()))]), name=part.name)
+        for index, part in enumerate(parts)
+        if index not in joined
+    )
+
+
+def _is_closed(part: ForeignObject) -> bool:
+    mesh = mesh_of(part.positions, part.faces, None, None, where=part.name)
+    return open_edges(mesh) == 0 or open_edges(seams_joined(mesh)[0]) == 0
+
+
 def _merged(group: list[ForeignObject]) -> ForeignObject:
     first = group[0]
     if len(group) == 1:
@@ -246,8 +282,8 @@ def _merged(group: list[ForeignObject]) -> ForeignObject:
         name=name,
         positions=np.concatenate([part.positions for part in group]),
         faces=np.concatenate([part.faces + start for part, start in zip(group, starts)]),
-        normals=np.concatenate(normals) if normals else None,
-        uv=np.concatenate(uv) if uv else None,
+        normals=np.concatenate(normals) if len(normals) == len(group) else None,
+        uv=np.concatenate(uv) if len(uv) == len(group) else None,
         material=first.material,
         crease_deg=first.crease_deg,
     )

@@ -1,7 +1,6 @@
 """From a foreign file to a scene: read, mend, map, stage, check."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -49,6 +48,7 @@ from datagen.scene.importers.foreign import (
     ForeignScene,
     elementwise,
     merged_by_material,
+    with_cavities,
     z_up_from,
 )
 from datagen.scene.importers.lights import lit, placed_light, placed_map
@@ -61,7 +61,7 @@ from datagen.scene.remarks import Remark, Remarks
 from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
 from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig, subject_box
-from datagen.scene.surfaces import check_decimation, closed, decimated, made_sound, mesh_of, shape_of
+from datagen.scene.surfaces import closed, made_sound, mesh_of, shape_of
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
@@ -111,12 +111,11 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         raise HyalineError(f"{path}: no such file; check the path{start}")
     if resolution.mean_side < MIN_SIDE:
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
-    check_decimation(choices.max_triangles)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
-    parts = _few_enough(foreign.objects, choices, remarks, path)
+    parts = _few_enough(with_cavities(foreign.objects, remarks), choices, remarks, path)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
@@ -127,10 +126,9 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     objects: list[SceneObject] = []
     cuts: dict[str, Cut] = {}
     without_uv: set[str] = set()
-    kept = min(1.0, (choices.max_triangles or math.inf) / sum(len(part.faces) for part in parts))
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices, kept_share=kept)
+        item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
         if item.material.medium is not None and (count := open_edges(item.mesh)):
             raise HyalineError(
                 f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
@@ -255,14 +253,8 @@ def scene_object(
     chosen: Material | None,
     remarks: Remarks,
     choices: ImportChoices,
-    *,
-    kept_share: float = 1.0,
 ) -> SceneObject:
-    """One object in metres, z up, with a material that suits its mesh.
-
-    Args:
-        kept_share: share of its triangles to keep.
-    """
+    """One object in metres, z up, with a material that suits its mesh."""
     normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
     positions = elementwise(part.positions, linear, offset)
     mesh = mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
@@ -278,11 +270,6 @@ def scene_object(
     if choices.repair and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
         mesh = joined(mesh, remarks, where=name)
-    if kept_share < 1:
-        if isinstance(material, ForeignMaterial) and (material.image or material.opacity) and part.uv is not None:
-            remarks.note(name, f"keeps its {len(mesh.faces):,} triangles, on which its image lies")
-        else:
-            mesh = decimated(mesh, int(kept_share * len(mesh.faces)), remarks, where=name)
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)

@@ -19,7 +19,6 @@ from datagen.data.meshes import (
     open_edges,
     points_on,
     signed_volume,
-    vertex_normals,
     volume_within,
     welded,
     windings,
@@ -40,7 +39,15 @@ if TYPE_CHECKING:
     import manifold3d
 
 STEP = 2 * TOLERANCE
-"""Metres by which a surface is moved in where it coincides with another."""
+"""Metres by which a surface is moved where it coincides with another."""
+MAX_STEPS = 6
+"""Steps until two surfaces are apart: those of a drink and its glass cross where their facets differ."""
+FILLS = 0.25
+"""Share of a solid's surface that touches another from outside if it fills it, as a drink does its glass."""
+FLAT = 0.01
+"""Squared sine, about, of the angle up to which faces count as one plane."""
+MAX_MITRE = 4.0
+"""How far a point of a sharp edge moves at most, relative to its faces."""
 MAX_PARTS = 16
 """The most overlapping parts of an object."""
 POINTS = 1 << 15
@@ -73,21 +80,37 @@ def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
 
 
 def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
-    """The objects; the smaller of two is moved in by `STEP` where the surface of glass coincides with another."""
+    """The objects, the smaller of two parted from the other where the surface of glass coincides with another.
+
+    What fills glass, as a drink does, grows into it: shrunk, it would have a film of air around it, which mirrors.
+    Everything else shrinks.
+    """
     areas = {item.name: float(face_areas(item.mesh).sum()) for item in objects}
     found = {item.name: item for item in objects}
     for names in combinations(found, 2):
-        small, large = sorted(names, key=lambda name: areas[name])
-        if not any(found[name].material.is_glass for name in names):
+        small, large = (found[name] for name in sorted(names, key=lambda name: areas[name]))
+        if not (small.material.is_glass or large.material.is_glass):
             continue
-        if touching_share(found[small].mesh, found[large].mesh) > MAX_TOUCHING:
-            remarks.approximate(
-                small,
-                f"shares some of its surface with {large}; moved in by {1000 * STEP:.1f} mm, since one of two "
-                "coincident faces would vanish",
-            )
-            found[small] = dataclasses.replace(found[small], mesh=_moved_in(found[small].mesh, STEP))
+        if touching_share(small.mesh, large.mesh) > MAX_TOUCHING:
+            found[small.name] = dataclasses.replace(small, mesh=_parted_from(small, large, remarks))
     return list(found.values())
+
+
+def _parted_from(small: SceneObject, large: SceneObject, remarks: Remarks) -> Mesh:
+    """The mesh of the smaller object, grown or shrunk until it touches the other one no more."""
+    are_solids = all(item.material.medium is not None for item in (small, large))
+    fills = are_solids and touching_share(small.mesh, large.mesh, are_opposed=True) > FILLS
+    way, what = (1, "grown into it") if fills else (-1, "shrunk")
+    mesh, distance = small.mesh, 0.0
+    while touching_share(mesh, large.mesh) > MAX_TOUCHING and distance < MAX_STEPS * STEP:
+        distance += STEP
+        mesh = _moved(small.mesh, way * distance)
+    remarks.approximate(
+        small.name,
+        f"shares some of its surface with {large.name}; {what} by {1000 * distance:.1f} mm, since one of two "
+        "coincident faces would vanish",
+    )
+    return mesh
 
 
 def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
@@ -136,12 +159,25 @@ def _overlap(one: Mesh, other: Mesh) -> bool:
     )
 
 
-def _moved_in(mesh: Mesh, distance: float) -> Mesh:
-    """The mesh with each point moved against the mean normal of its faces; seams stay closed."""
+def _moved(mesh: Mesh, distance: float) -> Mesh:
+    """The mesh with each of its faces moved outwards by `distance`; seams stay closed.
+
+    A point moves to where the moved planes of its faces meet, or to the nearest place if these are too many.
+    """
     positions, faces = welded(mesh)
     _, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    inner = positions - distance * vertex_normals(positions, faces)
-    return dataclasses.replace(mesh, vertices=inner.astype(np.float32)[index.reshape(-1)])
+    a, b, c = np.moveaxis(positions[faces].astype(np.float64), 1, 0)
+    across = np.cross(b - a, c - a)
+    has_area = (size := np.linalg.norm(across, axis=-1)) > 0
+    normals, faces = across[has_area] / size[has_area, None], faces[has_area]
+    products, sums = np.zeros((len(positions), 3, 3)), np.zeros((len(positions), 3))
+    for corner in faces.T:
+        np.add.at(products, corner, normals[:, :, None] * normals[:, None])
+        np.add.at(sums, corner, normals)
+    way = np.einsum("pij,pj->pi", np.linalg.pinv(products, rcond=FLAT, hermitian=True), sums)
+    way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True) / MAX_MITRE, 1)
+    moved = positions + distance * way
+    return dataclasses.replace(mesh, vertices=moved.astype(np.float32)[index.reshape(-1)])
 
 
 def _without_others(mesh: Mesh, is_kept: np.ndarray) -> Mesh:

@@ -15,7 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.importers.fields import Fields
 from datagen.scene.importers.foreign import PLAIN, Factor, FactorImage, ForeignImage, ForeignMaterial, substance_of
 from datagen.scene.importers.gltf.file import GltfFile
-from datagen.scene.importers.pictures import stored
+from datagen.scene.importers.pictures import decoded, stored
 from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 
@@ -29,6 +29,8 @@ IGNORED = {
 }
 MAX_PRIORITY = 9
 REPEAT, CLAMP_TO_EDGE, MIRRORED_REPEAT = 10497, 33071, 33648
+LEAST_METAL = 0.25
+"""Reflectance at normal incidence that only metals have; a diamond has 0.17."""
 ROUNDING = 1e-4
 """Largest distance of uv from an image's edge, in images, that counts as rounding."""
 
@@ -76,7 +78,15 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         texture = gloss.fields("diffuseTexture") if "diffuseTexture" in gloss else None
         is_shiny = "specularGlossinessTexture" in gloss
         others = [("roughness", gloss.fields("specularGlossinessTexture"), 3)] if is_shiny else []
-        remarks.approximate(name, "is of the specular-glossiness model; drawn as plastic of its diffuse colour")
+        specular = np.array(gloss.color("specularFactor", (1.0, 1.0, 1.0)))
+        shown = _texture(file, gloss.fields("specularGlossinessTexture"), name, remarks)[0] if is_shiny else None
+        if shown is not None:
+            specular *= decoded(shown)[..., :3].mean(axis=(0, 1))
+        what = "plastic of its diffuse colour"
+        if specular.max() > LEAST_METAL:
+            (red, green, blue), metallic, texture = specular.tolist(), 1.0, None
+            what = "metal of its specular colour"
+        remarks.approximate(name, f"is of the specular-glossiness model; drawn as {what}")
     if is_unlit := fields.extension("KHR_materials_unlit") is not None:
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")

@@ -2,21 +2,24 @@
 
 import dataclasses
 import io
+import itertools
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
 from support.rigs import config
 
 from datagen.data.config import square
-from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume
+from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.render.mitsuba_scene import radiance_of_environment
+from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
@@ -26,6 +29,7 @@ from datagen.scene.modelling import ball, lathe, sheet
 from datagen.scene.rig import make_cameras
 from datagen.scene.shading_normals import edge_tilt_deg
 from datagen.scene.staging import LIGHT
+from datagen.scene.surfaces import mesh_of
 from datagen.scene.textures import ImageTexture, SolidTexture
 
 
@@ -190,14 +194,103 @@ def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
     assert "bowl: was inside out; its faces were turned round" in done.record["notes"]
 
 
-def test_glass_that_shares_a_face_with_its_stand_is_moved_in(tmp_path: Path) -> None:
+def test_glass_that_shares_a_face_with_its_stand_shrinks(tmp_path: Path) -> None:
     builder = scene_with_glass()
     matt = builder.material(pbrMetallicRoughness=clear(roughnessFactor=1.0))
     # Its top is where the vase's bottom is: 0.2 * 0.3 below the origin.
     builder.node(mesh=builder.mesh(material=matt), name="stand", scale=[0.2, 0.1, 0.2], translation=[0, -0.09, 0])
     done = import_scene(builder.written(tmp_path), ImportChoices())
-    assert any(line.where == "vase" and "moved in by 0.2 mm" in line.what for line in done.remarks)
+    assert any(line.where == "vase" and "shrunk by 0.2 mm" in line.what for line in done.remarks)
     np.testing.assert_allclose(extent(of_name(done.scene, "vase")), np.array([0.1, 0.04, 0.12]) - 4e-4, atol=2e-4)
+
+
+def tumbler(segments: int) -> Mesh:
+    return lathe([(0, 0), (0.035, 0), (0.037, 0.1), (0.034, 0.1), (0.032, 0.008), (0, 0.008)], segments=segments)
+
+
+def drink(segments: int) -> Mesh:
+    """It fills the tumbler to two thirds: its outside is the tumbler's inside."""
+    radius = 0.032 + 0.002 * (0.07 - 0.008) / (0.1 - 0.008)
+    return lathe([(0, 0.008), (0.032, 0.008), (radius, 0.07), (0, 0.07)], segments=segments)
+
+
+@pytest.mark.parametrize(("rings", "others"), [(48, 48), (48, 36), (24, 64)])
+def test_a_drink_that_fills_its_glass_comes_in_and_grows_into_it(rings: int, others: int, tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    for name, mesh, ior in (("tumbler", tumbler(rings), 1.5), ("drink", drink(others), 1.33)):
+        extensions = {**glass(), "KHR_materials_ior": {"ior": ior}}
+        material = builder.material(name, pbrMetallicRoughness=clear(), extensions=extensions)
+        builder.node(mesh=builder.mesh(mesh, material=material), name=name)
+    answer = call(f"datagen import '{builder.written(tmp_path, 'full.glb')}' --up z --scale 1 --out '{tmp_path}/out'")
+    assert answer.status == 0, answer.err
+    assert "drink: shares some of its surface with tumbler; grown into it" in answer.err
+    scene = load_scene(tmp_path / "out")
+    vessel, water = (of_name(scene, name).mesh for name in ("tumbler", "drink"))
+    assert touching_share(water, vessel) < 0.005
+    # No air is left between them: just outside of the drink's side is glass.
+    side = np.linspace(0.01, 0.06, 20)[:, None] * [0, 0, 1] + [[0.0326, 0, vessel.vertices[:, 2].min()]]
+    assert (windings(face_corners(vessel), side + np.array([0.0006, 0, 0])) == 1).all()
+    assert signed_volume(water) > signed_volume(drink(others))
+
+
+def test_a_plate_of_glass_on_four_legs_comes_in_and_the_legs_shrink(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    clear_glass = builder.material("Glass", pbrMetallicRoughness=clear(), extensions=glass())
+    wood = builder.material(pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    cube = mesh_of_box()
+    builder.node(mesh=builder.mesh(cube, material=clear_glass), name="plate", scale=[0.3, 0.3, 0.01])
+    for index, (x, y) in enumerate(itertools.product((-0.1, 0.1), repeat=2)):
+        leg = builder.mesh(cube, material=wood)
+        builder.node(mesh=leg, name=f"leg{index}", scale=[0.02, 0.02, 0.2], translation=[x, y, -0.105])
+    answer = call(f"datagen import '{builder.written(tmp_path, 'a.glb')}' --up z --scale 1 --out '{tmp_path}/out'")
+    assert answer.status == 0, answer.err
+    scene = load_scene(tmp_path / "out")
+    for index in range(4):
+        leg = of_name(scene, f"leg{index}").mesh
+        np.testing.assert_allclose(np.ptp(leg.vertices, axis=0), [0.0196, 0.0196, 0.1996], atol=1e-6)
+
+
+def mesh_of_box() -> Mesh:
+    """A unit cube with sharp edges."""
+    box = trimesh.creation.box()
+    return mesh_of(np.asarray(box.vertices), np.asarray(box.faces), None, None, where="cube")
+
+
+@pytest.mark.parametrize("is_same_material", [True, False])
+def test_a_shell_that_faces_inwards_inside_a_body_of_its_material_is_its_cavity(
+    is_same_material: bool, tmp_path: Path
+) -> None:
+    builder = GltfBuilder()
+    outer = builder.material("Glass", pbrMetallicRoughness=clear(), extensions=glass())
+    inner = outer if is_same_material else builder.material("Gas", pbrMetallicRoughness=clear(), extensions=glass())
+    shell = ball(0.04)
+    inwards = dataclasses.replace(shell, faces=np.ascontiguousarray(shell.faces[:, ::-1]), normals=-shell.normals)
+    builder.node(mesh=builder.mesh(ball(0.05), material=outer), name="bauble")
+    builder.node(mesh=builder.mesh(inwards, material=inner), name="inside")
+    answer = call(f"datagen import '{builder.written(tmp_path, 'a.glb')}' --scale 1 --out '{tmp_path}/out'")
+    assert answer.status == 0, answer.err
+    scene = load_scene(tmp_path / "out")
+    whole, hollow = signed_volume(ball(0.05)), signed_volume(ball(0.05)) - signed_volume(shell)
+    volume = hollow if is_same_material else whole
+    assert signed_volume(of_name(scene, "bauble").mesh) == pytest.approx(volume, rel=1e-3)
+    assert any(item.name == "inside" for item in scene.objects) is not is_same_material
+
+
+@pytest.mark.parametrize("has_image", [True, False])
+def test_metal_of_the_specular_glossiness_model_has_its_specular_colour(has_image: bool, tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    gloss: dict = {"diffuseFactor": [0, 0, 0, 1], "specularFactor": [0.8, 0.6, 0.4], "glossinessFactor": 0.9}
+    if has_image:
+        picture = io.BytesIO()
+        Image.new("RGBA", (8, 8), (231, 203, 170, 255)).save(picture, format="PNG")  # 0.8, 0.6 and 0.4 in sRGB.
+        image = builder.add("images", {"bufferView": builder.view(picture.getvalue()), "mimeType": "image/png"})
+        gloss |= {"specularFactor": [1, 1, 1]}
+        gloss["specularGlossinessTexture"] = {"index": builder.add("textures", {"source": image})}
+    steel = builder.material("Steel", extensions={"KHR_materials_pbrSpecularGlossiness": gloss})
+    builder.node(mesh=builder.mesh(BOX, material=steel, has_uv=True), name="ball", scale=[0.1] * 3)
+    done = import_scene(builder.written(tmp_path), ImportChoices())
+    metal = of_name(done.scene, "ball").material
+    assert isinstance(metal, Conductor) and metal.color == pytest.approx((0.8, 0.6, 0.4), abs=0.01)
 
 
 def test_more_objects_than_a_scene_has_are_merged_when_asked(tmp_path: Path) -> None:
