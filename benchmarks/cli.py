@@ -131,7 +131,7 @@ def peers(
         dataset: A name in data/, or a folder.
         python: Python interpreter of the environment in which the tools are installed; it needs no hyaline.
         only: Only these loaders: nerfstudio-data, nerfstudio-blender, nerfstudio-colmap, nerfbaselines, pycolmap,
-            webdataset, datasets.
+            datasets.
         points: Points of the surfaces in each export.
         json: Print JSON instead of a table.
     """
@@ -144,7 +144,7 @@ def peers(
     )
     print(peers_json(reports) if json else peers_table(reports))
     if all(report.missing for report in reports):
-        tools = "nerfstudio, nerfbaselines, pycolmap, webdataset, datasets"
+        tools = "nerfstudio, nerfbaselines, pycolmap, datasets"
         fail(f"{python}: has none of the tools; install some of {tools} there")
     wrong = sum(not one.passed for report in reports for one in report.findings)
     if wrong:

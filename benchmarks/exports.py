@@ -32,9 +32,7 @@ PEERS: dict[str, tuple[str, ...]] = {
     "nerfstudio-colmap": ("colmap",),
     "nerfbaselines": ("nerfbaselines",),
     "pycolmap": ("colmap",),
-    "webdataset": ("webdataset",),
     "datasets": ("huggingface",),
-    "mlcroissant": ("huggingface",),
 }
 """Loaders, and the formats that each opens."""
 
@@ -289,8 +287,8 @@ def survey_peers(dataset: Dataset, python: Path, peers: Sequence[str], *, num_po
     with tempfile.TemporaryDirectory(prefix="hyaline-peers-") as folder:
         for peer in peers:
             for form in PEERS[peer]:
-                root = Path(folder) / form
-                export_dataset(dataset, form, root, num_points=num_points, flow=False, overwrite=False)
+                root = Path(folder) / f"{peer}-{form}"
+                export_dataset(dataset, form, root, num_points=num_points, flow=False)
                 say(f"peers: {peer} opens {form}")
                 answer = ask(python, peer, root, places, Path(folder))
                 reports.append(report_on(peer, form, source, places, answer))

@@ -16,7 +16,7 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -149,7 +149,7 @@ def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
 
 
 def read_pycolmap(root: Path, questions: Questions) -> Answer:
-    """COLMAP's own reader, of the binary model; it knows no splits."""
+    """COLMAP's own reader; it knows no splits."""
     import pycolmap
 
     model = pycolmap.Reconstruction(str(root / "sparse" / "0"))
@@ -177,22 +177,6 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
     return answer
 
 
-def read_webdataset(root: Path, questions: Questions) -> Answer:
-    """Shards decoded by the library; cameras by their convention, for it has none of its own."""
-    import webdataset
-
-    answer = Answer(packages=("webdataset",))
-    for shard in sorted(root.glob("*.tar")):
-        samples: Iterable[dict] = webdataset.WebDataset(str(shard), shardshuffle=False).decode("rgb8")
-        for sample in samples:
-            name, lens = sample["__key__"], sample["camera.json"]
-            answer.pictures[name] = _by_convention(lens, questions[name], sample["png"], sample["depth.npy"])
-            answer.splits.setdefault(lens["role"], []).append(name)
-    about = json.loads((root / "dataset.json").read_text())
-    answer.near_far = about["near"], about["far"]
-    return answer
-
-
 def read_datasets(root: Path, questions: Questions) -> Answer:
     """Hugging Face's `load_dataset` of the folder; cameras by their convention, for it has none of its own."""
     os.environ["HF_HUB_OFFLINE"] = "1"
@@ -210,24 +194,7 @@ def read_datasets(root: Path, questions: Questions) -> Answer:
     return answer
 
 
-def read_mlcroissant(root: Path, questions: Questions) -> Answer:
-    """MLCommons' reader of croissant.json, which it validates; it reads no depth, since it makes all pictures RGB."""
-    import mlcroissant
-
-    dataset = mlcroissant.Dataset(str(root / "croissant.json"))
-    answer = Answer(packages=("mlcroissant",))
-    for records in dataset.metadata.record_sets:
-        role = {"train": "train", "validation": "val"}.get(records.name, "test")
-        for record in dataset.records(records.uuid):
-            row = {key.partition("/")[2]: value for key, value in record.items()}
-            name = row["name"].decode()
-            answer.pictures[name] = _by_convention(row, questions[name], np.asarray(row["image"]))
-            answer.splits.setdefault(role, []).append(name)
-            answer.near_far = row["near"], row["far"]
-    return answer
-
-
-def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray | None = None) -> Picture:
+def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> Picture:
     """A picture with the camera keys of transforms.json."""
     matrix = np.array(lens["transform_matrix"])
     x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
@@ -237,7 +204,7 @@ def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np
         colors=colors,
         origins=np.tile(matrix[:3, 3], (len(places), 1)),
         directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
-        depth=None if depth is None else _at(depth, places),
+        depth=_at(depth, places),
     )
 
 
@@ -247,9 +214,7 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
     "nerfstudio-colmap": read_nerfstudio_colmap,
     "nerfbaselines": read_nerfbaselines,
     "pycolmap": read_pycolmap,
-    "webdataset": read_webdataset,
     "datasets": read_datasets,
-    "mlcroissant": read_mlcroissant,
 }
 
 

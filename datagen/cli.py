@@ -280,30 +280,27 @@ def export(
     out: Path | None = None,
     points: int = 20000,
     flow: bool = False,
-    overwrite: bool = False,
 ) -> None:
-    """Export a dataset in another tool's format, into its own folder; if interrupted, the same command resumes.
+    """Export a dataset in another tool's format, into a new folder.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, refref, capture, cleargrasp, webdataset,
-            quantities or huggingface.
-        out: Folder to write. Default: exports/NAME-FORMAT.
+        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, capture, quantities or huggingface.
+        out: Folder to write, new or empty. Default: exports/NAME-FORMAT.
         points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
-        flow: With webdataset and quantities: also trace refractive flow and attenuation through the glass.
-        overwrite: Replace an existing export.
+        flow: With quantities: also trace refractive flow and attenuation through the glass.
     """
     from datagen.data.dataset import open_dataset
     from datagen.export.formats import export_dataset
 
     opened = open_dataset(find_dataset(dataset))
-    where, hint = export_dataset(opened, format, out, num_points=points, flow=flow, overwrite=overwrite)
+    where, hint = export_dataset(opened, format, out, num_points=points, flow=flow)
     tell(str(where))
     next_command(hint)
 
 
 def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
-    """Pack a finished dataset into one tar file, every byte verified; if interrupted, the same command resumes.
+    """Pack a finished dataset into one tar file, every byte verified.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
@@ -318,11 +315,11 @@ def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
 
 
 def unpack(file: Path, /, *, out: Path | None = None) -> None:
-    """Unpack a packed dataset, every byte verified; if interrupted, the same command resumes.
+    """Unpack a packed dataset into a new folder, every byte verified.
 
     Args:
         file: A file from `datagen pack`.
-        out: Folder to write. Default: data/NAME, for NAME.tar.
+        out: Folder to write, new or empty. Default: data/NAME, for NAME.tar.
     """
     from datagen.export.pack import unpack_archive
 

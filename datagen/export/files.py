@@ -7,7 +7,6 @@ from jaxtyping import Bool, Float32
 
 from datagen.data.cameras import Camera
 from datagen.data.images import png_bytes
-from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.export.source import Bounds, ExportView, PointCloud, Source
@@ -55,7 +54,6 @@ def ply_points(points: PointCloud) -> bytes:
 MAX_SHIFT = 0.05
 """Pixels by which a principal point may miss the picture's middle and still be taken for it."""
 
-
 MAX_NGP_SIDE = 128
 """The largest `aabb_scale`, which must be a power of two."""
 
@@ -99,6 +97,3 @@ def frame(item: ExportView, file_path: str, **more: Json) -> dict[str, Json]:
     """One view: its picture and its world_from_camera (OpenGL)."""
     matrix = np.asarray(item.view.camera.world_from_camera, np.float64)
     return {"file_path": file_path, "transform_matrix": matrix.tolist(), **more}
-
-
-__all__ = ["CONVENTION", "bounds_keys", "check_centered", "frame", "lens_keys", "world_keys"]

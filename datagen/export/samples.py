@@ -1,25 +1,22 @@
-"""Every quantity of a view as a file of its own: the formats `quantities` and `webdataset`.
+"""quantities: every quantity of a view as a file beside its picture, for NumPy and any viewer of PNGs.
 
-quantities: a file for each quantity of each view, beside the pictures, as NumPy and any viewer of PNGs open them
-train/NAME.png, train/NAME.depth.npy, ...                           also val, interpolating, extrapolating
-
-webdataset: shards of samples NAME.png, NAME.depth.npy, ..., one a view
-train-000000.tar, val-..., interpolating-..., extrapolating-...     SHARD_VIEWS views each
-
-dataset.json of both: objects, materials, near, far, box; what each file says, and in what unit
+train/NAME.png, train/NAME.depth.npy, ...     also val, interpolating, extrapolating
+dataset.json                                  objects, materials, near, far, box; each file's content and unit
 """
 
-import io
-import tarfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+
+import numpy as np
 
 from datagen.data.images import npy_bytes, png_bytes
+from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.export.files import CONVENTION, bounds_keys, frame, lens_keys, mask_png, rgb_png
-from datagen.export.plan import Part, Plan, one_file
-from datagen.export.source import ExportView, Source
+from datagen.export.files import bounds_keys, frame, mask_png, rgb_png
+from datagen.export.formats import Format
+from datagen.export.source import Source, tracked
 from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities.view_quantities import ViewQuantities
 
 FILES = {
     "png": "8-bit sRGB",
@@ -37,7 +34,7 @@ FILES = {
     "albedo.npy": "float32 (h, w, 3): linear reflectance (Rec. 709) of the first surface; NaN on glass and background",
     "ior.npy": "float32 (h, w): index of refraction of the first surface; 0 on everything opaque",
 }
-"""Files of each view by ending, in their order, and the convention of each."""
+"""Files of each view by ending, and the convention of each."""
 
 FLOW_FILES = {
     "flow.npy": "float32 (h, w, 2): refractive flow in pixels, (right, down): the pixel shows what the camera sees at "
@@ -52,121 +49,63 @@ FLOW_FILES = {
 """What has to be traced, too."""
 
 
-def sample_files(item: ExportView, *, flow: bool) -> Mapping[str, bytes]:
-    """The contents of a view's files by ending: those of `FILES`, with `flow` also those of `FLOW_FILES`."""
-    found = item.quantities
-    camera: dict[str, Json] = {
-        "convention": CONVENTION,
-        **lens_keys(item.view.camera),
-        **frame(item, f"{item.name}.png", role=item.role, split=item.view.split, view=item.view.index),
-    }
-    contents = {
-        "png": rgb_png(item),
-        "camera.json": dump_json(camera),
-        "depth.npy": npy_bytes(found.depth_along_axis),
-        "opaque_depth.npy": npy_bytes(found.opaque_depth_along_axis),
-        "position.npy": npy_bytes(found.position),
-        "normal.npy": npy_bytes(found.normal("shading")),
-        "geometric_normal.npy": npy_bytes(found.normal("geometric")),
-        "object_id.png": png_bytes(found.object_id),
-        "opaque_object_id.png": png_bytes(found.opaque_object_id),
-        "material_id.png": png_bytes(found.material_id),
-        "glass.png": mask_png(found.glass),
-        "thickness.npy": npy_bytes(found.glass_thickness),
-        "albedo.npy": npy_bytes(found.albedo),
-        "ior.npy": npy_bytes(found.ior),
+def _arrays(found: ViewQuantities, *, flow: bool) -> dict[str, np.ndarray]:
+    """What each array file holds, by ending."""
+    arrays = {
+        "depth.npy": found.depth_along_axis,
+        "opaque_depth.npy": found.opaque_depth_along_axis,
+        "position.npy": found.position,
+        "normal.npy": found.normal("shading"),
+        "geometric_normal.npy": found.normal("geometric"),
+        "object_id.png": found.object_id,
+        "opaque_object_id.png": found.opaque_object_id,
+        "material_id.png": found.material_id,
+        "glass.png": found.glass,
+        "thickness.npy": found.glass_thickness,
+        "albedo.npy": found.albedo,
+        "ior.npy": found.ior,
     }
     if not flow:
-        return contents
+        return arrays
     ends = found.light_ends
-    return contents | {
-        "flow.npy": npy_bytes(ends.flow),
-        "has_flow.png": mask_png(ends.has_flow),
-        "attenuation.npy": npy_bytes(ends.attenuation),
-        "end_depth.npy": npy_bytes(ends.depth_along_axis),
-        "end_position.npy": npy_bytes(ends.position),
-        "end_object_id.png": png_bytes(ends.object_id),
-        "has_left.png": mask_png(ends.has_left),
+    return arrays | {
+        "flow.npy": ends.flow,
+        "has_flow.png": ends.has_flow,
+        "attenuation.npy": ends.attenuation,
+        "end_depth.npy": ends.depth_along_axis,
+        "end_position.npy": ends.position,
+        "end_object_id.png": ends.object_id,
+        "has_left.png": ends.has_left,
     }
 
 
-def sample_groups(source: Source) -> dict[str, list[ExportView]]:
-    """The views by what they are for: train, val, interpolating, extrapolating."""
-    groups: dict[str, list[ExportView]] = {}
-    for item in source.views:
-        groups.setdefault(item.view.split if item.role == "test" else item.role, []).append(item)
-    return groups
-
-
-def about_samples(source: Source) -> bytes:
-    """dataset.json: licence, objects, kinds of material, near, far, box, and the convention of every file."""
-    surfaces = surfaces_of(source.dataset)
+def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
+    for item in tracked(source.views):
+        stem = f"{item.group}/{item.name}"
+        yield f"{stem}.png", rgb_png(item)
+        about = frame(item, f"{item.name}.png", role=item.role, split=item.view.split, view=item.view.index)
+        yield f"{stem}.camera.json", dump_json({"convention": CONVENTION, **lens_keys(item.view.camera), **about})
+        for ending, array in _arrays(item.quantities, flow=source.flow).items():
+            encode = npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
+            yield f"{stem}.{ending}", encode(array)
     objects: list[Json] = [
         {"object_id": index + 1, "name": item.name, "material": type(item.material).__name__}
-        for index, item in enumerate(surfaces.scene.objects)
+        for index, item in enumerate(surfaces_of(source.dataset).scene.objects)
     ]
-    kinds: list[Json] = [*source.pictures[0].quantities.material_names]
-    return dump_json(
-        {
-            "license": source.dataset.license,
-            "convention": CONVENTION,
-            **bounds_keys(source.bounds),
-            "objects": objects,
-            "material_names": kinds,
-            "files": {**FILES, **(FLOW_FILES if source.flow else {})},
-        }
-    )
+    names: list[Json] = [*source.pictures[0].quantities.material_names]
+    about: dict[str, Json] = {
+        "license": source.dataset.license,
+        "convention": CONVENTION,
+        **bounds_keys(source.bounds),
+        "objects": objects,
+        "material_names": names,
+        "files": {**FILES, **(FLOW_FILES if source.flow else {})},
+    }
+    yield "dataset.json", dump_json(about)
 
 
-def plan_quantities(source: Source) -> Plan:
-    """The whole folder."""
-    about = one_file("about", "dataset.json", lambda: about_samples(source))
-    views = [
-        _view_part(folder, item, flow=source.flow) for folder, items in sample_groups(source).items() for item in items
-    ]
-    first = views[0].files[list(FILES).index("depth.npy")]
-    hint = f"python -c \"import numpy; print(numpy.load('OUT/{first}').shape)\""
-    return Plan(parts=(*views, about), hint=hint, has_flow=True)
-
-
-def _view_part(folder: str, item: ExportView, *, flow: bool) -> Part:
-    stem = f"{folder}/{item.name}"
-    return Part(
-        name=f"{folder}-{item.name}",
-        files=tuple(f"{stem}.{ending}" for ending in (*FILES, *(FLOW_FILES if flow else ()))),
-        make=lambda: {f"{stem}.{ending}": data for ending, data in sample_files(item, flow=flow).items()},
-    )
-
-
-SHARD_VIEWS = 32
-"""Views of a shard, which is made at once."""
-
-
-def plan_webdataset(source: Source) -> Plan:
-    """All shards, and what they have in common."""
-    about = one_file("about", "dataset.json", lambda: about_samples(source))
-    hint = "python -c \"import webdataset; print(next(iter(webdataset.WebDataset('OUT/train-000000.tar'))).keys())\""
-    return Plan(parts=(*_shards(source), about), hint=hint, has_flow=True)
-
-
-def _shards(source: Source) -> Iterator[Part]:
-    for name, items in sample_groups(source).items():
-        for shard, first in enumerate(range(0, len(items), SHARD_VIEWS)):
-            yield _shard_part(f"{name}-{shard:06d}", items[first : first + SHARD_VIEWS], flow=source.flow)
-
-
-def _shard_part(name: str, items: list[ExportView], *, flow: bool) -> Part:
-    file = f"{name}.tar"
-    return Part(name=name, files=(file,), make=lambda: {file: _tar(items, flow=flow)})
-
-
-def _tar(items: list[ExportView], *, flow: bool) -> bytes:
-    """The same views give the same bytes: no time, no owner."""
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.USTAR_FORMAT) as archive:
-        for item in items:
-            for name, data in sample_files(item, flow=flow).items():
-                entry = tarfile.TarInfo(f"{item.name}.{name}")
-                entry.size = len(data)
-                archive.addfile(entry, io.BytesIO(data))
-    return buffer.getvalue()
+QUANTITIES = Format(
+    files=_quantities,
+    hint="python -c \"import numpy; print(numpy.load('OUT/train/train_0000.depth.npy').shape)\"",
+    has_flow=True,
+)

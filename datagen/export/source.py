@@ -1,17 +1,20 @@
 """The source of an export: a dataset's views by role, the space that they show, and points of its surfaces."""
 
 import functools
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float, UInt8
 
+from datagen.data.cameras import Camera
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
 from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.terminal.command import track
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -39,6 +42,11 @@ class ExportView:
         return f"{self.view.split}_{self.view.index:04d}"
 
     @property
+    def group(self) -> str:
+        """What it is for: train, val, interpolating or extrapolating."""
+        return self.view.split if self.role == "test" else self.role
+
+    @property
     def has_picture(self) -> bool:
         """False where a verifier keeps it."""
         return self.view.split not in self.view.dataset.withheld
@@ -52,8 +60,13 @@ class ExportView:
 
     @property
     def quantities(self) -> ViewQuantities:
-        """Depth, normals, masks; computed again at each call."""
+        """Depth, normals, masks; computed again each time."""
         return quantities(self.view)
+
+
+def tracked(views: Sequence[ExportView]) -> Iterator[ExportView]:
+    """The views one by one, with progress on stderr."""
+    return track(views, label="export", total=len(views))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +136,11 @@ class Source:
         for item in self.views:
             first.setdefault(item.name, item)
         return tuple(first.values())
+
+    @property
+    def lens(self) -> Camera:
+        """A camera with the lens that all views share."""
+        return self.pictures[0].view.camera
 
     def of_role(self, role: Role) -> tuple[ExportView, ...]:
         """The views of one role, in order."""

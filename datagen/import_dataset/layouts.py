@@ -1,7 +1,7 @@
 """Layouts of other projects' datasets with transforms files, read before any picture is decoded.
 
-    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json, as
-                   `datagen export --format refref` adds them
+    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json with
+                   their index and absorption, if somebody adds them
     openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
     blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
     nerfstudio     transforms.json for all pictures

@@ -10,7 +10,7 @@ from PIL import Image
 from support.commands import Answer, call
 from support.disk import State, read_state
 from support.gltf import GltfBuilder
-from support.scenarios import BUILD, EXPORT, GRID, TRAIN
+from support.scenarios import BUILD, GRID, TRAIN
 
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.run.sweep import Failure
@@ -37,7 +37,7 @@ TRIPS = (
     Trip(line="datagen add data/one --edit remove:pane --overwrite"),
     Trip(line="datagen add data/one --angles --larger 2"),
     Trip(line="datagen peel data/one --num-layers 3 --overwrite"),
-    Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported"),
+    Trip(line="datagen export data/one --format 3dgs --out exports/one"),
     Trip(line="datagen pack data/one --out exports/one.tar"),
     Trip(line="datagen unpack exports/one.tar --out data/two", start="packed"),
     Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
@@ -63,7 +63,7 @@ TRIPS = (
     Trip(line="datagen pack data/one --out exports/one.tar", taken=("exports/one.tar",)),
     Trip(line="datagen unpack exports/one.tar --out data/two", start="packed", taken=("data/two/dataset.json",)),
     Trip(line="datagen look data/one", taken=("one-look.html",)),
-    Trip(line=f"{EXPORT} --format 3dgs --overwrite", start="exported", taken=("exports/one/points3d.ply",)),
+    Trip(line="datagen export data/one --format 3dgs --out exports/one", taken=("exports/one/points3d.ply",)),
     Trip(
         line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")
     ),

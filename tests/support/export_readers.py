@@ -7,7 +7,6 @@ A reader gives, by the name of each picture, where its file is and a function th
 import dataclasses
 import json
 import math
-import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -76,50 +75,6 @@ def read_blender(root: Path, split: str) -> dict[str, ReadView]:
     return views
 
 
-def read_refref(root: Path, split: str) -> dict[str, ReadView]:
-    """transforms_SPLIT.json as RefRef's parser reads it: file names with or without ending, lens in pixels."""
-    meta = json.loads((root / f"transforms_{split}.json").read_text())
-    views = {}
-    for frame in meta["frames"]:
-        relative = Path(frame["file_path"].replace("./", ""))
-        file = root / (relative if relative.suffix else relative.with_suffix(".png"))
-        views[file.stem.removeprefix("image_")] = ReadView(
-            file=file, project=_opengl(frame["transform_matrix"], meta), frame=frame
-        )
-    return views
-
-
-def read_cleargrasp(root: Path, split: str) -> dict[str, ReadView]:
-    """A split as ClearGrasp's loader lists it: pictures sorted by name, all else by the number in front of its ending.
-
-    Its own data has no cameras; cameras.json says which is whose.
-    """
-    folder = root / split
-    files = sorted((folder / "rgb-imgs").glob("*-rgb.jpg"))
-    meta = json.loads((folder / "cameras.json").read_text())
-    frames = {frame["file_path"]: frame for frame in meta["frames"]}
-    assert sorted(frames) == [f"rgb-imgs/{file.name}" for file in files]
-    views = {}
-    for file in files:
-        number = file.name.removesuffix("-rgb.jpg")
-        assert len(number) == 9 and number.isdigit()
-        paths = {
-            "depth": f"depth-imgs-rectified/{number}-depth-rectified.exr",
-            "normals": f"camera-normals/{number}-cameraNormals.exr",
-            "mask": f"segmentation-masks/{number}-segmentation-mask.png",
-        }
-        for kind, path in paths.items():
-            suffix = Path(path).name.removeprefix(number)
-            assert [item.name for item in sorted((folder / path).parent.glob(f"*{suffix}"))] == [
-                other.name.replace("-rgb.jpg", suffix) for other in files
-            ], kind
-        matrix = frames[f"rgb-imgs/{file.name}"]["transform_matrix"]
-        views[number] = ReadView(
-            file=file, project=_opengl(matrix, meta), frame={key: folder / path for key, path in paths.items()}
-        )
-    return views
-
-
 def read_colmap_text(root: Path) -> tuple[dict[str, ReadView], dict[int, tuple], dict[str, list]]:
     """sparse/0/*.txt: views, points (position, colour, track) by id, and the observations of each picture."""
     model = root / "sparse" / "0"
@@ -142,36 +97,6 @@ def read_colmap_text(root: Path) -> tuple[dict[str, ReadView], dict[int, tuple],
     for line in _lines(model / "points3D.txt"):
         number, *rest = line.split()
         points[int(number)] = (np.array(rest[:3], float), np.array(rest[3:6], int), np.array(rest[7:], int))
-    return views, points, seen
-
-
-def read_colmap_binary(root: Path) -> tuple[dict[str, ReadView], dict[int, tuple], dict[str, list]]:
-    """The same from sparse/0/*.bin."""
-    model = root / "sparse" / "0"
-    data = (model / "cameras.bin").read_bytes()
-    count, camera_id, kind, _, _, *lens = struct.unpack("<QIiQQ4d", data)
-    assert (count, camera_id, kind) == (1, 1, 1)
-    data, at = (model / "images.bin").read_bytes(), 8
-    views, seen = {}, {}
-    for _ in range(struct.unpack_from("<Q", data)[0]):
-        _, *pose, camera_id = struct.unpack_from("<I7dI", data, at)
-        assert camera_id == 1
-        end = data.index(b"\0", at + 64)
-        name = data[at + 64 : end].decode()
-        (number,) = struct.unpack_from("<Q", data, end + 1)
-        rows = [struct.unpack_from("<ddQ", data, end + 9 + 24 * row) for row in range(number)]
-        at = end + 9 + 24 * number
-        views[Path(name).stem] = ReadView(file=root / "images" / name, project=_colmap(pose, lens))
-        seen[Path(name).stem] = rows
-    assert at == len(data)
-    data, at = (model / "points3D.bin").read_bytes(), 8
-    points = {}
-    for _ in range(struct.unpack_from("<Q", data)[0]):
-        number, *position, r, g, b, _, length = struct.unpack_from("<Q3d3BdQ", data, at)
-        track = struct.unpack_from(f"<{2 * length}I", data, at + 51)
-        at += 51 + 8 * length
-        points[number] = (np.array(position), np.array([r, g, b]), np.array(track))
-    assert at == len(data)
     return views, points, seen
 
 

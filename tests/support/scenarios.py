@@ -1,4 +1,4 @@
-"""Commands that write, each with the folder it starts from: what is killed, starved and damaged in the tests."""
+"""Commands that go on after an interruption, each with the folder it starts from: what the tests kill and starve."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,6 @@ BUILD = (
     "datagen build --scene scene --out data/one --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2"
 )
-EXPORT = "datagen export data/one --out exports/one --points 9"
 TRAIN = "model train paper data/one --steps 5 --batch 32 --texture-size 8 --hidden 8 --device cpu"
 GRID = """[[runs]]
 dataset = "data/one"
@@ -26,7 +25,6 @@ PREPARED: dict[str, tuple[str, ...]] = {
     "dataset": ("scene", BUILD),
     "proxies": ("dataset", "proxies make data/one --kind box"),
     "packed": ("dataset", "datagen pack data/one --out exports/one.tar"),
-    "exported": ("dataset", f"{EXPORT} --format nerfstudio"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
     "variants": ("dataset", "datagen add data/one --angles"),
     "drawn": ("variants", f"{TRAIN} --out runs/one/paper"),
@@ -53,10 +51,6 @@ SCENARIOS = (
     Scenario(name="angle splits", start="dataset", line="datagen add data/one --angles"),
     Scenario(name="larger", start="dataset", line="datagen add data/one --larger 2"),
     Scenario(name="edit", start="proxies", line="datagen add data/one --edit remove:pane"),
-    Scenario(name="export", start="dataset", line=f"{EXPORT} --format nerfbaselines"),
-    Scenario(name="export anew", start="exported", line=f"{EXPORT} --format webdataset --overwrite"),
-    Scenario(name="pack", start="dataset", line="datagen pack data/one --out exports/one.tar"),
-    Scenario(name="unpack", start="packed", line="datagen unpack exports/one.tar --out data/two"),
     Scenario(name="train", start="dataset", line=f"{TRAIN} --out runs/one/paper"),
     Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
     Scenario(name="render", start="run", line="model predict runs/one/paper --device cpu --overwrite"),
@@ -64,7 +58,7 @@ SCENARIOS = (
     Scenario(name="report", start="run", line="report"),
 )
 
-QUICK = ("build", "build anew", "proxies anew", "export anew", "train", "train anew", "render")
+QUICK = ("build", "build anew", "proxies anew", "train", "train anew", "render")
 """What `make test` tries: between them these commit each kind of file, for the first time and over another one."""
 
 EACH_SCENARIO = pytest.mark.parametrize(

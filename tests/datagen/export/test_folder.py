@@ -1,111 +1,101 @@
-"""Tests that an export goes on where it was stopped, skips what is finished, and touches nothing but its own files."""
+"""Tests that an export appears whole in a new folder, or not at all, and touches nothing else."""
 
-from collections.abc import Callable
+import errno
+import os
 from pathlib import Path
 
 import pytest
 from support.builds import tree
-from support.commands import call
+from support.commands import Answer, call
+from support.disk import failing_from, observe, read_state
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import open_dataset
-from datagen.export import plan
-from datagen.export.formats import export_dataset
+from datagen.terminal.signals import Stopped
 
 
 @pytest.fixture
-def export(tmp_path: Path) -> Callable[..., None]:
-    write_synthetic_dataset(tmp_path / "table")
-
-    def run(form: str = "nerfstudio", *, overwrite: bool = False, points: int = 50) -> None:
-        dataset = open_dataset(tmp_path / "table")
-        export_dataset(dataset, form, tmp_path / "out", num_points=points, flow=False, overwrite=overwrite)
-
-    return run
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_synthetic_dataset(tmp_path / "data" / "table")
+    return tmp_path
 
 
-def test_what_was_stopped_goes_on_and_ends_in_the_same_bytes(
-    export: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    export("colmap")
-    whole = tree(tmp_path / "out")
-    (tmp_path / "out").rename(tmp_path / "whole")
-    written = []
-    commit = plan.commit
+def export(form: str = "nerfstudio", out: str = "out") -> Answer:
+    return call(f"datagen export table --format {form} --out {out} --points 50")
 
-    def stop(path: Path, data: bytes) -> None:
-        if len(written) == 5:
-            raise KeyboardInterrupt
-        written.append(path)
-        commit(path, data)
 
-    with monkeypatch.context() as patch:
-        patch.setattr(plan, "commit", stop)
-        with pytest.raises(KeyboardInterrupt):
+def test_the_command_says_where_it_went_and_how_a_tool_opens_it(here: Path) -> None:
+    del here
+    answer = export("blender")
+    assert answer.status == 0 and answer.out == "out\n"
+    assert "out: 12 views; 7 train, 1 val, 4 test" in answer.err
+    assert answer.error == "next: ns-train nerfacto --data out blender-data"
+
+
+@pytest.mark.parametrize("form", ["nerfstudio", "colmap", "quantities", "huggingface"])
+def test_two_exports_of_a_dataset_are_equal_byte_by_byte(form: str, here: Path) -> None:
+    assert export(form).status == export(form, "again").status == 0
+    assert tree(here / "out") == tree(here / "again") and tree(here / "out")
+
+
+@pytest.mark.parametrize("what", ["an export", "a file in it", "a file", "a link to a full folder"])
+def test_only_a_new_or_empty_folder_is_written(what: str, here: Path) -> None:
+    match what:
+        case "an export":
             export("colmap")
-    assert 0 < len(tree(tmp_path / "out")) < len(whole)
-    export("colmap")
-    assert tree(tmp_path / "out") == whole
+        case "a file in it":
+            (here / "out").mkdir()
+            (here / "out" / "notes.txt").write_text("mine")
+        case "a file":
+            (here / "out").write_text("mine")
+        case "a link to a full folder":
+            (here / "out").symlink_to(here / "data")
+    before = tree(here)
+    answer = export()
+    assert answer.status == 1 and "out: is not empty, or not a folder; " in answer.error
+    assert tree(here) == before
 
 
-def test_finished_parts_are_not_made_again_and_damaged_ones_are(
-    export: Callable[..., None], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    export()
-    whole = tree(tmp_path / "out")
-    written: list[str] = []
-    commit = plan.commit
-
-    def watch(path: Path, data: bytes) -> None:
-        written.append(path.name)
-        commit(path, data)
-
-    monkeypatch.setattr(plan, "commit", watch)
-    export()
-    assert written == []
-    damaged = tmp_path / "out" / "depths" / "train_0003.png"
-    damaged.write_bytes(damaged.read_bytes()[:-1])
-    (tmp_path / "out" / "transforms.json").unlink()
-    export()
-    assert sorted(written) == ["train_0003.png"] * 3 + ["transforms.json"]
-    assert tree(tmp_path / "out") == whole
+def test_an_empty_folder_and_a_link_to_one_are_filled(here: Path) -> None:
+    (here / "out").mkdir()
+    (here / "disk").mkdir()
+    (here / "link").symlink_to("disk")
+    assert export().status == export(out="link").status == 0
+    assert (here / "link").is_symlink() and tree(here / "disk") == tree(here / "out")
 
 
-def test_another_export_is_replaced_only_when_told_and_strangers_stay(
-    export: Callable[..., None], tmp_path: Path
-) -> None:
-    export("nerfstudio")
-    stranger = tmp_path / "out" / "images" / "mine.png"
-    stranger.write_bytes(b"precious")
-    before = tree(tmp_path / "out")
-    for line, reason in (("3dgs", "format: nerfstudio -> 3dgs"), ("nerfstudio", "points: 50 -> 60")):
-        answer = call(f"datagen export {tmp_path}/table --format {line} --out {tmp_path}/out --points 60")
-        assert answer.status == 1 and f"holds another export ({'format: nerfstudio -> 3dgs; ' * (line == '3dgs')}" in (
-            answer.error
-        )
-        assert reason in answer.error and "pass --overwrite" in answer.error
-    assert tree(tmp_path / "out") == before
-    export("3dgs", overwrite=True)
-    after = tree(tmp_path / "out")
-    assert after.pop("images/mine.png") == b"precious"
-    assert "points3d.ply" in after and not any(file.startswith(("images/", "depths/")) for file in after)
-    stranger.unlink()
-    stranger.parent.rmdir()
-    export("nerfstudio", overwrite=True)
-    assert tree(tmp_path / "out") == {file: data for file, data in before.items() if file != "images/mine.png"}
+def test_a_killed_export_leaves_no_folder_and_does_not_hinder_the_next(here: Path) -> None:
+    seen = observe(here, lambda: export())
+    whole = {path: data for path, data in seen.states[-1].files.items() if path.startswith("out/")}
+    halfway = seen.states[len(seen.states) // 2]
+    assert not any(path.startswith("out/") for path in halfway.files)
+    left = [path for path in halfway.files if ".hyaline-tmp/" in path]
+    assert left and all(path.startswith("out.") for path in left)
+    for path in left:
+        (here / path).parent.mkdir(parents=True, exist_ok=True)
+        (here / path).write_bytes(halfway.files[path])
+    (here / "out").rename(here / "first")
+    assert export().status == 0
+    assert {f"out/{path}": data for path, data in tree(here / "out").items()} == whole
 
 
-def test_a_folder_of_something_else_is_refused(export: Callable[..., None], tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "notes.txt").write_text("mine")
-    answer = call(f"datagen export {tmp_path}/table --format blender --out {tmp_path}/out --overwrite")
-    assert answer.status == 1 and "is not empty (notes.txt) and no export; choose another --out" in answer.error
-    assert tree(tmp_path / "out") == {"notes.txt": b"mine"}
+@pytest.mark.parametrize("place", [0.0, 0.5, 0.99])
+def test_a_full_disk_is_one_line_and_leaves_nothing(place: float, here: Path) -> None:
+    changes = observe(here, lambda: export()).changes
+    (here / "out").rename(here / "first")
+    before = read_state(here)
+    with failing_from(here, int(place * len(changes)), "ENOSPC") as refused:
+        answer = export()
+    assert refused and answer.status == 1
+    assert answer.error.startswith("error: out: ") and os.strerror(errno.ENOSPC).lower()[:8] in answer.error
+    assert read_state(here).files == before.files and read_state(here).folders == before.folders
 
 
-def test_the_command_says_where_it_went_and_how_a_tool_opens_it(tmp_path: Path, export: Callable[..., None]) -> None:
-    del export
-    answer = call(f"datagen export {tmp_path}/table --format blender --out {tmp_path}/out")
-    assert answer.status == 0 and answer.out == f"{tmp_path}/out\n"
-    assert f"{tmp_path}/out: 12 views; 7 train, 1 val, 4 test" in answer.err
-    assert answer.error == f"next: ns-train nerfacto --data {tmp_path}/out blender-data"
+def test_a_signal_leaves_nothing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise Stopped(15)
+
+    monkeypatch.setattr("datagen.export.transforms.ply_points", stop)
+    before = read_state(here)
+    assert export().status == 143
+    assert read_state(here) == before

@@ -13,6 +13,7 @@ import pytest
 from PIL import Image, ImageCms
 from support.commands import call
 from support.meshes import polygon_ply
+from support.theirs import write_refref
 from support.traced_dataset import write_traced_dataset
 
 from datagen.build.build import peel_dataset, summary
@@ -52,7 +53,7 @@ def ours(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 @pytest.fixture(scope="module")
 def refref(ours: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("exported") / "refref"
-    export_dataset(ours, "refref", root, num_points=50, flow=False, overwrite=False)
+    write_refref(ours, root)
     return root
 
 
@@ -336,7 +337,7 @@ def test_pictures_are_converted_from_their_colour_profiles_to_srgb(tmp_path: Pat
 
 
 def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> None:
-    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False, overwrite=False)
+    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False)
     dataset = take_over(tmp_path / "exported", tmp_path / "out")
     for split in SPLITS:
         assert np.array_equal(dataset.cameras(split).world_from_camera, ours.cameras(split).world_from_camera)

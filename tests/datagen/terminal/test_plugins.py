@@ -66,7 +66,7 @@ def test_what_one_distribution_exports_another_imports(guide: Callable[..., None
         np.testing.assert_array_equal(after.view(split, 1).image, before.view(split, 1).image)
         poses = (dataset.cameras(split).world_from_camera for dataset in (after, before))
         np.testing.assert_allclose(*poses, atol=1e-12)
-    error = call("datagen export one --format csv --flow --overwrite").error
+    error = call("datagen export one --format csv --flow --out other").error
     assert error.startswith("error: --flow: has no place in the format csv; ")
 
 
@@ -102,9 +102,9 @@ def test_a_table_is_printed_beside_those_of_the_paper(guide: Callable[..., None]
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("raise RuntimeError('no GPU')", "csv_export:plan_csv of csv-export cannot be imported (RuntimeError: no GPU)"),
-        ("", "csv_export:plan_csv of csv-export cannot be imported (AttributeError: "),
-        ("plan_csv = 3", "csv_export:plan_csv of csv-export is not a function; see docs/adding-an-export.md"),
+        ("raise RuntimeError('no GPU')", "csv_export:CSV of csv-export cannot be imported (RuntimeError: no GPU)"),
+        ("", "csv_export:CSV of csv-export cannot be imported (AttributeError: "),
+        ("CSV = 3", "csv_export:CSV of csv-export is not a Format; see docs/adding-an-export.md"),
     ],
 )
 def test_a_broken_plugin_is_one_line_that_names_its_distribution(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.gltf import BOX, GltfBuilder
+from support.theirs import write_binary_model
 from support.traced_dataset import write_traced_dataset
 
 from datagen.data.cameras import look_at
@@ -33,7 +34,8 @@ def colmap(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, 
     root = tmp_path_factory.mktemp("colmap")
     write_traced_dataset(root / "ours", resolution=16)
     dataset = open_dataset(root / "ours")
-    export_dataset(dataset, "colmap", root / "theirs", num_points=20, flow=False, overwrite=False)
+    export_dataset(dataset, "colmap", root / "theirs", num_points=20, flow=False)
+    write_binary_model(root / "theirs/sparse/0")
     splits = ("extrapolating", "interpolating", "train")  # As the names of the pictures are sorted.
     poses = np.concatenate([dataset.cameras(split).world_from_camera for split in splits])
     return root / "theirs", poses, dataset.cameras("train").fov_x
