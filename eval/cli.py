@@ -56,7 +56,7 @@ def report(
     """
     hush(quiet)
     if results is not None:
-        from eval.bench.track_pages import TRACKS, track_rows
+        from eval.bench.leaderboard import TRACKS, track_rows
         from eval.tables.pages import results_index, results_page
 
         text = (

@@ -213,7 +213,7 @@ class View:
         if self.split in self.dataset.withheld:
             raise HyalineError(
                 f"{self.dataset.root}: has no pictures of test views, which a verifier of hyaline-bench keeps; predict "
-                "these views, and send the verifier what `hyaline-bench submit` packs"
+                "these views, and send the verifier your runs"
             )
         return self.dataset._opened.get(path, lambda: self._read_record(path))
 

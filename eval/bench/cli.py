@@ -1,4 +1,4 @@
-"""The commands of `hyaline-bench`: floors, submissions, scores, the leaderboard, and hidden tests."""
+"""The commands of `hyaline-bench`: floors, scores, the leaderboard, and hidden tests."""
 
 import os
 import sys
@@ -21,13 +21,13 @@ def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
         "floors": floors,
-        "submit": submit,
         "score": score,
         "leaderboard": leaderboard,
         "secret": secret,
         "hide": hide,
     }
-    return group("Submit to the benchmark, score submissions, and publish the leaderboard.", by_name, {})
+    moved = {"hyaline-bench submit": "is gone: `hyaline-bench score METHOD` reads the runs' folders themselves"}
+    return group("Score methods on the benchmark, and publish the leaderboard.", by_name, moved)
 
 
 def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
@@ -45,10 +45,10 @@ def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path
     protocol.size(preset)
     for folder in write_floors(runs, data, preset, protocol):
         tell(str(folder))
-    next_command(f"hyaline-bench submit --preset {preset}")
+    next_command(f"hyaline-bench score --preset {preset}")
 
 
-def submit(
+def score(
     method: str | None = None,
     /,
     *,
@@ -59,102 +59,48 @@ def submit(
     out: Path | None = None,
     overwrite: bool = False,
 ) -> None:
-    """Pack a method's predictions of all scenes, with their records, into one verified file.
+    """Score a method's predictions of all scenes against the truth, without running any code or network from it.
 
     The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
 
     Args:
-        method: Name of the runs' folders. Default: all methods, one file each; incomplete ones are left out.
+        method: Name of the runs' folders. Default: all methods; incomplete ones are left out.
         preset: Size of the benchmark's datasets: tiny, small, demo or standard.
         track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
             run.json.
         runs: Folder with the runs.
-        data: Folder with the datasets, DATA/SCENE, for runs whose run.json names none.
-        out: File to write. Default: bench/PRESET/submissions/METHOD.tar.
-        overwrite: Replace an existing file.
+        data: Folder with the datasets, DATA/SCENE, including their truth.
+        out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
+        overwrite: Replace the scores of other predictions.
     """
-    from datagen.terminal.command import choose
+    from eval.bench.leaderboard import scene_grid
     from eval.bench.protocol import left_out, load_protocol
-    from eval.bench.score import say_lost_costs
+    from eval.bench.score import score_runs
     from eval.bench.submission import find_runs
-    from eval.bench.submission import submit as pack
+    from eval.tables.grids import TABLE_WIDTH
+    from eval.tables.looks import grid_text
 
     protocol = load_protocol()
     protocol.size(preset)
+    if out is not None and method is None:
+        raise UsageError("--out: goes with a method; name one")
     found = find_runs(runs, data, preset, protocol)
     if not found:
         raise HyalineError(
             f"{runs}: has no predictions of the {preset} datasets; make some with `model sweep bench --preset {preset}`"
         )
-    if out is not None and method is None:
-        raise UsageError("--out: goes with a method; name one")
     names = sorted(found) if method is None else [choose("method", method, found)]
-    places = {name: out or BENCH / preset / "submissions" / f"{name}.tar" for name in names}
+    places = {name: out or BENCH / preset / "scores" / f"{name}.json" for name in names}
     for name in names:
         with left_out() if method is None else nullcontext():
-            place = pack(
-                found[name], preset=preset, track=track, out=places[name], protocol=protocol, overwrite=overwrite
-            )
-            say_lost_costs(found[name].values())
-            tell(str(place))
-            del places[name]
+            scored = score_runs(found[name], places[name], protocol, preset=preset, track=track, overwrite=overwrite)
+            sys.stdout.write(grid_text(scene_grid(scored, protocol), "table", width=TABLE_WIDTH) + "\n")
+            say(f"{places.pop(name)}: track {scored.track}, {len(scored.scenes)} scenes")
     if stale := [str(place) for place in places.values() if place.exists()]:
-        raise HyalineError(
-            f"{', '.join(stale)}: from earlier predictions or code; replace by --overwrite, or remove if incomplete now"
-        )
+        raise HyalineError(f"{', '.join(stale)}: from other predictions or code; pass --overwrite, or remove them")
     if len(places) == len(names):
-        raise HyalineError(f"{runs}: no method has all predictions that {preset} asks for")
-    next_command(f"hyaline-bench score --preset {preset}")
-
-
-def score(
-    submission: Path | None = None,
-    /,
-    *,
-    preset: str = "demo",
-    data: Path = Path("data"),
-    out: Path | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Score a submission against the truth, without running any code or network from it.
-
-    Args:
-        submission: File from `hyaline-bench submit`. Default: all in bench/PRESET/submissions.
-        preset: Without SUBMISSION: size of the datasets, tiny, small, demo or standard.
-        data: Folder with the datasets, including their truth.
-        out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
-        overwrite: Replace the scores of another submission.
-    """
-    from eval.bench.leaderboard import scene_grid
-    from eval.bench.protocol import load_protocol
-    from eval.bench.score import score_submission
-    from eval.bench.submission import read_submission
-    from eval.tables.grids import TABLE_WIDTH
-    from eval.tables.looks import grid_text
-
-    protocol = load_protocol()
-    if out is not None and submission is None:
-        raise UsageError("--out: goes with a submission; name one")
-    folder = BENCH / preset / "submissions"
-    asked = sorted(folder.glob("*.tar")) if submission is None else [submission]
-    if not asked:
-        raise HyalineError(f"{folder}: has no submission; make one with `hyaline-bench submit --preset {preset}`")
-    errors: list[HyalineError] = []
-    for path in asked:
-        try:
-            place = out or BENCH / read_submission(path).preset / "scores" / f"{path.stem}.json"
-            found = score_submission(path, data, place, protocol, overwrite=overwrite)
-        except HyalineError as error:
-            errors.append(error)
-            continue
-        sys.stdout.write(grid_text(scene_grid(found, protocol), "table", width=TABLE_WIDTH) + "\n")
-        say(f"{place}: track {found.track}, {len(found.scenes)} scenes")
-    for error in errors[:-1]:
-        say(f"error: {error}")
-    if errors:
-        raise errors[-1]
-    if submission is None:
-        next_command(f"hyaline-bench leaderboard --preset {preset}")
+        raise HyalineError(f"{runs}: no method could be scored at {preset}; the lines above say why")
+    next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 
 def leaderboard(
@@ -173,9 +119,9 @@ def leaderboard(
         track: Instead of writing the page, print this track's tables as Markdown, as docs/results has them.
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
-    from eval.bench.leaderboard import leaderboard_page
+    from eval.bench.leaderboard import leaderboard_page, track_page
     from eval.bench.protocol import load_protocol
-    from eval.bench.track_pages import read_scores, track_page
+    from eval.bench.score import read_scores
     from eval.page.page import PAGE
     from eval.page.report_folder import Drawing, write_report
 

@@ -18,7 +18,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, commit_same, dump_json
 from datagen.terminal.command import say
-from eval.bench.protocol import Protocol, has_usual_name, is_of_preset, left_out
+from eval.bench.protocol import Protocol, is_of_preset, left_out
 
 Pictures = UInt8[np.ndarray, "view h w 3"]
 Floor = Callable[[Pictures, Cameras, Cameras], Pictures]
@@ -61,7 +61,8 @@ def write_floors(runs_root: Path, data_root: Path, preset: str, protocol: Protoc
     if not datasets:
         command = shlex.join(["model", "sweep", "bench", "--preset", preset])
         raise HyalineError(f"{data_root}: has no dataset of {preset}; make them with `{command}`")
-    chosen = {dataset.seal: dataset for dataset in sorted(datasets, key=has_usual_name)}  # One folder of each dataset.
+    usual = sorted(datasets, key=lambda dataset: dataset.name == f"{dataset.config.scene}-{preset}")
+    chosen = {dataset.seal: dataset for dataset in usual}  # One folder of each dataset, rather SCENE-PRESET.
     places = [(runs_root / dataset.name / name, name, dataset) for dataset in chosen.values() for name in FLOORS]
     return [_write_floor(*place, protocol) for place in places]
 

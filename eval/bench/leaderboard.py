@@ -1,26 +1,21 @@
-"""The leaderboard: a static page of scored submissions, a table a track, with the views that each predicts worst."""
+"""The leaderboard: the tables of each track, as one HTML page that needs no server, or as Markdown."""
 
-import base64
-from collections.abc import Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from statistics import fmean
 
-import numpy as np
-from jaxtyping import UInt8
-
 from datagen.data.config import TEST_SPLITS
-from datagen.data.images import decode_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.pages.html import Markup, Part, anchor, document, prose, section, tag
-from datagen.pages.pictures import Gallery
-from eval.bench.protocol import ALL, Protocol
-from eval.bench.score import COSTS, Failure, Scored, Summary, summarise
-from eval.page.page import MOST_BYTES
-from eval.page.run_page import compared_figure
-from eval.score.png import check_png
-from eval.tables.grids import MISSING, Column, Grid, format_number
-from eval.tables.looks import html_table
+from datagen.pages.html import anchor, document, prose, section, tag
+from eval.bench.protocol import ALL, Protocol, load_protocol
+from eval.bench.score import COSTS, Scored, Summary, read_scores, summarise
+from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
+from eval.tables.looks import grid_text, html_table, markdown_escaped
+from eval.tables.pages import Row
+
+TRACKS = "bench"
+"""Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
 
 NOTES = (
     "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
@@ -33,19 +28,83 @@ NOTES = (
 )
 
 
+OTHERS = (
+    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
+    "docs/bench.md says."
+)
+"""What the command of a page does not make."""
+
+
 def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
-    """The page of scored submissions, all of one preset."""
+    """The page of scored submissions, all of one preset: the tables of each track."""
     check_comparable(found, protocol)
-    gallery = Gallery(MOST_BYTES)
-    details = [_submission_page(scored, protocol, gallery) for scored in _ranked(found, protocol)]
     title = f"hyaline-bench {protocol.version}, {found[0].preset}"
-    return document(
-        title,
-        gallery.store(),
-        tag("div", tag("h1", title), *_tracks(found, protocol), class_="page", id="tracks-page"),
-        *details,
-        navigation=_navigation(found, protocol),
+    sections, links = [], []
+    for track, told in protocol.tracks.items():
+        inside = [scored for scored in found if scored.track == track]
+        tables = [html_table(grid) for grid in _grids(inside, protocol)] if inside else [tag("p", "No submission yet.")]
+        sections.append(section(f"Track: {track}", tag("p", prose(told)), *tables, id_=anchor("track", track)))
+        links.append(tag("li", tag("a", track, href=f"#{anchor('track', track)}")))
+    notes = [tag("p", note, class_="note") for note in (protocol.about, *NOTES)]
+    navigation = tag("nav", tag("ul", *links), aria_label="Tracks")
+    return document(title, tag("h1", title), *notes, *sections, navigation=navigation)
+
+
+def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
+    """The page of one track in Markdown."""
+    check_comparable(found, protocol)
+    inside = [scored for scored in found if scored.track == track]
+    if not inside:
+        raise HyalineError(f"{track}: the track has no submission")
+    preset = inside[0].preset
+    return "\n".join(
+        [
+            f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
+            "Allowed inputs:\n",
+            *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
+            "",
+            f"```\nmodel sweep {'bench-fitted' if track == 'masks' else 'bench'} --preset {preset}",
+            f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
+            f"{OTHERS}\n",
+            *(f"{markdown_escaped(note)}\n" for note in NOTES),
+            *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)),
+        ]
     )
+
+
+def _grids(inside: Sequence[Scored], protocol: Protocol) -> list[Grid]:
+    """A track's tables: the methods, each scene's PSNR, and every score with dataset, seed and processor time."""
+    scenes = [scene_grid(scored, protocol) for scored in inside]
+    return [track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol), *scenes]
+
+
+def _told(track: str, protocol: Protocol) -> list[str]:
+    """What the track allows, and the tracks before it."""
+    names = list(protocol.tracks)
+    allowed = [protocol.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
+    return [text[0].upper() + text[1:] for text in allowed]
+
+
+def track_rows(folder: Path) -> dict[Row, str]:
+    """For the list of pages: a row for each track that has submissions, and the page's text."""
+    found, protocol = read_scores(folder), load_protocol()
+    rows: dict[Row, str] = {}
+    for track in protocol.tracks:
+        inside = [scored for scored in found if scored.track == track]
+        if not inside:
+            continue
+        scenes = max(len(scored.scenes) for scored in inside)
+        seeds = {scene.seed for scored in inside for scene in scored.scenes.values() if scene.seed is not None}
+        rows[
+            (
+                f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
+                f"{scenes} datasets",
+                "scores",
+                str(len(seeds)) if seeds else MISSING,
+                ", ".join(sorted({scored.code for scored in inside})),
+            )
+        ] = track_page(track, found, protocol)
+    return rows
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
@@ -119,7 +178,7 @@ def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str
         *(format_number(None if column is None else column.mean, 2) for column in columns),
         *_cost_cells(scored),
         ", ".join(map(str, seeds)) or MISSING,
-        scored.packed_by,
+        scored.code,
     )
 
 
@@ -156,6 +215,7 @@ def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
         )
         for name, scene in scored.scenes.items()
     ]
+    packed = f"packed by hyaline {scored.packed_by}, " if scored.packed_by else ""
     return Grid(
         title=f"{scored.name}: each scene",
         columns=(
@@ -164,65 +224,33 @@ def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
             *(Column(group=f"{short} ↑") for short in columns.values()),
         ),
         rows=tuple(rows),
-        notes=(
-            f"Submission {scored.submission[:12]}, packed by hyaline {scored.packed_by}, scored by {scored.scored_by}.",
+        notes=(f"Submission {scored.submission[:12]}, {packed}scored by {scored.scored_by}.",),
+    )
+
+
+def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
+    """Scenes by methods."""
+    scenes = [scene for scene in protocol.all_scenes(found[0].preset) if any(scene in each.scenes for each in found)]
+    values = [[_psnr_db(scored, scene) for scored in found] for scene in scenes]
+    return Grid(
+        title="PSNR of each scene, dB",
+        columns=(Column(group="scene", is_number=False), *(Column(group=scored.name) for scored in found)),
+        rows=tuple(
+            (scene, *(format_number(value, 2) for value in row)) for scene, row in zip(scenes, values, strict=True)
         ),
+        best=_best(values),
     )
 
 
-def _tracks(found: Sequence[Scored], protocol: Protocol) -> list[Part]:
-    parts: list[Part] = [tag("p", protocol.about, class_="note")]
-    links = {scored.name: f"{_place(scored)}-page" for scored in found}
-    for track, told in protocol.tracks.items():
-        inside = [scored for scored in found if scored.track == track]
-        content = (
-            html_table(track_grid(f"{track}: {len(inside)} submitted", inside, protocol), links)
-            if inside
-            else tag("p", "No submission yet.")
-        )
-        parts.append(section(f"Track: {track}", tag("p", prose(told)), content, id_=anchor("track", track)))
-    return [*parts, *(tag("p", note, class_="note") for note in NOTES)]
+def _psnr_db(scored: Scored, scene: str) -> float | None:
+    return scored.scenes[scene].psnr_db(ALL) if scene in scored.scenes else None
 
 
-def _place(scored: Scored) -> str:
-    return anchor("submission", scored.name, scored.submission)
-
-
-def _submission_page(scored: Scored, protocol: Protocol, gallery: Gallery) -> Markup:
-    figures = [_failure(scored, failure, gallery) for failure in scored.failures]
-    shown = section(
-        scored.name,
-        tag("p", f"Track {scored.track}: told {scored.knowledge or 'what the track allows'}.", class_="note"),
-        html_table(scene_grid(scored, protocol)),
-        tag("h3", "The views that it predicts worst"),
-        tag("p", "At most one of each scene; hidden scenes are left out.", class_="note"),
-        tag("div", *figures, class_="views"),
-        id_=_place(scored),
-    )
-    return tag("div", shown, class_="page", id=f"{_place(scored)}-page")
-
-
-def _failure(scored: Scored, failure: Failure, gallery: Gallery) -> Markup | None:
-    what = f"{failure.scene}, {failure.split} view {failure.view}"
-    names = []
-    for kind, text in (("truth", failure.truth), ("prediction", failure.prediction)):
-        names.append(name := anchor(kind, text))
-        if not gallery.add(name, partial(_decode, text, f"{scored.name}: {what}: {kind}")):
-            return None
-    truth, prediction = names
-    return compared_figure(gallery, truth, prediction, what, f"{what}: PSNR {failure.psnr_db:.2f} dB")
-
-
-def _decode(text: str, where: str) -> UInt8[np.ndarray, "h w 3"]:
-    data = base64.b64decode(text)
-    check_png(data, where=where)
-    return np.asarray(decode_png(data, where=where).convert("RGB"))
-
-
-def _navigation(found: Sequence[Scored], protocol: Protocol) -> Markup:
-    items = [tag("li", tag("a", "Tracks", href="#tracks-page"))]
-    for track in protocol.tracks:
-        inside = [scored for scored in _ranked(found, protocol) if scored.track == track]
-        links = [tag("li", tag("a", scored.name, href=f"#{_place(scored)}-page")) for scored in inside]
-        items += [tag("li", tag("a", track, href=f"#{anchor('track', track)}"), tag("ul", *links))] if inside else []
-    return tag("nav", tag("ul", *items), aria_label="Parts of the leaderboard")
+def _best(values: Sequence[Sequence[float | None]]) -> frozenset[tuple[int, int]]:
+    """Places of the highest value of each row, after a first column of names."""
+    best = set()
+    for place, row in enumerate(values):
+        known: Mapping[int, float] = {column: value for column, value in enumerate(row) if value is not None}
+        if len(known) > 1:
+            best.add((place, 1 + max(known, key=lambda column: known[column])))
+    return frozenset(best)

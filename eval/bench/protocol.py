@@ -158,13 +158,26 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
     return True
 
 
-def has_usual_name(dataset: Dataset) -> bool:
-    """True for a dataset in a folder SCENE-PRESET, as `model sweep bench` names them."""
-    return dataset.name == f"{dataset.config.scene}-{dataset.config.preset}"
+TOLD = {
+    "masks": ("mask",),
+    "proxies": ("proxies", "proxy"),
+    "shapes": ("shape", "mesh", "true geometry"),
+    "materials": ("material", "refraction", "everything"),
+}
+"""What the words of a foreign method's `knowledge` contain that belongs to each track, from least to most."""
 
 
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     """The first track that allows what a run was told, by its record; None if the record does not say."""
+    least = _least_by_geometry(run, tracks)
+    if run.seal is not None:
+        return least  # `model train` words its knowledge by the same geometry and materials.
+    words = (run.knowledge or "").lower()
+    named = [track for track, parts in TOLD.items() if any(part in words for part in parts)]
+    return max([*named, *([] if least is None else [least])], key=list(tracks).index, default=None)
+
+
+def _least_by_geometry(run: Run, tracks: Mapping[str, str]) -> str | None:
     pictures, masks, proxies, shapes, materials = tracks
     geometry, told = run.geometry, run.told
     if geometry is None:

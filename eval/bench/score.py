@@ -1,8 +1,8 @@
-"""Scores of a submission against the truth: each scene's, what they average to, and the worst views with pictures."""
+"""Scores of a submission against the truth: each scene's, and what they average to."""
 
-import base64
+import dataclasses
 import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -11,30 +11,28 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, View, open_dataset
-from datagen.data.images import png_bytes
-from datagen.data.paths import list_datasets
-from datagen.data.variants import has_variant, open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
 from datagen.disk.records import Json, from_json, load_json, shown, to_json
-from datagen.disk.storage import commit_sealed, load_sealed, sha256, sha256_file
+from datagen.disk.storage import commit_sealed, dump_json, load_sealed, sha256
 from datagen.machine.doctor import code_version
-from datagen.terminal.command import say, track
+from datagen.terminal.command import say
+from datagen.terminal.command import track as progress
 from datagen.terminal.signals import replacing_at_the_end
-from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, is_of_preset, left_out
-from eval.bench.submission import MAX_WORDS, Submission, list_predictions, opened_submission, read_submission
+from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, left_out, load_protocol
+from eval.bench.submission import list_predictions
 from eval.score.kept import Kept
 from eval.score.metrics import mean_of
-from eval.score.runs import Run, read_costs, read_prediction
+from eval.score.runs import Run, prediction_digests, prediction_path, read_costs
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 
 COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
 """What scores repeat of a run's costs.json."""
-ABOVE_CEILING = 1.0
-"""dB by which a score may exceed the noise ceiling, because the ceiling is an estimate."""
-MOST_FAILURES = 3
-"""Worst views that a scored submission has pictures of, each of another scene."""
+MEAN_ABOVE_CEILING, ABOVE_CEILING = 1.0, 3.0
+"""dB by which a split's mean and a single picture's score may exceed the noise ceiling, which is an estimate. Against
+pictures of 64 times the samples, those of `pool` with 32 x 32 pixels are off by 0.6 dB (standard deviation)."""
+MAX_WORDS = 200
+"""Characters of a run's texts that scores repeat."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,18 +78,6 @@ class SceneResult:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """A view that was predicted badly, with its pictures as base64 of PNG files."""
-
-    scene: str
-    split: str
-    view: int
-    psnr_db: float
-    truth: str
-    prediction: str
-
-
-@dataclass(frozen=True, kw_only=True)
 class Scored:
     """A scored submission."""
 
@@ -104,16 +90,19 @@ class Scored:
     knowledge: str | None
     """What the method was told besides pictures and cameras, by its record."""
     submission: str
-    """SHA-256 of the submission."""
-    packed_by: str
-    """Version of the code that packed the submission."""
+    """Digest of the predictions; in files of earlier versions, that of the archive that they came in."""
+    packed_by: str = ""
+    """Version of the code that packed the archive, in files of earlier versions."""
     scored_by: str
     """Version of the code that scored it."""
     scenes: dict[str, SceneResult]
-    failures: tuple[Failure, ...]
     truths: str = ""
-    """Digest of the datasets, variants and test views that it was scored against; earlier files have none, or leave the
-    views out."""
+    """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
+
+    @property
+    def code(self) -> str:
+        """The version that tables name."""
+        return self.packed_by or self.scored_by
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,156 +121,150 @@ class Summary:
 
 
 @replacing_at_the_end()
-def score_submission(path: Path, data_root: Path, out: Path, protocol: Protocol, *, overwrite: bool) -> Scored:
-    """Scores a submission, and writes the result; one that was scored before is read again.
+def score_runs(
+    runs: Mapping[str, Run], out: Path, protocol: Protocol, *, preset: str, track: str | None, overwrite: bool
+) -> Scored:
+    """Scores a method's runs, by scene, and writes the result; what was scored before is read again.
+
+    Args:
+        track: None: the first track that allows what the method was told, by its record.
 
     Raises:
-        HyalineError: the submission is damaged or incomplete, its truth is missing, or `out` has another one's scores.
+        HyalineError: predictions are damaged or incomplete, or `out` has other scores.
     """
+    order = list(protocol.tracks)
+    track = max((choose_track(run, track, protocol.tracks) for run in runs.values()), key=order.index)
+    if withheld := [scene for scene, run in runs.items() if run.dataset.withheld]:
+        say(f"left out: {', '.join(withheld)}: a verifier keeps the truth of their test views")
+    runs = {scene: run for scene, run in runs.items() if scene not in withheld}
+    if not runs:
+        raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
+    parts = {scene: _parts(run, protocol) for scene, run in runs.items()}
+    asked = [part for of_scene in parts.values() for part in of_scene]
+    pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
+    submission = sha256(b"".join(pictures))
+    truths = sha256(b"".join(dump_json([run.dataset.seal, split, truth.digest]) for run, split, truth in asked))
     if out.is_file() and not overwrite:
-        before, truths = read_scored(out), _digest_of_truths(read_submission(path), find_truths(data_root), protocol)
-        if (before.submission, before.scored_by, before.truths) == (sha256_file(path), code_version(), truths):
+        before = read_scored(out)
+        same = before.submission == submission and before.truths == truths and before.track == track
+        if same and before.scored_by == code_version():
             say(f"{out}: is finished")
             return before
     refuse_file(out, overwrite=overwrite)
-    with opened_submission(path, find_truths(data_root)) as (index, runs):
-        withheld = [scene for scene, run in runs.items() if run.dataset.withheld]
-        if len(withheld) == len(runs):
-            raise HyalineError(
-                f"{path}: predicts hidden scenes alone, whose truth a verifier keeps; send it to the verifier"
-            )
-        if withheld:
-            say(f"left out: {', '.join(withheld)}: a verifier keeps the truth of their test views")
-        scored = _score(path, index, {scene: run for scene, run in runs.items() if scene not in withheld}, protocol)
+    first = next(iter(runs.values()))
+    every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
+    scenes = {scene: _score_scene(run, parts[scene]) for scene, run in every}
+    scored = Scored(
+        version=protocol.version,
+        preset=preset,
+        name=first.name,
+        track=track,
+        method=None if first.method is None else first.method[:MAX_WORDS],
+        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
+        submission=submission,
+        scored_by=code_version(),
+        scenes=scenes,
+        truths=truths,
+    )
     commit_sealed(out, cast(dict[str, Json], to_json(scored)))
     return scored
 
 
-def say_lost_costs(runs: Iterable[Run]) -> None:
-    """Says which costs of runs are no numbers, so that their scores will lack them."""
-    for path in (run.folder / "costs.json" for run in runs):
-        with left_out():
-            found = load_json(path) if path.is_file() else {}
-            for key in sorted({*COSTS} & {*found} - {*read_costs(path.parent)}):
-                raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
-
-
 def read_scored(path: Path) -> Scored:
     """A scored submission from its file."""
-    return from_json(Scored, cast(Json, load_sealed(path)), where=str(path))
+    content = load_sealed(path)
+    content.pop("failures", None)  # Files of earlier versions have pictures of the worst views.
+    return from_json(Scored, cast(Json, content), where=str(path))
 
 
-def find_truths(root: Path) -> dict[str, Dataset]:
-    """All datasets in a folder, by their digest; one that cannot be opened is named and left out.
+def read_scores(folder: Path) -> list[Scored]:
+    """The scored submissions in a folder, named by their files if two have one name.
 
-    Of a hidden scene's two datasets, which have one digest, the one with the truth.
+    A file of another version, or of a track that the protocol does not have, is named and left out.
     """
-    found: dict[str, Dataset] = {}
-    for folder in list_datasets(root):
+    found: dict[str, Scored] = {}
+    for path in sorted(folder.glob("*.json")):
         with left_out():
-            dataset = open_dataset(folder)
-            if dataset.seal not in found or not dataset.withheld:
-                found[dataset.seal] = dataset
-    return found
+            scored, protocol = read_scored(path), load_protocol()
+            if scored.version != protocol.version:
+                raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
+            if scored.track not in protocol.tracks:
+                known = ", ".join(protocol.tracks)
+                raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
+            found[path.stem] = scored
+    if len({scored.name for scored in found.values()}) == len(found):
+        return list(found.values())
+    return [dataclasses.replace(scored, name=name) for name, scored in found.items()]
 
 
-def _digest_of_truths(index: Submission, truths: Mapping[str, Dataset], protocol: Protocol) -> str:
-    """A hash of the truth: of each dataset and variant with the files of its test views."""
-    words: list[str] = []
-    for scene, seal in index.datasets.items():
-        if seal not in truths or truths[seal].withheld:
-            continue
-        variants = [name for name in protocol.variant_splits(scene) if has_variant(truths[seal], name)]
-        for part in (truths[seal], *(open_variant(truths[seal], name) for name in variants)):
-            words.append(part.seal)
-            for split in part.splits:
-                words += [digest for view in part.views(split) if split != "train" for digest in _files_of(view)]
-    return sha256(" ".join(words).encode())
+Part = tuple[Run, Split, Truth]
+"""The predictions of a dataset or a variant on one split, and their truth."""
 
 
-def _files_of(view: View) -> list[str]:
-    """SHA-256 of a view's files, by its record; nothing if it is not built."""
-    try:
-        return [digest for _, digest in sorted(view.record.files.items())]
-    except HyalineError:
-        return []
+def _parts(run: Run, protocol: Protocol) -> list[Part]:
+    """What is scored of a run; means over some edits cannot be compared, so there are all or none."""
+    listed = list_predictions(run, protocol)
+    edits = {part.dataset.name for part, _ in listed if part.dataset.edit is not None}
+    has_all = edits == set(protocol.edit_variants(run.dataset.config.scene))
+    return [
+        (part, split, read_truth(part.dataset, split))
+        for part, splits in listed
+        if has_all or part.dataset.edit is None
+        for split in splits
+    ]
 
 
-def _score(path: Path, index: Submission, runs: Mapping[str, Run], protocol: Protocol) -> Scored:
-    scenes, worst = {}, []
-    for scene, run in track(runs.items(), label=f"scoring {index.name}", total=len(runs)):
-        if not is_of_preset(run.dataset, index.preset, protocol):
-            raise HyalineError(
-                f"{path}: {scene} is not a scene of {index.preset}; submit it to the preset of its dataset"
-            )
-        splits: dict[str, SplitResult] = {}
-        shown: list[tuple[float, Run, Split, int]] = []
-        for part, names in list_predictions(run, protocol):
-            home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
-            for split, (truth, scores) in _score_part(part, names):
-                splits[f"{home}{split}"] = _result(f"{path}: {scene}: {home}{split}", truth, scores)
-                if scene in protocol.public_scenes(index.preset) and not home:
-                    for view, value in enumerate(scores.images["psnr_db"]):
-                        if value is not None:
-                            shown.append((value, part, split, view))
-        edits = {name.partition("/")[0] for name in splits if "/" in name}
-        if edits != set(protocol.edit_variants(scene)):  # Means over some edits cannot be compared.
-            splits = {name: result for name, result in splits.items() if "/" not in name}
-        scenes[scene] = SceneResult(
-            dataset=run.dataset.seal,
-            seed=run.seed,
-            num_parameters=run.num_parameters,
-            costs={key: value for key, value in read_costs(run.folder).items() if key in COSTS},
-            splits=splits,
-        )
-        worst += [_failure(scene, *min(shown, key=lambda item: item[0]))] if shown else []
-    first = next(iter(runs.values()))
-    return Scored(
-        version=protocol.version,
-        preset=index.preset,
-        name=index.name,
-        track=index.track,
-        method=None if first.method is None else first.method[:MAX_WORDS],
-        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
-        submission=sha256_file(path),
-        packed_by=index.code,
-        scored_by=code_version(),
-        scenes=scenes,
-        failures=tuple(sorted(worst, key=lambda failure: failure.psnr_db)[:MOST_FAILURES]),
-        truths=_digest_of_truths(index, {run.dataset.seal: run.dataset for run in runs.values()}, protocol),
+def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
+    splits: dict[str, SplitResult] = {}
+    for part, split, truth in parts:
+        scores = score_run(part, {split: truth}, Kept()).splits[split]
+        assert scores is not None, "list_predictions lists splits that are there"
+        home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
+        splits[f"{home}{split}"] = _result(part, split, truth, scores)
+    return SceneResult(
+        dataset=run.dataset.seal,
+        seed=run.seed,
+        num_parameters=run.num_parameters,
+        costs={key: value for key, value in _costs(run).items() if key in COSTS},
+        splits=splits,
     )
 
 
-def _score_part(run: Run, splits: Sequence[Split]) -> Iterator[tuple[Split, tuple[Truth, SplitScores]]]:
-    truths: dict[Split, Truth] = {split: read_truth(run.dataset, split) for split in splits}
-    scored = score_run(run, truths, Kept())
-    for split in splits:
-        scores = scored.splits[split]
-        assert scores is not None, "list_predictions lists splits that are there"
-        yield split, (truths[split], scores)
+def _costs(run: Run) -> dict[str, float]:
+    """A run's costs; says which of them are no numbers, so that its scores lack them."""
+    path, costs = run.folder / "costs.json", read_costs(run.folder)
+    with left_out():
+        found = load_json(path) if path.is_file() else {}
+        for key in sorted({*COSTS} & {*found} - {*costs}):
+            raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
+    return costs
 
 
-def _result(where: str, truth: Truth, scores: SplitScores) -> SplitResult:
+def _result(run: Run, split: Split, truth: Truth, scores: SplitScores) -> SplitResult:
+    """A split's scores.
+
+    Raises:
+        HyalineError: pictures are nearer to the truth than the truth's own noise lets any method come.
+    """
+    limits = {}
+    for view, psnr in zip(run.dataset.views(split), scores.images["psnr_db"], strict=True):
+        limits[prediction_path(run, split, view.index)] = (psnr, view.record.ceiling_db, ABOVE_CEILING)
+    mean = scores.mean("psnr_db")
+    limits[run.folder / "predictions" / split] = (mean, truth.ceiling_db, MEAN_ABOVE_CEILING)
+    for path, (psnr, ceiling, above) in limits.items():
+        assert ceiling is not None and psnr is not None, "the benchmark's datasets are rendered here"
+        if psnr > ceiling + above:
+            raise HyalineError(
+                f"{path}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {ceiling:.1f} dB; expected pictures "
+                "that do not know the truth's noise"
+            )
     means = {metric.key: scores.mean(metric.key) for metric in METRICS}
-    if math.inf in scores.images["psnr_db"]:
-        raise HyalineError(f"{where}: pictures equal the truth with its noise, which no method can predict")
-    if truth.ceiling_db is not None and (psnr := means["psnr_db"] or 0.0) > truth.ceiling_db + ABOVE_CEILING:
-        raise HyalineError(
-            f"{where}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {truth.ceiling_db:.1f} dB, so these "
-            "pictures know the truth's noise"
-        )
     return SplitResult(
         # A glass PSNR may be infinite where few pixels see glass.
         metrics={key: None if value == math.inf else value for key, value in means.items()},
         psnr_db=tuple(scores.images["psnr_db"]),
         ceiling_db=truth.ceiling_db,
     )
-
-
-def _failure(scene: str, psnr_db: float, run: Run, split: Split, view: int) -> Failure:
-    pictures = (run.dataset.view(split, view).image, read_prediction(run, split, view))
-    truth, prediction = (base64.b64encode(png_bytes(picture)).decode() for picture in pictures)
-    return Failure(scene=scene, split=split, view=view, psnr_db=psnr_db, truth=truth, prediction=prediction)
 
 
 # Averages

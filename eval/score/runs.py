@@ -122,12 +122,8 @@ def has_predictions(folder: Path) -> bool:
     return bool(splits)
 
 
-def open_run(folder: Path, data_root: Path, given: Dataset | None = None, *, is_trusted: bool = True) -> Run:
-    """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE.
-
-    Args:
-        is_trusted: False: the given dataset or none, whatever run.json names.
-    """
+def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
+    """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE."""
     path = folder / "run.json"
     record = load_json(path) if os.path.lexists(path) else {}
     seal = None
@@ -139,8 +135,6 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None, *, is_
     named = _optional(record, "dataset", str, path)
     places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
     places.append(data_root / folder.parent.name)
-    if given is not None and not is_trusted:
-        places = [given.root]
     dataset = _find_dataset(folder, places, _optional(record, "dataset_seal", str, path))
     return Run(
         folder=folder,

@@ -1,19 +1,15 @@
 """Tests of the benchmark from predictions to the leaderboard, and of what it refuses."""
 
 import dataclasses
-import io
 import json
 import math
 import os
 import re
 import shutil
 import signal
-import tarfile
-import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -27,16 +23,14 @@ from datagen.data.dataset import open_dataset
 from datagen.data.images import png_bytes, read_png
 from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import seal_bytes, sha256
+from datagen.disk.storage import seal_bytes
 from datagen.terminal.signals import Stopped
 from eval.bench.floors import nearest_view
 from eval.bench.leaderboard import check_comparable, track_grid
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
 from eval.bench.score import mean_interval, read_scored, summarise
-from eval.bench.submission import INDEX, submit
 from eval.score.runs import open_run
 
-SUBMISSION = Path("bench/tiny/submissions/nearest-view.tar")
 SCORES = Path("bench/tiny/scores/nearest-view.json")
 MEAN = Path("bench/tiny/scores/mean-picture.json")
 
@@ -50,10 +44,9 @@ def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_prot
 
 
 @pytest.fixture
-def packed(here: Path) -> Path:
-    """The same with the floors' predictions and submissions."""
+def predicted(here: Path) -> Path:
+    """The same with the floors' predictions."""
     run("hyaline-bench floors --preset tiny")
-    run("hyaline-bench submit --preset tiny")
     return here
 
 
@@ -64,12 +57,11 @@ def psnr(one: np.ndarray, other: np.ndarray) -> float:
 # From predictions to the leaderboard
 
 
-def test_floors_are_submitted_scored_and_shown(packed: Path, small_protocol: Protocol) -> None:
+def test_floors_are_scored_and_shown(predicted: Path, small_protocol: Protocol) -> None:
     answer = call("hyaline-bench score --preset tiny")
     assert answer.status == 0 and "nearest-view: each scene" in answer.out
     scored = read_scored(SCORES)
     assert (scored.track, scored.preset, len(scored.scenes)) == ("pictures", "tiny", 2)
-    assert scored.submission == sha256(SUBMISSION.read_bytes())
     for name, scene in scored.scenes.items():
         dataset = open_dataset(Path(f"data/{name}-tiny"))
         assert scene.dataset == dataset.seal
@@ -94,12 +86,11 @@ def test_floors_are_submitted_scored_and_shown(packed: Path, small_protocol: Pro
     assert (summary.low, summary.worst, summary.high) == pytest.approx(
         (min(one, other), min(one, other), max(one, other))
     )
-    assert {failure.scene for failure in scored.failures} == {"synthetic", "random-7100"}
 
     run("hyaline-bench leaderboard --preset tiny")
     page = Path("bench/tiny/leaderboard/index.html").read_text()
-    assert f">{summary.mean:.2f}<" in page and page.count('class="compare"') == 4
-    assert page.count('class="sortable"') == 3  # The track, and each submission's scenes.
+    assert f">{summary.mean:.2f}<" in page and page.count("No submission yet.") == 4
+    assert page.count('class="sortable"') == 4  # The track, its scenes by methods, and each method's scenes.
     assert "default-src 'none'; img-src data:" in page and "http:" not in page and "https:" not in page
     printed = call("hyaline-bench leaderboard --preset tiny --track pictures").out
     assert printed.startswith("# hyaline-bench 1, tiny: pictures\n")
@@ -107,75 +98,79 @@ def test_floors_are_submitted_scored_and_shown(packed: Path, small_protocol: Pro
     assert f"| synthetic | {open_dataset(Path('data/synthetic-tiny')).seal[:12]} | " in printed
     answer = call("hyaline-bench leaderboard --preset tiny --track shapes")
     assert answer.status == 1 and "shapes: the track has no submission" in answer.error
-    before = tree(packed)
-    for command in ("floors", "submit", "score", "leaderboard"):
+    before = tree(predicted)
+    for command in ("floors", "score", "leaderboard"):
         run(f"hyaline-bench {command} --preset tiny")
-    assert tree(packed) == before
+    assert tree(predicted) == before
 
 
-def test_a_foreign_method_names_its_track_and_need_not_predict_edits(here: Path) -> None:
-    run("hyaline-bench floors --preset tiny")
+def test_a_foreign_method_names_its_track_and_need_not_predict_edits(predicted: Path) -> None:
     for name in ("synthetic", "random-7100"):
         folder = Path(f"runs/{name}-tiny/mine")
         shutil.copytree(f"runs/{name}-tiny/mean-picture", folder)
         (folder / "run.json").unlink()
         (folder / "costs.json").write_text('{"cpu_seconds": 90, "frames_per_second": 5}')
     shutil.rmtree("runs/synthetic-tiny/mine/variants/remove-pane")
-    assert "name the track with --track" in call("hyaline-bench submit mine --preset tiny").error
+    assert "name the track with --track" in call("hyaline-bench score mine --preset tiny").error
     Path("runs/gone/mine/predictions/interpolating").mkdir(parents=True)
-    answer = call("hyaline-bench submit mine --preset tiny --track masks --out mine.tar")
+    answer = call("hyaline-bench score mine --preset tiny --track masks --out scores/mine.json")
     assert answer.status == 0 and "left out: runs/gone/mine: no dataset at data/gone" in answer.err
-    assert "mine.tar: track masks, 2 of 4 scenes" in answer.err
-    run("hyaline-bench score mine.tar --preset tiny --out mine.json")
-    scored = read_scored(Path("mine.json"))
+    scored = read_scored(Path("scores/mine.json"))
     assert scored.track == "masks" and not scored.scenes["synthetic"].values(EDITS)
     assert scored.scenes["synthetic"].costs == {"cpu_seconds": 90, "frames_per_second": 5}
-    Path("scores").mkdir()
-    Path("mine.json").rename("scores/mine.json")
     run("hyaline-bench leaderboard scores --preset tiny --out page")
     row = re.search(r"<tr><th.*?>mine<.*?</tr>", Path("page/index.html").read_text())
     assert row is not None and ">1.50<" in row[0] and ">5.00<" in row[0]
+    again = call("hyaline-bench score mine --preset tiny --track shapes --out scores/mine.json")
+    assert again.status == 1 and "is there already; pass --overwrite" in again.error, "another track is another score"
 
 
-def test_a_submission_does_not_choose_its_truth(packed: Path, small_protocol: Protocol) -> None:
-    scene = Path("runs/random-7100-tiny/mine")
-    shutil.copytree("runs/random-7100-tiny/mean-picture/predictions", scene / "predictions")
-    runs = {"random-7100": open_run(scene, Path("data"))}
-    other = open_dataset(Path("data/synthetic-tiny"))
-    record = {"dataset": str(other.root.resolve()), "dataset_seal": other.seal}
-    (scene / "run.json").write_text(json.dumps(record))
-    submit(runs, preset="tiny", track="masks", out=Path("mine.tar"), protocol=small_protocol, overwrite=False)
-    answer = call("hyaline-bench score mine.tar --preset tiny --out mine.json")
-    assert answer.status == 1 and "the predictions are for other data" in answer.error
-    assert not Path("mine.json").exists()
+def test_predictions_for_other_data_are_not_scored(predicted: Path) -> None:
+    for path in Path("runs").glob("*/nearest-view/run.json"):
+        path.write_text(path.read_text().replace('"dataset_seal": "', '"dataset_seal": "0'))
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 0 and "the predictions are for other data" in answer.err
+    assert not SCORES.exists() and MEAN.exists()
+    assert "no method 'nearest-view'" in call("hyaline-bench score nearest-view --preset tiny").error
+    shutil.copytree("data", "kept")
+    shutil.rmtree("data/random-7100-tiny")
+    for path in Path("runs").glob("random-*/mean-picture/run.json"):
+        path.write_text(path.read_text().replace("data/random", "kept/random"))
+    answer = call("hyaline-bench score mean-picture --preset tiny --out new.json")
+    assert answer.status == 0 and "which is not in data; set --data" in answer.err
+    assert set(read_scored(Path("new.json")).scenes) == {"synthetic"}
 
 
-def test_a_second_dataset_of_a_scene_is_left_out(packed: Path) -> None:
-    before = tree(packed)
+def test_a_second_dataset_of_a_scene_is_left_out(predicted: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    before = tree(predicted)
     shutil.copytree("data/synthetic-tiny", "data/synthetic")
     shutil.copytree("runs/synthetic-tiny", "runs/synthetic")
     for path in Path("runs/synthetic").glob("*/run.json"):
         path.write_text(path.read_text().replace("data/synthetic-tiny", "data/synthetic"))
     run("hyaline-bench floors --preset tiny")
-    answer = call("hyaline-bench submit --preset tiny")
+    answer = call("hyaline-bench score --preset tiny")
     assert answer.status == 0 and "left out: runs/synthetic/mean-picture: is a second run" in answer.err
     shutil.rmtree("data/synthetic")
     shutil.rmtree("runs/synthetic")
-    assert tree(packed) == before
+    assert tree(predicted) == before
 
 
-def test_submissions_of_earlier_predictions_are_named_and_replaced_on_demand(packed: Path) -> None:
-    before = SUBMISSION.read_bytes()
-    for name in ("synthetic", "random-7100"):
-        (Path(f"runs/{name}-tiny/nearest-view") / "costs.json").write_text('{"cpu_seconds": 90}')
-    answer = call("hyaline-bench submit --preset tiny")
-    assert answer.status == 1 and f"{SUBMISSION}: from earlier predictions or code; replace" in answer.error
-    assert SUBMISSION.read_bytes() == before
-    run("hyaline-bench submit --preset tiny --overwrite")
-    assert SUBMISSION.read_bytes() != before
+def test_scores_of_earlier_predictions_are_named_and_replaced_on_demand(predicted: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    before = SCORES.read_bytes()
+    shutil.copy(
+        "runs/synthetic-tiny/nearest-view/predictions/interpolating/0000.png",
+        "runs/synthetic-tiny/nearest-view/predictions/interpolating/0001.png",
+    )
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 1 and f"{SCORES}: from other predictions or code; pass --overwrite" in answer.error
+    assert SCORES.read_bytes() == before
+    run("hyaline-bench score --preset tiny --overwrite")
+    assert SCORES.read_bytes() != before
 
 
-def test_truth_that_came_later_asks_for_new_scores(packed: Path) -> None:
+def test_truth_that_came_later_asks_for_new_scores(predicted: Path) -> None:
     variant = Path("data/synthetic-tiny/variants/remove-pane")
     shutil.move(variant, "kept")
     run("hyaline-bench score --preset tiny")
@@ -187,22 +182,13 @@ def test_truth_that_came_later_asks_for_new_scores(packed: Path) -> None:
     assert read_scored(SCORES).scenes["synthetic"].values(EDITS)
 
 
-def test_scores_of_another_submission_stay(packed: Path) -> None:
-    run(f"hyaline-bench score {SUBMISSION} --preset tiny --out kept.json")
-    before = Path("kept.json").read_bytes()
-    other = SUBMISSION.with_name("mean-picture.tar")
-    assert "is there already; pass --overwrite" in call(f"hyaline-bench score {other} --out kept.json").error
-    assert Path("kept.json").read_bytes() == before
-    run(f"hyaline-bench score {other} --out kept.json --overwrite")
-    assert read_scored(Path("kept.json")).name == "mean-picture"
-
-
-def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(packed: Path) -> None:
+def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(predicted: Path) -> None:
     run("hyaline-bench score --preset tiny")
     content = json.loads(SCORES.read_text())
     del content["sha256"]
     folder = SCORES.parent
-    for name, keys in {"newer": {"version": 2}, "magic": {"track": "magic"}, "again": {}}.items():
+    old = {"failures": [{"scene": "synthetic", "truth": "AAAA"}], "packed_by": "0.2.0 (552f5ea4)"}
+    for name, keys in {"newer": {"version": 2}, "magic": {"track": "magic"}, "again": old}.items():
         (folder / f"{name}.json").write_bytes(seal_bytes(content | keys))
     answer = call(f"hyaline-bench leaderboard {folder}")
     assert answer.status == 0 and "3 submissions" in answer.err
@@ -210,26 +196,20 @@ def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(packed
     assert "left out: bench/tiny/scores/magic.json: is of the track 'magic'; expected one of pictures" in answer.err
     # The preset is that of the scores; two submissions of one name are told apart by their files.
     assert answer.out == "bench/tiny/leaderboard/index.html\n"
-    printed = call(f"hyaline-bench leaderboard {folder} --track pictures").out
-    assert "hyaline-bench leaderboard --preset tiny --track pictures\n" in printed
-    assert {line.split(" | ")[0] for line in printed.splitlines() if "2/4" in line} == {
-        "| again",
-        "| mean-picture",
-        "| nearest-view",
-    }
+    page = Path("bench/tiny/leaderboard/index.html").read_text()
+    assert "nearest-view: each scene" in page and "again: each scene" in page and "packed by hyaline 0.2.0" in page
 
 
-def test_scoring_that_is_stopped_goes_on_by_the_same_command(packed: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run("hyaline-bench score --preset tiny")
-
+def test_a_stopped_score_writes_nothing(predicted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:
         raise Stopped(signal.SIGTERM)
 
     with monkeypatch.context() as patch:
         patch.setattr("eval.bench.score.score_run", stop)
-        answer = call("hyaline-bench score --preset tiny --overwrite")
+        answer = call("hyaline-bench score --preset tiny")
     assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to go on")
-    run("hyaline-bench score --preset tiny --overwrite")
+    assert not SCORES.exists()
+    run("hyaline-bench score --preset tiny")
 
 
 @pytest.mark.parametrize(
@@ -240,9 +220,9 @@ def test_scoring_that_is_stopped_goes_on_by_the_same_command(packed: Path, monke
         ('{"cpu_seconds": NaN}', "NaN"),
     ],
 )
-def test_costs_that_scores_will_lack_are_named_when_a_method_is_packed(packed: Path, costs: str, message: str) -> None:
+def test_costs_that_scores_lack_are_named(predicted: Path, costs: str, message: str) -> None:
     Path("runs/synthetic-tiny/nearest-view/costs.json").write_text(costs)
-    answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
+    answer = call("hyaline-bench score nearest-view --preset tiny")
     assert answer.status == 0 and answer.err.count("left out: ") == 1
     assert message in answer.err and "runs/synthetic-tiny/nearest-view/costs.json" in answer.err
 
@@ -255,18 +235,17 @@ def test_costs_that_scores_will_lack_are_named_when_a_method_is_packed(packed: P
         ("predictions/extrapolating", "the protocol asks for all its views"),
     ],
 )
-def test_incomplete_predictions_are_not_packed(packed: Path, file: str, message: str) -> None:
+def test_incomplete_predictions_are_not_scored(predicted: Path, file: str, message: str) -> None:
     path = Path("runs/synthetic-tiny/nearest-view") / file
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    answer = call("hyaline-bench submit nearest-view --preset tiny --out new.tar")
-    assert answer.status == 1 and re.search(message, answer.error) and not Path("new.tar").exists()
-    SUBMISSION.unlink()
-    run("hyaline-bench submit --preset tiny")  # The other floor is complete.
-    assert not SUBMISSION.exists()
-    shutil.rmtree("runs/synthetic-tiny/mean-picture/predictions")
-    assert "mean-picture.tar: from earlier predictions" in call("hyaline-bench submit --preset tiny").error
-    shutil.rmtree("runs/random-7100-tiny/mean-picture/predictions")
-    assert "no method has all predictions" in call("hyaline-bench submit --preset tiny").error
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and re.search(message, answer.error) and not SCORES.exists()
+    run("hyaline-bench score --preset tiny")  # The other floor is complete.
+    assert MEAN.exists() and not SCORES.exists()
+    shutil.rmtree("runs/synthetic-tiny/mean-picture/predictions/extrapolating")
+    assert "mean-picture.json: from other predictions" in call("hyaline-bench score --preset tiny").error
+    MEAN.unlink()
+    assert "no method could be scored at tiny" in call("hyaline-bench score --preset tiny").error
 
 
 def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made: Path) -> None:
@@ -283,76 +262,16 @@ def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made:
     assert "data: has no dataset of tiny" in answer.error
 
 
-# Hostile submissions
-
-HOME = "synthetic/nearest-view"
-PICTURE = f"{HOME}/predictions/interpolating/0000.png"
-Files = dict[str, bytes]
+def test_the_command_that_packed_runs_says_what_took_its_place(here: Path) -> None:
+    del here
+    assert "`hyaline-bench score METHOD` reads the runs' folders themselves" in call("hyaline-bench submit mine").error
 
 
-def read_files() -> tuple[dict[str, Any], Files]:
-    """The index of the submission without its digest, and its files, as tarfile reads them."""
-    with tarfile.open(SUBMISSION) as archive:
-        read = {entry.name.partition("/")[2]: archive.extractfile(entry).read() for entry in archive}  # pyright: ignore
-    index = json.loads(read.pop(INDEX))
-    del index["sha256"]
-    return index, read
+# Hostile folders
 
-
-def write_archive(
-    index: dict[str, Any], files: Files, change: Callable[[tarfile.TarInfo], object] | None = None
-) -> bytes:
-    """An archive of these files, as an attacker writes it, whose index is sealed again."""
-    index["files"] = {path: {"size": len(data), "sha256": sha256(data)} for path, data in files.items()}
-    index["files"] |= index.pop("more", {})
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-        for path, data in [(INDEX, seal_bytes(index)), *sorted(files.items())]:
-            entry = tarfile.TarInfo(f"{index['name']}/{path}")
-            entry.size = len(data)
-            if change is not None and path == PICTURE:
-                change(entry)
-            archive.addfile(entry, io.BytesIO(data))
-        length = archive.offset + 1024
-    return buffer.getvalue()[:length]
-
-
-def with_index(**keys: Any) -> Callable[[], bytes]:
-    """The submission with other values in its index."""
-
-    def make() -> bytes:
-        index, files = read_files()
-        return write_archive(index | keys, files)
-
-    return make
-
-
-def with_file(path: str, data: bytes | None) -> Callable[[], bytes]:
-    """The submission with another file; None: without it."""
-
-    def make() -> bytes:
-        index, files = read_files()
-        files.pop(path, None)
-        return write_archive(index, files if data is None else files | {path: data})
-
-    return make
-
-
-def with_entry(**keys: Any) -> Callable[[], bytes]:
-    """The submission with another header of one picture."""
-
-    def make() -> bytes:
-        index, files = read_files()
-        return write_archive(index, files, lambda entry: [setattr(entry, key, value) for key, value in keys.items()])
-
-    return make
-
-
-def zipped() -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr("../../up.png", b"")
-    return buffer.getvalue()
+PICTURE = Path("runs/synthetic-tiny/nearest-view/predictions/interpolating/0001.png")
+TRUTH = "../../../../../data/synthetic-tiny/images/interpolating/0001.png"
+RECORD = Path("runs/synthetic-tiny/nearest-view/run.json")
 
 
 def huge_png(side: int) -> bytes:
@@ -366,85 +285,107 @@ def huge_png(side: int) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
 
 
-RECORD = b'{"method": "light-path", "geometry": "truth", "knowledge": "everything"}'
-HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
-    "a zip": (zipped, "is no archive of `hyaline-bench submit`"),
-    "empty": (lambda: b"", "is no archive of `hyaline-bench submit`"),
-    "cut off": (lambda: SUBMISSION.read_bytes()[:-600], r"has [\d,]+ bytes; expected"),
-    "longer": (lambda: SUBMISSION.read_bytes() + b"!", r"has [\d,]+ bytes; expected"),
-    "nothing": (lambda: write_archive(read_files()[0] | {"datasets": {}}, {}), "datasets: is empty"),
-    "a way up": (with_file("../up.png", b""), "names '../up.png'; expected a file inside"),
-    "an absolute path": (with_file("/tmp/up.png", b""), "names '/tmp/up.png'; expected a file inside"),
-    "a program": (with_file(f"{HOME}/predictions/interpolating/run.sh", b""), "only records and predictions of the"),
-    "another run": (with_file("synthetic/other/run.json", b"{}"), "only records and predictions of the"),
-    "training views": (with_file(f"{HOME}/predictions/train/0000.png", b""), "only records and predictions of the"),
-    "a link": (with_entry(type=tarfile.SYMTYPE, linkname="/etc/passwd"), r"is damaged|has [\d,]+ bytes"),
-    "a hard link": (with_entry(type=tarfile.LNKTYPE, linkname="x"), r"is damaged|has [\d,]+ bytes"),
-    "a device": (with_entry(type=tarfile.CHRTYPE), "0000.png is damaged"),
-    "a sparse file": (with_entry(type=tarfile.GNUTYPE_SPARSE), "0000.png is damaged"),
-    "a bomb": (with_index(more={PICTURE: {"size": 1 << 50, "sha256": "0" * 64}}), r"expected at most 16,777,216"),
-    "a later version": (with_index(version=2), "version is 2; expected 1; update hyaline"),
-    "an unknown key": (with_index(extra=1), "unknown key 'extra'"),
-    "a long text": (with_index(code="x" * 201), "code: has 201 characters; expected at most 200"),
-    "a name that is a path": (with_index(name="../up"), "name: is '../up'; expected a name"),
-    "an unknown track": (with_index(track="all"), "no track 'all'"),
-    "an unknown scene": (with_index(datasets={"attic": "0"}), "no scene 'attic'"),
-    "another dataset": (with_index(datasets={"synthetic": "0" * 64}), "only records and pred|which is not there"),
-    "more told than the track allows": (
-        with_file(f"{HOME}/run.json", RECORD),
-        "uses inputs .everything. that",
+def linked(target: str) -> Callable[[Path], None]:
+    def link(path: Path) -> None:
+        path.unlink()
+        path.symlink_to(target)
+
+    return link
+
+
+def holding(data: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(data)
+
+
+def as_a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def another(name: str) -> Callable[[Path], object]:
+    return lambda path: shutil.copy(path, path.with_name(name))
+
+
+HOSTILE: dict[str, tuple[Path, Callable[[Path], object], str]] = {
+    "a link to a file elsewhere": (PICTURE, linked("/etc/passwd"), "a link out of its folder"),
+    "a link to the truth": (
+        PICTURE,
+        linked(TRUTH),
+        "a link out of its folder",
     ),
-    "a missing view": (with_file(PICTURE, None), r"0000.png: missing \(1 of 2 are\)"),
-    "a view too many": (
-        with_file(PICTURE.replace("0000", "0002"), png_bytes(np.zeros((32, 32, 3), np.uint8))),
-        "not a",
-    ),
-    "no picture": (with_file(PICTURE, b"GIF89a"), "not a PNG"),
-    "another size": (with_file(PICTURE, png_bytes(np.zeros((32, 31, 3), np.uint8))), "is 31 x 32 pixels; expected 32"),
-    "a huge picture": (lambda: with_file(PICTURE, huge_png(9000))(), "is 9000 x 9000 pixels; expected 32 x 32"),
+    "a pipe": (PICTURE, as_a_pipe, "is no regular file|is a pipe"),
+    "a view too many": (PICTURE, another("0002.png"), "not a view of the interpolating split"),
+    "no picture": (PICTURE, holding(b"GIF89a"), "not a PNG"),
+    "another size": (PICTURE, holding(png_bytes(np.zeros((32, 31, 3), np.uint8))), "is 31 x 32 pixels; expected 32"),
+    "a huge picture": (PICTURE, lambda path: path.write_bytes(huge_png(9000)), "is 9000 x 9000 pixels; expected 32"),
+    "an unknown key": (RECORD, holding(b'{"command": "rm"}'), "unknown key 'command'"),
+    "no JSON": (RECORD, holding(b"{"), "not a JSON file"),
 }
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_submission_is_one_line_and_leaves_nothing(
-    packed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    make, reason = HOSTILE[name]
-    index, files = read_files()
-    assert write_archive(index, files) == SUBMISSION.read_bytes(), "what is changed here is a submission"
-    Path("hostile.tar").write_bytes(make())
-    (tmp_path / "temporary").mkdir()
-    monkeypatch.setattr("tempfile.tempdir", os.fspath(tmp_path / "temporary"))
-    before = tree(tmp_path)
-    answer = call("hyaline-bench score hostile.tar --preset tiny --out new.json")
+def test_a_hostile_folder_is_one_line_and_writes_nothing(predicted: Path, name: str) -> None:
+    path, change, reason = HOSTILE[name]
+    change(path)
+    shutil.rmtree("runs/random-7100-tiny")
+    before = sorted(predicted.rglob("*"))
+    answer = call("hyaline-bench score nearest-view --preset tiny --out new.json")
     assert answer.status == 1 and answer.err.count("error: ") == 1
-    assert re.search(reason, answer.error), answer.error
-    assert "hostile.tar" in answer.error and tree(tmp_path) == before
+    assert re.search(reason, answer.err), answer.err
+    assert sorted(predicted.rglob("*")) == before
 
 
-def test_the_truth_itself_is_no_prediction(packed: Path) -> None:
+# The truth's noise
+
+
+def test_the_truth_itself_is_no_prediction(predicted: Path) -> None:
     for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
-        Path(f"runs/synthetic-tiny/nearest-view/predictions/interpolating/{view.index:04d}.png").write_bytes(
-            png_bytes(view.image)
-        )
-    run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
-    answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
-    assert answer.status == 1 and "synthetic: interpolating: pictures equal the truth with its noise" in answer.error
+        PICTURE.with_name(f"{view.index:04d}.png").write_bytes(png_bytes(view.image))
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and "interpolating/0000.png: a PSNR of inf dB is above" in answer.error
 
 
-def test_pictures_better_than_the_noise_of_the_truth_are_refused(packed: Path) -> None:
+@pytest.mark.parametrize("split", ["interpolating", "extrapolating", "extrapolating-10deg", "edit"])
+def test_one_near_copy_of_the_truth_among_bad_views_is_refused_by_its_name(predicted: Path, split: str) -> None:
     dataset = open_dataset(Path("data/synthetic-tiny"))
-    for view in dataset.views("interpolating"):
-        near = view.image.copy()
-        near[0, 0, 0] ^= 1
-        path = Path(f"runs/synthetic-tiny/nearest-view/predictions/interpolating/{view.index:04d}.png")
-        path.write_bytes(png_bytes(near))
-    run("hyaline-bench submit nearest-view --preset tiny --out new.tar")
-    answer = call("hyaline-bench score new.tar --preset tiny --out new.json")
-    assert answer.status == 1 and "is above the noise ceiling of" in answer.error
+    folder = Path("runs/synthetic-tiny/nearest-view")
+    if split == "edit":
+        dataset, folder, split = open_variant(dataset, "remove-pane"), folder / "variants/remove-pane", "interpolating"
+    elif split == "extrapolating-10deg":
+        dataset, folder = open_variant(dataset, "angles"), folder / "variants/angles"
+    near = read_png(dataset.root / "images" / split / "0001.png").copy()
+    near[0, 0, 0] ^= 1
+    path = folder / "predictions" / split / "0001.png"
+    path.write_bytes(png_bytes(near))
+    path.with_name("0000.png").write_bytes(png_bytes(np.zeros_like(near)))
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and f"{path}: a PSNR of " in answer.error
+    assert "is above the noise ceiling of " in answer.error and not SCORES.exists()
 
 
-def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(packed: Path, small_protocol: Protocol) -> None:
+def write_noisy(psnr_db: float) -> None:
+    """Predicts a split with so much noise beside the truth, whose own noise allows 50 dB."""
+    for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
+        noise = np.random.default_rng(view.index).normal(0, 255 * 10 ** (-psnr_db / 20), view.image.shape)
+        picture = np.clip(np.rint(np.clip(view.image, 9, 246) + noise), 0, 255).astype(np.uint8)
+        PICTURE.with_name(f"{view.index:04d}.png").write_bytes(png_bytes(picture))
+
+
+def test_pictures_of_a_perfect_method_are_scored(predicted: Path) -> None:
+    del predicted
+    write_noisy(50)
+    run("hyaline-bench score nearest-view --preset tiny")
+
+
+def test_a_split_that_is_a_little_too_good_everywhere_is_refused(predicted: Path) -> None:
+    del predicted
+    write_noisy(52.2)
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1
+    assert re.search(r"predictions/interpolating: a PSNR of 5[12]\.\d dB is above the noise ceiling", answer.error)
+
+
+def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Path, small_protocol: Protocol) -> None:
     run("hyaline-bench score --preset tiny")
     scored = read_scored(MEAN)
     scene = dataclasses.replace(scored.scenes["synthetic"], dataset="0" * 64)
@@ -511,6 +452,46 @@ def test_an_unknown_geometry_has_no_track_of_its_own(here: Path, small_protocol:
     assert choose_track(found, "masks", small_protocol.tracks) == "masks"
 
 
+@pytest.mark.parametrize(
+    ("knowledge", "geometry", "track"),
+    [
+        ("cameras only", "none", "pictures"),
+        ("training pictures, cameras", "none", "pictures"),
+        ("masks of the glass", "none", "masks"),
+        ("Proxies", "none", "proxies"),
+        ("proxy geometry (ellipsoid)", "ellipsoid", "proxies"),
+        ("true geometry", "none", "shapes"),
+        ("cameras, meshes", None, "shapes"),
+        ("materials", "none", "materials"),
+        ("masks and index of refraction", None, "materials"),
+        ("everything", "truth", "materials"),
+    ],
+)
+def test_what_a_foreign_record_says_in_words_counts_for_its_track(
+    here: Path, small_protocol: Protocol, knowledge: str, geometry: str | None, track: str
+) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(
+        json.dumps({"knowledge": knowledge} | ({"geometry": geometry} if geometry else {}))
+    )
+    found = open_run(folder, here / "data")
+    tracks = list(small_protocol.tracks)
+    assert choose_track(found, track, small_protocol.tracks) == track
+    for lower in tracks[: tracks.index(track)]:
+        with pytest.raises(HyalineError, match=f"that the track {lower} does not allow; submit it to {track}"):
+            choose_track(found, lower, small_protocol.tracks)
+
+
+def test_the_command_refuses_materials_in_the_track_of_pictures(predicted: Path) -> None:
+    for path in Path("runs").glob("*/nearest-view/run.json"):
+        path.write_text(path.read_text().replace('"training pictures, cameras"', '"materials"'))
+    answer = call("hyaline-bench score nearest-view --preset tiny --track pictures")
+    assert answer.status == 1 and "uses inputs (materials) that the track pictures does not allow" in answer.error
+    run("hyaline-bench score nearest-view --preset tiny")
+    assert read_scored(SCORES).track == "materials"
+
+
 # Floors and averages
 
 
@@ -549,7 +530,7 @@ def test_the_interval_of_two_scenes_has_a_closed_form_and_one_scene_has_none() -
     assert mean_interval(np.array([20.0]), bootstrap) == (None, None)
 
 
-def test_rows_with_fewer_scenes_come_last(packed: Path, small_protocol: Protocol) -> None:
+def test_rows_with_fewer_scenes_come_last(predicted: Path, small_protocol: Protocol) -> None:
     run("hyaline-bench score --preset tiny")
     scored = read_scored(SCORES)
     few = dataclasses.replace(scored, name="few", scenes={"synthetic": scored.scenes["synthetic"]})
