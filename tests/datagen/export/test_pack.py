@@ -1,5 +1,6 @@
-"""Tests that a packed dataset is the same bytes wherever it is packed, and that nothing else is ever unpacked."""
+"""Tests that a packed dataset is the same bytes wherever it is packed, and that only whole datasets are unpacked."""
 
+import gzip
 import io
 import os
 import random
@@ -7,19 +8,17 @@ import re
 import shutil
 import subprocess
 import tarfile
+import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.builds import tree
 from support.commands import call, run
-from support.disk import Change, watch
+from support.disk import Change, failing_from, watch
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.dataset import open_dataset
 from datagen.disk.storage import seal_bytes, sha256
-from datagen.export import archive, pack
 
 HEAD = "dataset.json"
 
@@ -62,20 +61,36 @@ def test_the_same_dataset_gives_the_same_bytes_wherever_it_lies_and_whoever_has_
 
 def test_any_tar_program_unpacks_every_file_of_the_dataset(here: Path) -> None:
     subprocess.run(["tar", "-xf", "my scene.tar"], check=True)
-    (folder,) = (path for path in here.iterdir() if path.name not in ("data", "my scene.tar"))
-    (folder / pack.INDEX).unlink()
-    assert tree(folder) == tree(Path("data/my scene"))
+    assert tree(Path("synthetic")) == tree(Path("data/my scene"))
 
 
-def test_an_unpacked_dataset_is_the_packed_one_and_is_not_unpacked_twice(here: Path) -> None:
+def test_an_unpacked_dataset_is_the_packed_one(here: Path) -> None:
     answer = call("datagen unpack 'my scene.tar' --out 'data/a copy'")
     assert answer.status == 0 and answer.out == "data/a copy\n"
     assert tree(Path("data/a copy")) == tree(Path("data/my scene"))
-    with watch(here, refuse):
-        again = call("datagen unpack 'my scene.tar' --out 'data/a copy'")
-        packed_again = call("datagen pack 'a copy' --out 'my scene.tar'")
-    assert again.status == 0 and "data/a copy: holds this dataset already" in again.err
-    assert packed_again.status == 0 and "my scene.tar: is finished" in packed_again.err
+    assert {path.stat().st_mode & 0o777 for path in Path("data/a copy").rglob("*.png")} == {0o666 & ~umask()}
+    run("datagen pack 'a copy' --out again.tar")
+    assert Path("again.tar").read_bytes() == Path("my scene.tar").read_bytes()
+    run("datagen verify 'a copy'")
+
+
+def umask() -> int:
+    before = os.umask(0)
+    os.umask(before)
+    return before
+
+
+def test_a_dataset_with_variants_proxies_and_edit_masks_comes_back_whole(here: Path) -> None:
+    write_synthetic_dataset(Path("data/whole"), scene_name="synthetic")
+    run("proxies make whole --kind box")
+    run("datagen add whole --edit remove:pane")
+    run("datagen add whole --larger 2")
+    run("datagen pack whole --out whole.tar")
+    run("datagen unpack whole.tar --out again")
+    assert tree(Path("again")) == tree(Path("data/whole"))
+    names = {path.split("/")[0] for path in tree(Path("again"))}
+    assert names >= {"variants", "proxies", "layers"}
+    assert any("edit-masks" in path for path in tree(Path("again")))
 
 
 def test_an_archive_is_unpacked_into_a_folder_of_its_own_name(here: Path) -> None:
@@ -103,9 +118,9 @@ def test_an_empty_folder_is_filled_and_one_with_other_files_is_left_alone(here: 
     Path("theirs/thesis.tex").write_text("precious")
     Path("file").write_text("precious")
     before = tree(here)
-    for place, named in (("data/my scene", view.name), ("theirs", "images/"), ("file", "images/")):
+    for place in ("data/my scene", "empty", "theirs", "file"):
         answer = call(f"datagen unpack 'my scene.tar' --out '{place}'")
-        assert answer.status == 1 and f"{place}: is taken, and " in answer.error and named in answer.error
+        assert answer.status == 1 and f"{place}: is not empty, or not a folder; " in answer.error
     answer = call("datagen pack 'empty' --out theirs/thesis.tex")
     assert answer.status == 2 and "expected .tar" in answer.error
     Path("theirs/thesis.tex").rename("theirs/thesis.tar")
@@ -124,35 +139,16 @@ def test_unfinished_and_damaged_datasets_are_refused_with_the_command_that_repai
     assert not Path("new.tar").exists()
 
 
-def archive_of(
-    files: dict[str, bytes],
-    change_index: Callable[[dict[str, Any]], object] = lambda index: None,
-    change_entry: Callable[[tarfile.TarInfo], object] = lambda entry: None,
-) -> bytes:
-    """An archive as tarfile writes it, of these files, with changes of its index and of its members' headers."""
-    described = {path: {"size": len(data), "sha256": sha256(data)} for path, data in files.items()}
-    dataset = open_dataset(Path("data/my scene"))
-    terms = "unknown; ask the author of dataset synthetic"
-    index = {"version": 1, "scene": "synthetic", "license": terms, "dataset": dataset.seal}
-    index["files"] = described
-    change_index(index)
-    data = seal_bytes(index)
+def archive_of(files: dict[str, bytes], change: Callable[[tarfile.TarInfo], object] = lambda entry: None) -> bytes:
+    """An archive of these files as tarfile writes it, metadata first, with changes of its members' headers."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
-        for path, content in [
-            ("hyaline-pack.json", data),
-            *sorted(files.items(), key=lambda item: (item[0] == HEAD, item[0])),
-        ]:
+        for path, content in sorted(files.items(), key=lambda item: (item[0] != HEAD, item[0])):
             entry = tarfile.TarInfo(f"synthetic/{path}")
             entry.size = len(content)
-            change_entry(entry)
+            change(entry)
             archive.addfile(entry, io.BytesIO(content))
-        length = archive.offset + 1024
-    return buffer.getvalue()[:length]
-
-
-def rename(index: dict[str, Any], new: str) -> None:
-    index["files"][new] = index["files"].pop(HEAD)
+    return buffer.getvalue()
 
 
 def only(path: str, **changes: object) -> Callable[[tarfile.TarInfo], None]:
@@ -165,69 +161,80 @@ def only(path: str, **changes: object) -> Callable[[tarfile.TarInfo], None]:
     return change
 
 
+def resized(data: bytes, path: str, size: int) -> bytes:
+    """An archive in which a member claims another size."""
+    place = data.index(f"synthetic/{path}".encode())
+    entry = tarfile.TarInfo(f"synthetic/{path}")
+    entry.size = size
+    return data[:place] + entry.tobuf(tarfile.GNU_FORMAT) + data[place + 512 :]
+
+
 def flipped(data: bytes, place: int) -> bytes:
     return data[:place] + bytes([data[place] ^ 1]) + data[place + 1 :]
 
 
-MORE = {"plugins/sphere.so": b"code"}
+PICTURE = "images/train/0001.png"
+FOREIGN = "which is no file of its dataset; get the archive again"
 HOSTILE: dict[str, tuple[Callable[[dict[str, bytes], bytes], bytes], str]] = {
-    "truncated": (lambda _, data: data[: len(data) // 2], r"has [\d,]+ bytes; expected [\d,]+; get the archive again"),
-    "cut in its index": (lambda _, data: data[:700], "not a JSON file"),
-    "longer": (lambda _, data: data + bytes(512), r"has [\d,]+ bytes; expected [\d,]+; get"),
-    "empty": (lambda *_: b"", "is no archive of `datagen pack`"),
-    "another format": (lambda _, data: b"PK\3\4" + data, "is no archive of `datagen pack`"),
-    "another tar": (lambda files, _: archive_of(files, lambda index: index.clear()), "version is None; expected 1"),
-    "a way up": (
-        lambda files, _: archive_of(files, lambda index: rename(index, "../up.json")),
-        "names '../up.json'; expected a file inside",
+    "truncated": (lambda _, data: data[: len(data) // 2], "is damaged, or no tar archive|holds no finished dataset"),
+    "cut in its metadata": (lambda _, data: data[:700], "is damaged, or no tar archive"),
+    "empty": (lambda *_: b"", "is damaged, or no tar archive"),
+    "zeros": (lambda *_: bytes(10240), "is empty; expected an archive of `datagen pack`"),
+    "another format": (lambda _, data: b"PK\3\4" + data, "is damaged, or no tar archive"),
+    "compressed": (lambda _, data: gzip.compress(data), "is damaged, or no tar archive"),
+    "another tar": (
+        lambda files, _: archive_of({path: data for path, data in files.items() if path != HEAD}),
+        "begins with 'synthetic/images/.*'; expected dataset.json",
     ),
-    "an absolute path": (
-        lambda files, _: archive_of(files, lambda index: rename(index, "/tmp/up.json")),
-        "names '/tmp/up.json'; expected a file inside",
+    "metadata of something else": (lambda files, _: archive_of(files | {HEAD: b"{}"}), "holds no finished dataset"),
+    "edited metadata": (
+        lambda files, _: archive_of(files | {HEAD: files[HEAD].replace(b"synthetic", b"authentic")}),
+        r"holds no finished dataset \(dataset.json: does not match its own checksum",
     ),
-    "a file in a file": (
-        lambda files, _: archive_of(files, lambda index: rename(index, "transforms_train.json/x")),
-        "lies in another file",
+    "a way up": (lambda files, _: archive_of(files | {"../../up.json": b"x"}), FOREIGN),
+    "an absolute path": (lambda files, _: archive_of(files | {"/tmp/up.json": b"x"}), FOREIGN),
+    "a file in a file": (lambda files, _: archive_of(files | {"transforms_train.json/x": b"x"}), FOREIGN),
+    "a view too many": (lambda files, _: archive_of(files | {"images/train/9999.png": b"x"}), FOREIGN),
+    "a variant without metadata": (
+        lambda files, _: archive_of(files | {"variants/x2/images/train/0000.png": b"x"}),
+        FOREIGN,
     ),
-    "a bomb": (
-        lambda files, _: archive_of(files, lambda index: index["files"][HEAD].update(size=1 << 50)),
-        r"has [\d,]+ bytes; expected 1,125,8",
+    "a variant of another dataset": (
+        lambda files, _: archive_of(files | {"variants/x2/dataset.json": files[HEAD]}),
+        "holds no finished dataset",
     ),
-    "a negative size": (
-        lambda files, _: archive_of(files, lambda index: index["files"][HEAD].update(size=-512)),
-        "has -512 bytes",
+    "a bomb": (lambda _, data: resized(data, PICTURE, 1 << 50), "is damaged, or no tar archive"),
+    "a sparse bomb": (lambda files, _: archive_of(files, only(PICTURE, type=tarfile.GNUTYPE_SPARSE)), FOREIGN),
+    "a sparse bomb by its header": (
+        lambda files, _: archive_of(
+            files, only(PICTURE, pax_headers={"GNU.sparse.size": str(1 << 50), "GNU.sparse.map": "0,1"})
+        ),
+        FOREIGN,
     ),
     "a link": (
-        lambda files, _: archive_of(files, change_entry=only(HEAD, type=tarfile.SYMTYPE, linkname="/etc/passwd")),
-        r"has [\d,]+ bytes; expected|dataset.json is damaged",
+        lambda files, _: archive_of(files, only(PICTURE, type=tarfile.SYMTYPE, linkname="/etc/passwd", size=0)),
+        FOREIGN,
     ),
-    "a device": (
-        lambda files, _: archive_of(files, change_entry=only(HEAD, type=tarfile.CHRTYPE)),
-        "dataset.json is damaged; get the archive again",
+    "a hard link": (
+        lambda files, _: archive_of(files, only(PICTURE, type=tarfile.LNKTYPE, linkname="synthetic/x", size=0)),
+        FOREIGN,
     ),
-    "another mode": (
-        lambda files, _: archive_of(files, change_entry=only("train/0001.png", mode=0o4755)),
-        "images/train/0001.png is damaged; get the archive again",
+    "a link as metadata": (
+        lambda files, _: archive_of(files, only(HEAD, type=tarfile.SYMTYPE, linkname="/etc/passwd", size=0)),
+        FOREIGN,
     ),
-    "a later version": (
-        lambda files, _: archive_of(files, lambda index: index.update(version=2)),
-        "version is 2; expected 1; update hyaline",
+    "a device": (lambda files, _: archive_of(files, only(PICTURE, type=tarfile.CHRTYPE, size=0)), FOREIGN),
+    "a folder": (lambda files, _: archive_of(files, only(PICTURE, type=tarfile.DIRTYPE, size=0)), FOREIGN),
+    "an empty file": (lambda files, _: archive_of(files | {PICTURE: b""}), FOREIGN),
+    "files of no dataset": (lambda files, _: archive_of(files | {"plugins/sphere.so": b"code"}), FOREIGN),
+    "layers that no record names": (
+        lambda files, _: archive_of(files | {"proxies/x/meshes/a.ply": b"x"}),
+        r"holds no finished dataset \(.*proxies",
     ),
-    "an unknown key": (
-        lambda files, _: archive_of(files, lambda index: index.update(command="rm")),
-        "unknown key 'command'",
-    ),
-    "a scene with a path": (
-        lambda files, _: archive_of(files, lambda index: index.update(scene="../up")),
-        "scene: is '../up'",
-    ),
-    "files of no dataset": (
-        lambda files, _: archive_of(files | MORE),
-        r"holds no finished dataset \(.*1 files are no part of the dataset.*plugins/sphere.so\)",
-    ),
+    "another picture": (lambda files, _: archive_of(files | {PICTURE: b"x"}), "holds no finished dataset.*0001.png"),
     "an unfinished dataset": (
         lambda files, _: archive_of({path: data for path, data in files.items() if "records/train" not in path}),
-        r"holds no finished dataset \(.*unfinished",
+        "holds no finished dataset.*unfinished",
     ),
 }
 
@@ -240,50 +247,96 @@ def test_a_hostile_archive_is_one_line_and_leaves_nothing(here: Path, name: str)
     Path("hostile.tar").write_bytes(make(files, data))
     before = tree(here)
     answer = call("datagen unpack hostile.tar --out out")
-    assert answer.status == 1 and answer.err.count("error: ") == 1 and "hostile.tar: " in answer.error
-    assert re.search(reason, answer.error), answer.error
+    assert answer.status == 1 and answer.err.count("error: ") == 1 and "error: hostile.tar: " in answer.error
+    assert re.search(reason, answer.error) and "hyaline-tmp" not in answer.error, answer.error
     assert tree(here) == before
     assert sorted(path.name for path in here.iterdir()) == ["data", "hostile.tar", "my scene.tar"]
 
 
+def test_an_archive_of_the_first_version_is_named_with_the_way_to_open_it(here: Path) -> None:
+    files = tree(Path("data/my scene"))
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w") as archive:
+        for path, data in {"hyaline-pack.json": b"{}", **files}.items():
+            entry = tarfile.TarInfo(f"synthetic/{path}")
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+    Path("old.tar").write_bytes(buffer.getvalue())
+    assert "`tar -xf` opens other archives" in call("datagen unpack old.tar --out out").error
+    assert not Path("out").exists()
+
+
+def test_a_link_at_a_temporary_name_is_not_followed(here: Path) -> None:
+    """Whoever had an archive could compute the name that was used while it was unpacked."""
+    Path("mine").mkdir()
+    Path("mine/dataset.json").write_text("precious")
+    with tarfile.open("my scene.tar") as archive:
+        members = [archive.extractfile(entry) for entry in archive]
+        contents = {sha256(member.read())[:16] for member in members if member is not None}
+    for digest in (*contents, sha256(Path("my scene.tar").read_bytes())[:16]):
+        Path(f"out.{digest}.hyaline-tmp").symlink_to("mine")
+    run("datagen unpack 'my scene.tar' --out out")
+    assert tree(Path("mine")) == {"dataset.json": b"precious"}
+    assert not Path("out").is_symlink() and tree(Path("out")) == tree(Path("data/my scene"))
+
+
+@pytest.mark.parametrize("names", ["junk/{:05}", "images/train/{:05}.png", "proxies/a{:05}/proxies.json"])
+def test_thousands_of_empty_files_are_refused_before_they_are_written(here: Path, names: str) -> None:
+    files = tree(Path("data/my scene"))
+    many = {names.format(number): b"" for number in range(60_000)}
+    Path("many.tar").write_bytes(archive_of({HEAD: files[HEAD]} | many))
+    before = time.process_time()
+    answer = call("datagen unpack many.tar --out out")
+    assert answer.status == 1 and FOREIGN in answer.error
+    assert time.process_time() - before < 1.5 and not Path("out").exists()
+
+
+@pytest.mark.parametrize("name", [".tar", "..tar", "...tar", ".hidden.tar"])
+def test_an_archive_whose_name_leaves_the_folder_none_needs_one(here: Path, name: str) -> None:
+    shutil.rmtree("data")
+    Path("my scene.tar").rename(name)
+    before = tree(here)
+    answer = call(f"datagen unpack {name}")
+    assert answer.status == 2 and f"{name}: gives the folder no name; set it with --out" in answer.error
+    assert tree(here) == before and not Path("data").exists()
+    run(f"datagen unpack {name} --out data/two")
+
+
+def test_the_licence_that_is_told_is_that_of_the_verified_dataset(here: Path) -> None:
+    files = tree(Path("data/my scene"))
+    index = {"version": 1, "scene": "synthetic", "license": "CC0-1.0"}
+    Path("forged.tar").write_bytes(archive_of(files | {"hyaline-pack.json": seal_bytes(index)}))
+    assert FOREIGN in call("datagen unpack forged.tar --out out").error
+    answer = call("datagen unpack 'my scene.tar' --out out")
+    assert "licence: unknown; ask the author of dataset out" in answer.err and "CC0" not in answer.err
+
+
 @pytest.mark.promise("R4")
-def test_a_flipped_bit_anywhere_is_noticed(here: Path, is_full: bool, cases: Callable[[int, str], None]) -> None:
-    data = Path("my scene.tar").read_bytes()
+def test_a_flipped_bit_changes_nothing_or_is_noticed(
+    here: Path, is_full: bool, cases: Callable[[int, str], None]
+) -> None:
+    data, whole = Path("my scene.tar").read_bytes(), tree(Path("data/my scene"))
     rng = random.Random(0)
     places = [0, 512, len(data) - 1, *(rng.randrange(len(data)) for _ in range(300 if is_full else 30))]
+    noticed = 0
     for place in places:
         Path("flipped.tar").write_bytes(flipped(data, place))
         answer = call("datagen unpack flipped.tar --out out")
-        assert answer.status == 1 and "flipped.tar: " in answer.error, f"byte {place}: {answer.err}"
-        assert not Path("out").exists()
+        if answer.status == 0:  # In the zeros between files, or in a header's unused bytes.
+            assert tree(Path("out")) == whole, f"byte {place}"
+            shutil.rmtree("out")
+        else:
+            assert answer.status == 1 and "flipped.tar: " in answer.error, f"byte {place}: {answer.err}"
+            assert not Path("out").exists()
+            noticed += 1
+    assert noticed > len(places) / 4
     cases(len(places), "flipped bits")
 
 
-@pytest.mark.parametrize(
-    ("before", "share"),
-    [
-        (lambda whole: whole[: len(whole) // 2], 0.5),
-        (lambda whole: whole[:-1], 0.0),
-        (lambda whole: whole + b"!", 0.0),
-        (lambda whole: flipped(whole, 600), 1.0),
-        (lambda whole: b"of another dataset", 1.0),
-    ],
-    ids=["half", "all but the end", "longer", "damaged", "another"],
-)
-def test_packing_goes_on_after_whatever_an_earlier_call_wrote(
-    before: Callable[[bytes], bytes], share: float, here: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    whole, copied, copy = Path("my scene.tar").read_bytes(), [], archive._copy
-
-    def watched(source: Any, member: Any, target: Any) -> bool:
-        copied.extend([member.size] if target is not None else [])
-        return copy(source, member, target)
-
-    monkeypatch.setattr(archive, "_copy", watched)
-    with archive._held_file(Path("new.tar"), pack.INDEX) as (file, part):
-        file.write(before(whole))
-        file.flush()
-        assert "new.tar: another process is writing it" in call("datagen pack 'my scene' --out new.tar").error
-    run("datagen pack 'my scene' --out new.tar")
-    assert Path("new.tar").read_bytes() == whole and not part.exists()
-    assert sum(copied) / len(whole) == pytest.approx(share, abs=0.2) and (share > 0 or not copied)
+def test_a_full_disk_leaves_no_archive_and_no_folder(here: Path) -> None:
+    for line in ("datagen pack 'my scene' --out new.tar", "datagen unpack 'my scene.tar' --out out"):
+        before = tree(here)
+        with failing_from(here, 9, "ENOSPC") as refused:
+            answer = call(line)
+        assert refused and answer.status == 1 and "no space is left" in answer.error
+        assert tree(here) == before and not list(here.glob("*hyaline-tmp"))
