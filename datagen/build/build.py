@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.build.jobs import PeelJob, RenderJob, Task, peel_task, render_task
+from datagen.build.light_check import check_light
 from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
@@ -29,6 +30,8 @@ from datagen.scene.folder import scene_files
 from datagen.scene.rig import cameras_within, make_cameras
 from datagen.terminal.command import say, this_command, track
 
+MOST_DECIBELS = 80.0
+"""A higher noise ceiling means that nothing was measured, such as noise of a plain sky."""
 MANY_PERCENT = 1.0
 """Percentage of rays that lose surfaces above which the build explains how to keep more."""
 
@@ -63,6 +66,7 @@ def build_dataset(
         cameras = None if overwrite else _stored_cameras(scene, root, config)
         if cameras is None:
             cameras = cameras_within(scene, make_cameras(scene.cameras, config))
+            check_light(scene, cameras)
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.
@@ -178,6 +182,8 @@ def summary(dataset: Dataset, geometry: str) -> list[str]:
 
 
 def _decibels(value: float | None) -> str:
+    if value is not None and value > MOST_DECIBELS:
+        return "none measured: the pictures have no noise"
     return "unknown" if value is None else f"{value:.1f} dB"
 
 

@@ -39,6 +39,8 @@ WALK = ((-0.9, 40.0, 1.0), (-0.45, 20.0, 0.72), (0.0, 4.0, 0.85), (0.4, 12.0, 1.
 """Turn in half arcs, elevation in degrees and distance in radii of the points of an extrapolating walk."""
 WATCHED_POINTS = 8
 """Points of the glass that cameras must see."""
+NUM_WAYS = 500
+"""Directions in which a place looks for the sky."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 FRONT_DEG = -90.0
@@ -189,6 +191,12 @@ def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.nda
         chosen.append(int(distances.argmax()))
         distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=-1))
     return points[chosen]
+
+
+def is_enclosed(objects: Sequence[SceneObject], place: Float[np.ndarray, "3"]) -> bool:
+    """Whether no straight way leads from a place to the sky, but through glass."""
+    ways = np.random.default_rng(0).normal(size=(NUM_WAYS, 3))
+    return bool(np.isfinite(_distances(_opaque(objects), np.tile(place, (NUM_WAYS, 1)), ways)).all())
 
 
 def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:

@@ -100,6 +100,8 @@ class ForeignMaterial:
     dispersion: float = 0.0
     """20 over the Abbe number."""
     priority: int = 0
+    emission: Color = (0.0, 0.0, 0.0)
+    """Radiance that its surface emits to the outside."""
 
 
 PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)

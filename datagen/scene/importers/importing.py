@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.config import Resolution
-from datagen.data.meshes import is_there, open_edges
+from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.data.metadata import unknown_license
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
@@ -51,7 +51,7 @@ from datagen.scene.importers.foreign import (
     with_cavities,
     z_up_from,
 )
-from datagen.scene.importers.lights import lit, placed_light, placed_map
+from datagen.scene.importers.lights import LEAST_GLOW, exposed, glowing, lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
 from datagen.scene.importers.overlaps import apart, joined, nested, parted
 from datagen.scene.importers.pictures import cut_of, veiled
@@ -126,8 +126,18 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     objects: list[SceneObject] = []
     cuts: dict[str, Cut] = {}
     without_uv: set[str] = set()
+    lamps: list[RectangleLight] = []
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
+        emission = (0.0, 0.0, 0.0)
+        if chosen is None and isinstance(part.material, ForeignMaterial):
+            emission = part.material.emission
+        if max(emission) >= LEAST_GLOW:
+            lamps += glowing(_mesh(name, part, linear, offset), emission)
+            remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
+            continue
+        if max(emission) > 0:
+            remarks.approximate(name, "glows a little, which is ignored")
         item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
         if item.material.medium is not None and (count := open_edges(item.mesh)):
             raise HyalineError(
@@ -152,6 +162,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     used = {image.path for item in objects for image in item.material.images().values()}
     baked = {image: data for image, data in mapper.images.items() if image in used}
     environment, lights = _light(foreign, choices, objects, linear, offset, remarks)
+    lights = exposed((*lights, *lamps), objects, remarks)
     if isinstance(environment, EnvironmentMap) and isinstance(foreign.sky, ForeignMap):
         baked[environment.path] = foreign.sky.data
     scene = Scene(
@@ -255,10 +266,7 @@ def scene_object(
     choices: ImportChoices,
 ) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh."""
-    normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
-    positions = elementwise(part.positions, linear, offset)
-    mesh = mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
-    mesh = made_sound(mesh, remarks, where=name)
+    mesh = made_sound(_mesh(name, part, linear, offset), remarks, where=name)
     mesh, mended = mend_surface(mesh, is_solid=True)
     for line in mended:
         remarks.note(name, line)
@@ -282,6 +290,12 @@ def scene_object(
             "lens; --crease 30 shades them as edges",
         )
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _mesh(name: str, part: ForeignObject, linear: np.ndarray, offset: np.ndarray) -> Mesh:
+    normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
+    positions = elementwise(part.positions, linear, offset)
+    return mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
 
 
 def _has_uv(part: ForeignObject) -> bool:

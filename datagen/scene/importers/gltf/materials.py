@@ -18,6 +18,7 @@ from datagen.scene.importers.gltf.file import GltfFile
 from datagen.scene.importers.pictures import decoded, stored
 from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
+from datagen.scene.values import Color
 
 IGNORED = {
     "KHR_materials_anisotropy": "brushed grain (anisotropy)",
@@ -118,6 +119,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_distance=_distance(volume),
         dispersion=0.0 if dispersion is None else max(dispersion.number("dispersion", 0.0), 0.0),
         priority=_priority(fields),
+        emission=_emission(fields, name, remarks),
     )
     return material, use
 
@@ -172,9 +174,16 @@ def _remark_on(fields: Fields, name: str, remarks: Remarks) -> None:
     volume = fields.extension("KHR_materials_volume")
     if volume is not None and "thicknessTexture" in volume:
         remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
-    emissive = fields.color("emissiveFactor", (0.0, 0.0, 0.0))
-    if max(emissive) > 0:
-        remarks.approximate(name, "glows, which is left out")
+
+
+def _emission(fields: Fields, name: str, remarks: Remarks) -> Color:
+    red, green, blue = fields.color("emissiveFactor", (0.0, 0.0, 0.0))
+    if "emissiveTexture" in fields and max(red, green, blue) > 0:
+        remarks.approximate(name, "emits light by an image, which is ignored")
+        return 0.0, 0.0, 0.0
+    extension = fields.extension("KHR_materials_emissive_strength")
+    strength = 1.0 if extension is None else max(extension.number("emissiveStrength", 1.0), 0.0)
+    return strength * red, strength * green, strength * blue
 
 
 # Images

@@ -247,8 +247,6 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     for key, what in COATS.items():
         if number(key, 0.0) > 0:
             remarks.approximate(name, f"has {what}, which is left out")
-    if "ke" in entry and max(_color(entry, "ke", (0, 0, 0), where=where)) > 0:
-        remarks.approximate(name, "glows, which is left out")
     if entry.get("d", [])[:1] == ["-halo"]:
         remarks.approximate(name, "is more opaque at its outline (d -halo), which is left out")
         entry = {**entry, "d": entry["d"][1:]}
@@ -296,6 +294,7 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         **{use.factor: 1.0 for use in factor_images},
     }
     return ForeignMaterial(
+        emission=_color(entry, "ke", (0, 0, 0), where=where),
         name=name,
         base_color=base_color,
         image=image,

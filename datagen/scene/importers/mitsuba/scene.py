@@ -93,14 +93,13 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
     if emitter is not None and node.plugin == "rectangle" and emitter.plugin == "area":
         lights.append(_light(node, emitter))
         return
-    if emitter is not None:
-        remarks.approximate(node.name, "glows, which is left out: only rectangles shine")
     bsdf = node.inner("BSDF")
     found = FoundMaterial(material=PLAIN, image_from_uv=np.eye(4)) if bsdf is None else read_bsdf(bsdf, remarks)
     if bsdf is None:
         found = replace(found, material=replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0))
     interior = absorption_of(node.child("interior"))
-    material = replace(found.material, absorption=interior)
+    emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
+    material = replace(found.material, absorption=interior, emission=emission)
     if max(interior) > 0 and material.transmission == 0:
         raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
     for item in read_shape(node, remarks):

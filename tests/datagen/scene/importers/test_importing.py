@@ -15,6 +15,7 @@ from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
 from support.rigs import config
 
 from datagen.data.config import square
+from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
@@ -24,6 +25,7 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import Imported, import_scene
+from datagen.scene.importers.lights import glowing
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import ball, lathe, sheet
 from datagen.scene.rig import make_cameras
@@ -291,6 +293,58 @@ def test_metal_of_the_specular_glossiness_model_has_its_specular_colour(has_imag
     done = import_scene(builder.written(tmp_path), ImportChoices())
     metal = of_name(done.scene, "ball").material
     assert isinstance(metal, Conductor) and metal.color == pytest.approx((0.8, 0.6, 0.4), abs=0.01)
+
+
+def room_with_glass(lamp: dict | None) -> GltfBuilder:
+    """A closed room that faces inwards, with a glass ball in it, and a panel below its ceiling."""
+    builder, walls = GltfBuilder(), mesh_of_box()
+    inwards = dataclasses.replace(walls, faces=np.ascontiguousarray(walls.faces[:, ::-1]), normals=-walls.normals)
+    wall = builder.material("Wall", pbrMetallicRoughness=clear(roughnessFactor=1.0))
+    clear_glass = builder.material("Glass", pbrMetallicRoughness=clear(), extensions=glass())
+    builder.node(mesh=builder.mesh(inwards, material=wall), name="room", scale=[3, 3, 2.5], translation=[0, 0, 1.25])
+    builder.node(mesh=builder.mesh(ball(0.2), material=clear_glass), name="ball", translation=[0, 0, 0.8])
+    if lamp is not None:
+        panel = builder.mesh(walls, material=builder.material("Lamp", **lamp))
+        builder.node(mesh=panel, name="lamp", scale=[0.6, 0.6, 0.02], translation=[0, 0, 2.4])
+    return builder
+
+
+GLOWS = {"emissiveFactor": [1, 1, 1], "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 4}}}
+FEW = "--preset tiny --resolution 16 --views 2 --test-views 1 --spp 64 --test-spp 64 --up z --scale 1"
+
+
+@pytest.mark.parametrize("lamp", [None, {"emissiveFactor": [0.1, 0.1, 0.1]}])
+def test_a_build_of_a_room_without_light_says_so_before_it_renders(lamp: dict | None, tmp_path: Path) -> None:
+    path = room_with_glass(lamp).written(tmp_path, "room.glb")
+    answer = call(f"datagen build '{path}' {FEW} --out '{tmp_path}/data'")
+    assert answer.status == 1
+    assert "scene room: no light reaches the train cameras, which are inside closed opaque walls" in answer.error
+    assert not list((tmp_path / "data").rglob("*.png"))
+
+
+def test_a_panel_that_emits_light_lights_its_room(tmp_path: Path) -> None:
+    path = room_with_glass(GLOWS).written(tmp_path, "room.glb")
+    answer = call(f"datagen build '{path}' {FEW} --out '{tmp_path}/data'")
+    assert answer.status == 0, answer.err
+    assert "lamp: emits light; drawn as the sides of a box around it" in answer.err
+    dataset = open_dataset(tmp_path / "data")
+    lights = load_scene(tmp_path / "data" / "scene").lights
+    assert [np.cross(light.edge_u, light.edge_v)[2] for light in lights] == pytest.approx([-0.36, 0.36])
+    assert dataset.view("train", 0).image.mean() > 40
+
+
+@pytest.mark.parametrize("shape", [ball(0.1), lathe([(0, -0.3), (0.02, -0.3), (0.02, 0.3), (0, 0.3)]), mesh_of_box()])
+def test_a_lamp_of_any_shape_keeps_its_power(shape: Mesh) -> None:
+    power = sum(
+        np.linalg.norm(np.cross(light.edge_u, light.edge_v)) * np.array(light.radiance)
+        for light in glowing(shape, (3.0, 2.0, 1.0))
+    )
+    assert power == pytest.approx(face_areas(shape).sum() * np.array([3.0, 2.0, 1.0]), rel=1e-5)
+
+
+def test_an_open_lamp_shines_to_where_its_faces_look() -> None:
+    (light,) = glowing(sheet((0, 0, 0), (0.4, 0, 0), (0, 0.2, 0)), (1.0, 1.0, 1.0))
+    assert np.cross(light.edge_u, light.edge_v) == pytest.approx([0, 0, 0.08], abs=1e-6)
 
 
 def test_more_objects_than_a_scene_has_are_merged_when_asked(tmp_path: Path) -> None:

@@ -231,7 +231,6 @@ def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
         "sheen",
         "normal map",
         "occlusion",
-        "glows",
     ):
         assert word in lines
     with pytest.raises(HyalineError, match="leave out --strict"):
