@@ -11,6 +11,7 @@ from datagen.disk.records import shown
 from datagen.scene.importers.foreign import ForeignImage, ForeignMaterial, read_foreign
 from datagen.scene.importers.gltf.materials import mirrored
 from datagen.scene.importers.mitsuba.nodes import Node
+from datagen.scene.importers.pictures import stored
 from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 
@@ -102,17 +103,27 @@ def _ior(node: Node, key: str, default: str) -> float:
 
 def _ratio(node: Node, inside: str = "bk7") -> float:
     ratio = _ior(node, "int_ior", inside) / max(_ior(node, "ext_ior", "air"), 1e-9)
-    if not 1 <= ratio < 10:
+    if ratio < 1:
+        raise HyalineError(
+            f"{node.where}: is an interface to a denser medium (int_ior {_ior(node, 'int_ior', inside):g}, ext_ior "
+            f"{_ior(node, 'ext_ior', 'air'):g}); make each medium a closed mesh with ext_ior 1, the inner one in the "
+            "outer one: it fills the space that they share"
+        )
+    if not ratio < 10:
         raise HyalineError(f"{node.where}: its indices of refraction have the ratio {ratio:.4g}; expected 1 to 10")
     return ratio
 
 
-def _alpha(node: Node, default: float) -> float:
+def _alpha(node: Node, default: float, remarks: Remarks) -> float:
     if "alpha_u" in node or "alpha_v" in node:
         return math.sqrt(max(node.number("alpha_u", default) * node.number("alpha_v", default), 0.0))
-    if node.child("alpha") is not None:
-        raise HyalineError(f"{node.where}: alpha is a texture; expected a number")
-    return node.number("alpha", default)
+    if (texture := node.child("alpha")) is None:
+        return node.number("alpha", default)
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is roughness of a kind that is not read; known is bitmap")
+    mean = float(stored(_bitmap(texture, node.name)[0])[..., :3].mean()) / 255
+    remarks.approximate(node.name, f"its roughness varies over the surface; drawn with the mean: alpha {mean:.2f}")
+    return mean
 
 
 def _facets(node: Node, remarks: Remarks) -> float:
@@ -121,7 +132,7 @@ def _facets(node: Node, remarks: Remarks) -> float:
         remarks.approximate(node.name, f"has facets of the distribution {name}; drawn with GGX of the same alpha")
     if "alpha_u" in node:
         remarks.approximate(node.name, "has a grain (alpha_u, alpha_v); drawn without one")
-    return math.sqrt(min(max(_alpha(node, 0.1), 0.0), 1.0))
+    return math.sqrt(min(max(_alpha(node, 0.1, remarks), 0.0), 1.0))
 
 
 def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:

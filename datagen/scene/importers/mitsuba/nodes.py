@@ -137,7 +137,9 @@ class NodeList:
 
         self.path = path
         try:
-            state = mi.parser.parse_file(mi.parser.ParserConfig("scalar_rgb"), str(path))
+            config = mi.parser.ParserConfig("scalar_rgb")
+            state = mi.parser.parse_file(config, str(path))
+            mi.parser.transform_upgrade(config, state)  # Scenes of Mitsuba 0.x: toWorld, intIOR, ...
         # The parser answers a broken file with several kinds of exception (RuntimeError, UnicodeDecodeError, ...).
         except Exception as error:
             reason = " ".join(str(error).replace(str(path), path.name).split())

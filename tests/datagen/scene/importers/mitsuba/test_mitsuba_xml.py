@@ -78,6 +78,47 @@ def test_shapes_have_the_places_and_volumes_that_their_transforms_say(tmp_path: 
     np.testing.assert_allclose(ply.uv, np.stack([BOX.uv[:, 0], 1 - BOX.uv[:, 1]], -1), atol=1e-7)
 
 
+OLD = """<scene version="0.6.0">
+<bsdf type="dielectric" id="Glass"><float name="intIOR" value="1.9"/><float name="extIOR" value="1"/></bsdf>
+<shape type="cube"><transform name="toWorld"><scale value="2"/><translate x="0.3"/></transform><ref id="Glass"/></shape>
+<shape type="sphere"><boolean name="flipNormals" value="true"/><float name="radius" value="0.5"/></shape>
+<sensor type="perspective"><float name="fov" value="30"/>
+<transform name="toWorld"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform></sensor></scene>"""
+
+
+def test_a_scene_of_mitsuba_before_2_is_what_mitsuba_makes_of_it(tmp_path: Path) -> None:
+    import mitsuba as mi
+
+    (tmp_path / "old.xml").write_text(OLD)
+    scene, theirs = (
+        read_mitsuba(tmp_path / "old.xml", Remarks()),
+        mi.load_file(str(tmp_path / "old.xml"), parallel=False),
+    )
+    assert isinstance(theirs, mi.Scene)
+    cube, ball = scene.objects
+    assert isinstance(cube.material, ForeignMaterial) and cube.material.ior == pytest.approx(1.9)
+    assert volume(ball) < 0
+    for item, shape in zip((cube, ball), theirs.shapes(), strict=True):
+        box = shape.bbox()
+        np.testing.assert_allclose([item.positions.min(0), item.positions.max(0)], [box.min, box.max], atol=2e-3)
+    np.testing.assert_allclose(scene.cameras[0].camera.world_from_camera[:3, 3], [0, -3, 1.5], atol=1e-6)
+
+
+def test_an_interface_to_a_denser_medium_says_how_to_model_it(tmp_path: Path) -> None:
+    water = '<bsdf type="dielectric"><float name="int_ior" value="1.33"/><float name="ext_ior" value="1.5"/></bsdf>'
+    with pytest.raises(HyalineError, match=r"int_ior 1.33, ext_ior 1.5\); make each medium a closed mesh"):
+        material_of(tmp_path, water)
+
+
+def test_glass_whose_roughness_is_an_image_has_its_mean(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[51, 153]], np.uint8)).save(tmp_path / "alpha.png")
+    image = '<texture type="bitmap" name="alpha"><string name="filename" value="alpha.png"/></texture>'
+    remarks = Remarks()
+    material = material_of(tmp_path, f'<bsdf type="roughdielectric">{image}</bsdf>', remarks)
+    assert material.roughness == pytest.approx(math.sqrt(0.4))
+    assert any("drawn with the mean: alpha 0.40" in line.what for line in remarks.lines)
+
+
 def test_glass_is_relative_to_what_is_around_it_and_absorbs_by_its_medium(tmp_path: Path) -> None:
     medium = (
         '<medium name="interior" type="homogeneous"><rgb name="sigma_t" value="0.1,0.2,0.3"/>'
