@@ -181,7 +181,7 @@ def light_path_step(seed: int = 0) -> Callable[[], None]:
         def draw(_: int) -> list[np.random.Generator]:
             return [np.random.default_rng([seed, number, update]) for update in range(optimisation.updates)]
 
-        with contextlib.closing(Ahead(lambda _: pixels, draw, size=size)) as ahead:
+        with contextlib.closing(Ahead(pixels, draw, size=size)) as ahead:
             ahead.begin(0, is_last=True)
             for rng in draw(0):
                 optimizer.zero_grad(set_to_none=True)

@@ -43,7 +43,7 @@ class Ahead(Generic[Batch]):
 
     def __init__(
         self,
-        pixels: Callable[[int], PixelSource[Batch]],
+        pixels: TracedPixels[Batch],
         draw: Callable[[int], list[np.random.Generator]],
         *,
         size: int,
@@ -51,7 +51,7 @@ class Ahead(Generic[Batch]):
         """Makes nothing before the first step begins.
 
         Args:
-            pixels: what a step draws from, by step; `TracedPixels`.
+            pixels: what each step draws from.
             draw: fresh generators of a step's batches, by step.
             size: pixels in each batch.
         """
@@ -83,8 +83,6 @@ class Ahead(Generic[Batch]):
         self._thread.shutdown(cancel_futures=True)
 
     def _make(self, step: int) -> list[tuple[object, Draw, Batch]]:
-        pixels = self._pixels(step)
-        assert isinstance(pixels, TracedPixels)
-        draws = [(torch.from_numpy(draw_rows(pixels, self._size, rng)), rng) for rng in self._draw(step)]
+        draws = [(torch.from_numpy(draw_rows(self._pixels, self._size, rng)), rng) for rng in self._draw(step)]
         before = [rng.bit_generator.state for _, rng in draws]
-        return list(zip(before, draws, pixels.take_all(draws, beside_torch=True), strict=True))
+        return list(zip(before, draws, self._pixels.take_all(draws, beside_torch=True), strict=True))

@@ -70,12 +70,6 @@ class Processes:
             cast(distributed.Work, work).wait()
             gradient /= self.count
 
-    def sum(self, values: Tensor) -> Tensor:
-        """The sum over all processes, in place."""
-        if self.count > 1:
-            distributed.all_reduce(values)
-        return values
-
     def broadcast(self, is_needed: bool = False) -> bool:
         """The first process's value; the others' are ignored."""
         if self.count == 1:

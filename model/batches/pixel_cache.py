@@ -37,7 +37,7 @@ from datagen.disk.ownership import remove_files
 from datagen.disk.records import Json
 from datagen.disk.storage import TEMPORARY, commit_sealed, dump_json, load_sealed, make_private, sha256, user_cache
 from datagen.terminal.command import say, track
-from model.batches.rays import Drawable, RayBatch, grid_of, pixels_at_once, read_stack, to_device
+from model.batches.rays import RayBatch, grid_of, pixels_at_once, read_stack, to_device
 from model.settings.run_flags import Memory
 
 CACHE_VERSION = 1
@@ -89,7 +89,7 @@ class MappedFiles:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MappedPixels(Drawable):
+class MappedPixels:
     """`Pixels` in files: gives the same batches, bit by bit."""
 
     files: MappedFiles

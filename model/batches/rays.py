@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import torch
@@ -64,45 +64,9 @@ class PixelSource(Protocol[Batch_co]):
         ...
 
 
-@runtime_checkable
-class Draws(Protocol):
-    """How the pixels of a step are drawn, and where their errors go; model/batches/draws.py has one."""
-
-    def rows(self, number: int, rng: np.random.Generator) -> Int[np.ndarray, " pixel"]:
-        """Row numbers of random pixels."""
-        ...
-
-    def add(
-        self,
-        index: Int[Tensor, " pixel"],
-        missed: Float32[Tensor, "pixel 3"],
-        variance: Float32[Tensor, "pixel 3"] | None,
-    ) -> None:
-        """Takes the differences of drawn pixels from their true sRGB, and what variance of them is known."""
-        ...
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Drawable:
-    """Pixels that a run may draw otherwise than uniformly."""
-
-    draws: Draws | None = None
-    """None: every pixel is as likely as any other."""
-
-    def drawn(self, draws: Draws | None) -> Self:
-        """The same pixels, drawn otherwise."""
-        return dataclasses.replace(self, draws=draws)
-
-
-def draws_of(pixels: PixelSource) -> Draws | None:
-    """How a run draws the pixels; None: every one is as likely as any other."""
-    return pixels.draws if isinstance(pixels, Drawable) else None
-
-
 def draw_rows(pixels: PixelSource, number: int, rng: np.random.Generator) -> Int[np.ndarray, " pixel"]:
-    """Row numbers of random pixels, drawn as the pixels say."""
-    draws = draws_of(pixels)
-    return rng.integers(len(pixels.rgb), size=number) if draws is None else draws.rows(number, rng)
+    """Row numbers of random pixels."""
+    return rng.integers(len(pixels.rgb), size=number)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +85,7 @@ class RayBatch:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Pixels(Drawable):
+class Pixels:
     """All pixels of some views, row by row and view by view, in the dataset's own small integers."""
 
     uv: Int16[Tensor, "pixel layer 2"]

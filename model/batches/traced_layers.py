@@ -17,7 +17,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.rays import Drawable, Pixels, RayBatch, black, read_colors, to_device
+from model.batches.rays import Pixels, RayBatch, black, read_colors, to_device
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
@@ -63,7 +63,7 @@ def in_pairs(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class RayPixels(Drawable):
+class RayPixels:
     """All pixels of some views, whose rays are made when a batch asks for them."""
 
     rays: SubpixelRays

@@ -13,7 +13,6 @@ from model.batches.rays import (
     PixelSource,
     draw_patches,
     draw_rows,
-    draws_of,
     mean_color,
     take_colors,
     to_device,
@@ -64,8 +63,6 @@ def pixel_loss(
     rendered = _render(renderer, training.take(together, rng), rng, radiance, debias)
     truth = take_colors(training, together)
     missed, variance = _misses(rendered, truth, batch)
-    if (draws := draws_of(training)) is not None:
-        draws.add(index, missed, variance)
     loss = _soft_mean(missed, softness, variance)
     if rendered.of_sky is not None:  # Adds gradients, but nothing to the value.
         squares = _mean_square(*_misses(rendered.of_sky, truth, batch))

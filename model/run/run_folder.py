@@ -46,7 +46,7 @@ from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 from model.settings.run_flags import RUNS
 
-RUN_VERSION = 3
+RUN_VERSION = 4
 
 OPEN: dict[str, Json] = {}
 """Placeholder for a method's record while the rest of a configuration is read."""

@@ -20,7 +20,6 @@ from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Held, Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.distributed import ALONE, Processes
-from model.batches.draws import DrawSchedule, make_schedule
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
@@ -114,7 +113,6 @@ def train(
         optimizer=optimizer,
         losses=losses,
         training=training,
-        draws=make_schedule(training, config.draws, dataset, shown),
         held_out=testing,
         logs=logs if processes.is_first else LogChoices(),
     )
@@ -142,7 +140,6 @@ class Run:
     optimizer: Optimizer
     losses: Losses
     training: PixelSource
-    draws: DrawSchedule
     held_out: HeldOut | None
     """The held-out views, in the first process; None if there are none."""
     logs: LogChoices
@@ -200,7 +197,6 @@ def resume(run: Run) -> Progress:
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         run.losses.load_state(checkpoint.get("losses"))
-        run.draws.load_state(checkpoint.get("draws"))
         progress.step = cast(int, checkpoint["step"])
         progress.loss_sum = cast(float, checkpoint["loss_sum"])
         progress.loss_count = cast(int, checkpoint["loss_count"])
@@ -267,14 +263,14 @@ def batches_ahead(run: Run) -> Iterator[Ahead | None]:
     def draw(step: int) -> list[np.random.Generator]:
         return [run.processes.generator(config.seed, step, update) for update in range(config.updates)]
 
-    ahead = Ahead(run.draws.at, draw, size=run.processes.share(config.batch // config.updates))
+    ahead = Ahead(run.training, draw, size=run.processes.share(config.batch // config.updates))
     with contextlib.closing(ahead):
         yield ahead
 
 
 def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead | None) -> bool:
     """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
-    config, processes, renderer, training = run.config, run.processes, run.renderer, run.draws.at(step)
+    config, processes, renderer, training = run.config, run.processes, run.renderer, run.training
     batch = config.batch // config.updates
     if ahead is not None:
         assert isinstance(training, TracedPixels)
@@ -297,7 +293,6 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
         progress.loss_sum += loss_value
         progress.loss_count += 1
     progress.step = step + 1
-    run.draws.end(progress.step, processes)
     progress.loss = progress.loss_sum / progress.loss_count
     return is_stopped
 
@@ -326,7 +321,6 @@ def save_progress(run: Run, progress: Progress) -> None:
         "loss_sum": progress.loss_sum,
         "loss_count": progress.loss_count,
         "losses": run.losses.state(),
-        "draws": run.draws.state(),
         "metrics": cast(State, progress.metrics),
     }
     save_checkpoint(run.out, state)

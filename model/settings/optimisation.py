@@ -10,7 +10,6 @@ from model.settings.losses import LossConfig
 
 LrDecay = Literal["none", "linear", "cosine"]
 OptimizerKind = Literal["adam", "muon"]
-DrawKind = Literal["uniform", "error"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +60,6 @@ class Optimisation:
 class PixelOptimisation(Optimisation):
     """Optimisation, for methods that accept extra loss terms."""
 
-    draws: DrawKind = choice("uniform", {"uniform": "uniform", "error": "by-error"})
-    """How training pixels are drawn. uniform: all are equally likely. error: half of them where the error, above
-    the known noise of pictures and rays, is large."""
     loss: LossConfig = field(default_factory=LossConfig)
 
 

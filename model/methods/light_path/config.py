@@ -153,8 +153,6 @@ class LightPathConfig(MethodConfig):
             lr_decay="cosine",
             updates=4,
             loss=LossConfig(softness=0.05),
-            # Without pairs the noise of rays counts as error; not tried there.
-            draws="error" if self.paired_rays else "uniform",
         )
 
     def sized(self, texture_sizes: tuple[int, ...]) -> Self:

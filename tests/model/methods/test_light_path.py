@@ -142,7 +142,7 @@ def test_batches_made_ahead_are_those_of_their_step_and_errors_of_the_other_thre
     def draw(step: int) -> list[np.random.Generator]:
         return [np.random.default_rng([step, update]) for update in range(2)]
 
-    with contextlib.closing(Ahead(lambda _: pixels, draw, size=40)) as ahead:
+    with contextlib.closing(Ahead(pixels, draw, size=40)) as ahead:
         for step in (3, 4, 5):
             ahead.begin(step, is_last=step == 5)
             expected_rngs = draw(step)
@@ -161,7 +161,7 @@ def test_batches_made_ahead_are_those_of_their_step_and_errors_of_the_other_thre
 
     monkeypatch.setattr(pixels.tracer, "trace_ends", fail)
     with (
-        contextlib.closing(Ahead(lambda _: pixels, draw, size=40)) as ahead,
+        contextlib.closing(Ahead(pixels, draw, size=40)) as ahead,
         pytest.raises(NumericsError, match="no paths today"),
     ):
         ahead.begin(0, is_last=False)
