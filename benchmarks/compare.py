@@ -121,7 +121,7 @@ def python_picture(
     even = dataclasses.replace(config, render_samples=samples)
     if isinstance(even, LightPathConfig):
         even = dataclasses.replace(even, refined_samples=1)
-    pixels = even.load(open_inputs(even, dataset, record.geometry), split, [view], with_images=False, mapped=False)
+    pixels = even.load(open_inputs(even, dataset, record.geometry), split, [view], with_images=False)
     return predict_pixels(renderer, pixels).reshape(*dataset.config.resolution.shape, 3)
 
 

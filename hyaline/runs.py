@@ -217,7 +217,6 @@ def train(
                 place,
                 label=label or place.name,
                 device=choose_device(device),
-                memory=run.memory,
                 overwrite=overwrite,
             )
     except Stopped as stopped:

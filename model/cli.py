@@ -111,7 +111,6 @@ def _train_method(method: str, asked: "Asked") -> None:
         label=asked.run.label or out.name,
         device=choose_device(asked.run.device),
         overwrite=asked.run.overwrite,
-        memory=asked.run.memory,
         logs=LogChoices(
             snapshots=asked.run.snapshots,
             tensorboard=asked.run.tensorboard,

@@ -55,5 +55,5 @@ class NearestViewConfig(MethodConfig):
         views = range(inputs.dataset.config.train.views)
         return NearestView(self.sharpness, load_views(inputs.dataset, "train", views, with_images=True))
 
-    def load(self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, mapped: bool = False):
+    def load(self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool):
         return load_views(inputs.dataset, split, views, with_images=with_images)

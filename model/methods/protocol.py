@@ -101,16 +101,15 @@ class MethodConfig:
         return importlib.import_module(self.room).build(self, inputs)
 
     def load(
-        self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, mapped: bool = False
+        self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool
     ) -> "model.batches.rays.PixelSource":
         """The pixels of some views, on the CPU.
 
         Args:
             with_images: without, their colours are black: rendering a test view never opens its truth.
-            mapped: keeps layers in files instead of memory; never where `traces_layers`.
         """
         load = importlib.import_module(self.room).load
-        return load(self, inputs, split, views, with_images=with_images, mapped=mapped)
+        return load(self, inputs, split, views, with_images=with_images)
 
     def load_cameras(self, inputs: Inputs, cameras: "Cameras") -> "model.batches.rays.PixelSource":
         """The pixels of any cameras, black, on the CPU; a method with `draws_cameras` has it.

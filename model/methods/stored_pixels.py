@@ -1,31 +1,23 @@
-"""The pixels of methods that look up stored layers, in memory or mapped from files."""
+"""The pixels of methods that look up stored layers."""
 
 from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from model.batches.pixel_cache import MappedPixels, map_pixels
 from model.batches.rays import Pixels, load_pixels
 from model.batches.traced_layers import peel_cameras
 from model.methods.protocol import Inputs
 
 
 def load_stored(
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-    mapped: bool,
-    whole_views: bool = False,
-) -> Pixels | MappedPixels:
+    inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, whole_views: bool = False
+) -> Pixels:
     """Pixels with the nearest stored layers, as many as the method looks up.
 
     Args:
         whole_views: the renderer needs neighbouring pixels.
     """
-    load = map_pixels if mapped else load_pixels
-    return load(
+    return load_pixels(
         inputs.dataset,
         inputs.geometry,
         split,

@@ -27,7 +27,6 @@ from model.run.run_folder import (
     told_finished,
 )
 from model.run.train import check_processes, train
-from model.settings.run_flags import Memory
 
 
 def complete_run(
@@ -37,7 +36,6 @@ def complete_run(
     *,
     label: str,
     device: torch.device,
-    memory: Memory = "ram",
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> bool:
@@ -45,7 +43,6 @@ def complete_run(
 
     Args:
         label: what tables call the run.
-        memory: where training pixels are held; no number depends on it.
         overwrite: delete the run in `out` and start over.
         logs: what to leave for people to watch.
 
@@ -64,7 +61,6 @@ def complete_run(
             label=label,
             device=device,
             processes=processes,
-            memory=memory,
             overwrite=overwrite,
             logs=logs,
         )

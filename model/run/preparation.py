@@ -22,16 +22,12 @@ from datagen.scene.folder import load_scene, load_scene_as
 from datagen.scene.materials import Diffuse
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.parsing import flag_words
-from model.batches.distributed import Processes
-from model.batches.pixel_cache import choose_memory
-from model.batches.rays import PixelSource
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
 from model.settings.losses import LEAST_PATCH
 from model.settings.optimisation import PixelOptimisation
-from model.settings.run_flags import Memory
 from model.settings.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
 
 
@@ -116,24 +112,6 @@ def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
         for item, material in zip(dataset.objects, materials, strict=True)
         if item.name not in found and (item.is_glass or (uses_materials and not isinstance(material, Diffuse)))
     )
-
-
-def load_training(
-    config: TrainConfig, inputs: Inputs, views: list[int], *, processes: Processes, memory: Memory, device: torch.device
-) -> PixelSource:
-    """The pixels of the views to train on, in memory or mapped from a cache on disk."""
-    method = config.net
-    is_mapped = choose_memory(
-        memory,
-        num_pixels=len(views) * inputs.dataset.config.resolution.pixels,
-        num_layers=0 if method.traces_layers else inputs.num_layers,
-        processes=processes.count_here,
-        device=device,
-    )
-    if not is_mapped:
-        return method.load(inputs, "train", views, with_images=True).to(device)
-    with processes.in_turn():
-        return method.load(inputs, "train", views, with_images=True, mapped=True).to(device)
 
 
 def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:

@@ -36,13 +36,11 @@ from model.run.preparation import (
     check_losses,
     count_parameters,
     describe_run,
-    load_training,
     prepare_processor,
     told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings.optimisation import decay
-from model.settings.run_flags import Memory
 from model.settings.state import State
 
 CHECKPOINT_EVERY_S = 60.0
@@ -57,7 +55,6 @@ def train(
     label: str,
     device: torch.device,
     processes: Processes = ALONE,
-    memory: Memory = "ram",
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
@@ -70,7 +67,6 @@ def train(
 
     Args:
         processes: the processes that call this together; only the first one writes to `out`.
-        memory: where training pixels are held; the result does not depend on it.
         overwrite: first delete the existing run in `out`.
         logs: logs to write for people to read.
 
@@ -93,7 +89,7 @@ def train(
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
-    training = load_training(config, inputs, shown, processes=processes, memory=memory, device=device)
+    training = config.net.load(inputs, "train", shown, with_images=True).to(device)
     testing = None
     if held_out and processes.is_first:
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))

@@ -7,8 +7,6 @@ from typing import Literal
 from datagen.data.paths import TRUTH
 from model.settings.flags import SEED, check_limits, choice
 
-Memory = Literal["auto", "ram", "mapped"]
-
 Device = Literal["auto", "cpu", "cuda"]
 
 RUNS = Path("runs")
@@ -30,11 +28,6 @@ class RunFlags:
     """Seed of all random numbers."""
     device: Device = choice("auto")
     """Where to compute; auto uses a GPU if there is one."""
-    memory: Memory = choice("auto")
-    """Where training data from stored layers is held: ram, or mapped: memory-mapped files under ~/.cache/hyaline (or
-    $XDG_CACHE_HOME), from which each step reads only what it needs, so the dataset may exceed memory. The results are
-    identical, bit for bit. auto uses mapped files when the data do not fit, and reports it. The files may be deleted
-    at any time."""
     snapshots: bool = choice(True)
     """Write a small picture of the held-out views, below the truth, at each evaluation, to the run's folder
     snapshots."""

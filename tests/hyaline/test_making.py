@@ -198,9 +198,7 @@ class PlainSkyConfig(MethodConfig):
     def build(self, inputs: Inputs) -> Sky:
         return Sky()
 
-    def load(
-        self, inputs: Inputs, split: Any, views: Sequence[int], *, with_images: bool, mapped: bool = False
-    ) -> PlainRayPixels:
+    def load(self, inputs: Inputs, split: Any, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:
         return load_rays(inputs.dataset, split, views, with_images=with_images)
 
     def load_cameras(self, inputs: Inputs, cameras: hy.Cameras) -> PlainRayPixels:

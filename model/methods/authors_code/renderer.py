@@ -166,9 +166,8 @@ def load(
     views: Sequence[int],
     *,
     with_images: bool,
-    mapped: bool,
 ) -> PixelSource[RayBatch]:
-    return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+    return load_stored(inputs, split, views, with_images=with_images)
 
 
 def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001

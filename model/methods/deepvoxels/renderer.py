@@ -218,7 +218,6 @@ def load(
     views: Sequence[int],
     *,
     with_images: bool,
-    mapped: bool,  # noqa: ARG001
 ) -> Views:
     _check_size(config, inputs.dataset.config.resolution)
     return load_views(inputs.dataset, split, views, with_images=with_images)

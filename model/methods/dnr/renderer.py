@@ -182,9 +182,8 @@ def load(
     views: Sequence[int],
     *,
     with_images: bool,
-    mapped: bool,
 ) -> PixelSource[RayBatch]:
-    return load_stored(inputs, split, views, with_images=with_images, mapped=mapped, whole_views=True)
+    return load_stored(inputs, split, views, with_images=with_images, whole_views=True)
 
 
 def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001

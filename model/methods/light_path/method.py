@@ -55,7 +55,6 @@ def load(
     views: Sequence[int],
     *,
     with_images: bool,
-    mapped: bool,  # noqa: ARG001
 ) -> LightPathPixels:
     return load_light_path_pixels(config, inputs.dataset, inputs.geometry, split, views, with_images)
 

@@ -160,10 +160,10 @@ def choose_precision(asked: Precision) -> Precision:
 
 
 def load(
-    config: PaperConfig, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool, mapped: bool
+    config: PaperConfig, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool
 ) -> PixelSource[RayBatch]:
     if not config.traces_layers:
-        return load_stored(inputs, split, views, with_images=with_images, mapped=mapped)
+        return load_stored(inputs, split, views, with_images=with_images)
     return load_traced_layers(
         inputs.dataset,
         inputs.geometry,

@@ -262,7 +262,7 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
 def test_pictures_of_another_size_than_that_of_training_are_refused(dataset: Dataset) -> None:
     large = dataclasses.replace(TINY, image_size=128)
     with pytest.raises(HyalineError, match="is 64 x 64 pixels; deepvoxels draws 128 x 128"):
-        load(large, open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False, mapped=False)
+        load(large, open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False)
 
 
 @pytest.mark.parametrize("size", [32, 64, 128])

@@ -98,7 +98,7 @@ def noisy_paper(dataset: Dataset, **change: Any) -> tuple[PaperRenderer, PaperCo
 def drawn_by_python(renderer: PaperRenderer, config: PaperConfig, dataset: Dataset, samples: int = 1) -> np.ndarray:
     told = dataclasses.replace(config, render_samples=samples)
     inputs = Inputs(dataset=dataset, geometry=TRUTH, num_layers=LAYERS, layers_seal="")
-    pixels = told.load(inputs, "interpolating", [0], with_images=False, mapped=False)
+    pixels = told.load(inputs, "interpolating", [0], with_images=False)
     return predict_pixels(renderer, pixels).reshape(*SHAPE, 3)
 
 
