@@ -14,18 +14,15 @@ from datagen.build.choices import FilmChoices
 from datagen.data.paths import FITTED, find_dataset
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices
-from datagen.terminal.command import mute, next_command, run, say, tell
+from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from model.settings.run_flags import RUNS, Device
-from model.settings.runtime import choose_device, process_number, wait_briefly
+from model.settings.runtime import choose_device, wait_briefly
 
 if TYPE_CHECKING:
     from model.run.train_flags import Asked
 
-TRAIN = """Train a method on a dataset, then predict its test splits.
-
-    `torchrun --nproc-per-node N -m model train METHOD ...` trains on N GPUs (or CPU processes): each draws its own
-    share of every batch, and gradients are averaged. Not supported for DeepVoxels and discriminators."""
+TRAIN = "Train a method on a dataset, then predict its test splits."
 
 MOVED = {
     "model render": "is now `model predict RUN`; a film is `model film RUN`",
@@ -91,20 +88,14 @@ def _train_method(method: str, asked: "Asked") -> None:
 
     if asked.run.tensorboard:
         require_tensorboard()
-    if (is_alone := process_number("WORLD_SIZE", 1) == 1) and (finished := find_finished(method, asked)):
+    if finished := find_finished(method, asked):
         say(told_finished(finished))
         return _end(finished, run=finished)
-    if process_number("RANK", 0) > 0:
-        mute()
-    if asked.run.device != "cpu" and not is_alone:
-        from model.batches.distributed import see_own_gpu
-
-        see_own_gpu()
     config, opened = configure(method, asked)
     out = asked.run.out or RUNS / opened.name / folder_name(method, asked)
     from model.run.complete import complete_run  # Not before: it imports torch, and `configure` says that it loads.
 
-    is_first = complete_run(
+    complete_run(
         config,
         opened,
         out,
@@ -118,8 +109,7 @@ def _train_method(method: str, asked: "Asked") -> None:
             preview=asked.run.preview,
         ),
     )
-    if is_first:
-        _end(out, run=out)
+    _end(out, run=out)
 
 
 def fit(

@@ -119,11 +119,9 @@ def _end_unread() -> NoReturn:
 
 
 def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
-    """Says how to go on; of several processes that train together, only the first one does."""
+    """Says how to go on."""
     same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
-    if not _is_mute:
-        fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
-    sys.exit(stopped.status)
+    fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
 
 
 def fail(message: str, *, status: int = 1) -> NoReturn:
@@ -142,7 +140,7 @@ def tell_json(result: object) -> None:
     print(json.dumps(result, indent=2))
 
 
-_is_quiet = _is_mute = False
+_is_quiet = False
 
 
 def hush(is_quiet: bool) -> None:
@@ -151,15 +149,9 @@ def hush(is_quiet: bool) -> None:
     _is_quiet = is_quiet
 
 
-def mute() -> None:
-    """Lets this process say nothing more but errors: another one says the same."""
-    global _is_mute
-    _is_mute = True
-
-
 def say(message: str) -> None:
     """A line for the person who waits, on stderr."""
-    if not (_is_quiet or _is_mute):
+    if not _is_quiet:
         print(printable(message), file=sys.stderr, flush=True)
 
 
@@ -211,7 +203,7 @@ def track(
         done: how many were done before; they do not count for the estimate.
         status: what else to show, asked for at each update.
     """
-    if _is_quiet or _is_mute:
+    if _is_quiet:
         yield from items
     elif sys.stderr.isatty():
         yield from _track_on_terminal(items, label, total, done, status)

@@ -51,9 +51,6 @@ class MethodConfig:
     """What it is given besides geometry, images and cameras, in words; empty for nothing."""
     uses_geometry: ClassVar[bool] = True
     """False: surfaces are not known to it, and `knowledge` says all that is."""
-    is_shareable: ClassVar[bool] = False
-    """True when several processes can train it, whose gradients are averaged: a step leaves nothing behind but its
-    gradient, and what torch's batch norm remembers."""
     draws_cameras: ClassVar[bool] = False
     """True when `load_cameras` gives the pixels of cameras that no view of the dataset has."""
     page: ClassVar[str] = ""

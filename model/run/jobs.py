@@ -72,7 +72,7 @@ def _check(cluster: LaunchChoices) -> None:
     if cluster.launcher == "local":
         raise UsageError("--launcher local: is for builds; leave it out, training uses this machine anyway")
     if cluster.slurm_gpus > 1:
-        raise UsageError(f"--slurm-gpus: is {cluster.slurm_gpus}; a run trains on one (on several with torchrun)")
+        raise UsageError(f"--slurm-gpus: is {cluster.slurm_gpus}; a run trains on one")
 
 
 def _plan(method: str, asked: Asked) -> tuple[Path, float | None]:

@@ -2,7 +2,6 @@
 
 import contextlib
 import math
-import signal
 import time
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -17,9 +16,8 @@ from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, say_all, track
-from datagen.terminal.signals import Held, Stopped, hold_signals
+from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
-from model.batches.distributed import ALONE, Processes
 from model.batches.rays import PixelSource
 from model.losses.inpaint import Inpainter
 from model.losses.patch_losses import Losses
@@ -54,7 +52,6 @@ def train(
     *,
     label: str,
     device: torch.device,
-    processes: Processes = ALONE,
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
@@ -66,7 +63,6 @@ def train(
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
 
     Args:
-        processes: the processes that call this together; only the first one writes to `out`.
         overwrite: first delete the existing run in `out`.
         logs: logs to write for people to read.
 
@@ -75,42 +71,37 @@ def train(
         Stopped: a signal has arrived; the message names the step.
     """
     prepare_processor(config, device)
-    check_processes(config, processes)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_losses(config, dataset.config.resolution)
 
     renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
     sizes = count_parameters(groups)
-    with processes.in_turn():
-        if processes.is_first:
-            begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), overwrite=overwrite)
+    begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), overwrite=overwrite)
 
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
     training = config.net.load(inputs, "train", shown, with_images=True).to(device)
     testing = None
-    if held_out and processes.is_first:
+    if held_out:
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
     losses = make_losses(config, renderer, training, inputs, device=device)
 
-    # Processes average whole tables of gradients, so several move no texture lazily; in-painting masks a table's own.
-    lazy_in = renderer if processes.count == 1 and not config.loss.inpaint else None
+    lazy_in = None if config.loss.inpaint else renderer  # In-painting masks the gradients of whole tables.
     size = config.batch // config.updates
     optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=lazy_in, pixels=size)
     run = Run(
         config=config,
         inputs=inputs,
         out=out,
-        processes=processes,
         renderer=renderer,
         groups=groups,
         optimizer=optimizer,
         losses=losses,
         training=training,
         held_out=testing,
-        logs=logs if processes.is_first else LogChoices(),
+        logs=logs,
     )
     progress = resume(run)
     layers = inputs.num_layers or ("traced" if config.net.uses_geometry else "no")
@@ -130,16 +121,14 @@ class Run:
     config: TrainConfig
     inputs: Inputs
     out: Path
-    processes: Processes
     renderer: Renderer
     groups: list[ParameterGroup]
     optimizer: Optimizer
     losses: Losses
     training: PixelSource
     held_out: HeldOut | None
-    """The held-out views, in the first process; None if there are none."""
+    """None if no views are held out."""
     logs: LogChoices
-    """Logs to write; none outside the first process."""
 
 
 @dataclass(kw_only=True)
@@ -184,8 +173,7 @@ def make_losses(
 def resume(run: Run) -> Progress:
     """Loads the newest intact checkpoint, if there is one, into the run, and returns its progress."""
     progress = Progress()
-    with run.processes.in_turn():
-        checkpoint = load_checkpoint(run.out)
+    checkpoint = load_checkpoint(run.out)
     if checkpoint is not None:
         if "metrics" not in checkpoint:
             raise HyalineError(f"{run.out / CHECKPOINT}: is not a checkpoint; start over with --overwrite")
@@ -198,9 +186,7 @@ def resume(run: Run) -> Progress:
         progress.loss_count = cast(int, checkpoint["loss_count"])
         progress.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
         say(f"{run.out}: resuming after step {progress.step:,} of {run.config.steps:,}")
-    if run.processes.is_first:
-        # The file may have lines that are newer than the checkpoint.
-        write_metrics(run.out, progress.metrics)
+    write_metrics(run.out, progress.metrics)  # The file may have lines that are newer than the checkpoint.
     return progress
 
 
@@ -211,7 +197,7 @@ def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
         NumericsError: a loss, a gradient or a weight is not finite.
         Stopped: a signal has arrived; a checkpoint is saved.
     """
-    config, processes = run.config, run.processes
+    config = run.config
     first = progress.step
     steps: Iterable[int] = range(first, config.steps)
     run.renderer.train()
@@ -222,29 +208,32 @@ def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
     ):
         saved_at = time.monotonic()
         for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
-            is_stopped = take_step(run, progress, step, held, ahead)
+            take_step(run, progress, step, ahead)
+            number = held.number
             logs.add_loss(progress.step, progress.loss)
-            if processes.is_first and (progress.step % config.evaluate_every == 0 or progress.step == config.steps):
+            if progress.step % config.evaluate_every == 0 or progress.step == config.steps:
                 add_metrics(run, progress, logs)
             if progress.step == config.steps:
                 continue
             is_due = progress.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
-            if processes.is_first and (is_due or is_stopped):
+            if is_due or number is not None:
                 save_progress(run, progress)
                 saved_at = time.monotonic()
-            if is_stopped:
-                processes.broadcast()  # `torchrun` ends all processes when one ends, so the first has to save before.
+            if number is not None:
                 again = "the same command without --overwrite" if overwrite else "the same command"
                 raise Stopped(
-                    held.number or signal.SIGTERM,
+                    number,
                     f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
                 )
-    if processes.is_first:
-        run.optimizer.catch_up()
-        rng = processes.generator(config.seed, config.steps, 0)
-        batch, updates = config.batch // config.updates, config.steps * config.updates
-        run.renderer.finish(run.training, batch=batch, updates=updates, rng=rng)
-        save_weights(run)
+    run.optimizer.catch_up()
+    batch, updates = config.batch // config.updates, config.steps * config.updates
+    run.renderer.finish(run.training, batch=batch, updates=updates, rng=generator(config, config.steps))
+    save_weights(run)
+
+
+def generator(config: TrainConfig, step: int, update: int = 0) -> np.random.Generator:
+    """The random generator of an update."""
+    return np.random.default_rng([config.seed, step, update])
 
 
 @contextlib.contextmanager
@@ -257,31 +246,27 @@ def batches_ahead(run: Run) -> Iterator[Ahead | None]:
     config = run.config
 
     def draw(step: int) -> list[np.random.Generator]:
-        return [run.processes.generator(config.seed, step, update) for update in range(config.updates)]
+        return [generator(config, step, update) for update in range(config.updates)]
 
-    ahead = Ahead(run.training, draw, size=run.processes.share(config.batch // config.updates))
+    ahead = Ahead(run.training, draw, size=config.batch // config.updates)
     with contextlib.closing(ahead):
         yield ahead
 
 
-def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead | None) -> bool:
-    """One step, with `config.updates` updates; True if a process was asked to stop in the meantime."""
-    config, processes, renderer, training = run.config, run.processes, run.renderer, run.training
+def take_step(run: Run, progress: Progress, step: int, ahead: Ahead | None) -> None:
+    """One step, with `config.updates` updates."""
+    config, renderer, training = run.config, run.renderer, run.training
     batch = config.batch // config.updates
     if ahead is not None:
         assert isinstance(training, TracedPixels)
         ahead.begin(step, is_last=step + 1 == config.steps)
         training = training.taken_from(ahead)
-    is_stopped = False
     for update in range(config.updates):
-        rng = processes.generator(config.seed, step, update)
-        loss = run.losses.loss(renderer.loss, renderer, training, processes.share(batch), rng, step=step)
+        rng = generator(config, step, update)
+        loss = run.losses.loss(renderer.loss, renderer, training, batch, rng, step=step)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        processes.average_gradients(renderer)
-        mean_loss, is_asked = processes.mean_loss(loss, is_stopped=held.number is not None)
-        is_stopped = is_stopped or is_asked
-        loss_value = read_finite(mean_loss, renderer, step=step, out=run.out)
+        loss_value = read_finite(loss.detach(), renderer, step=step, out=run.out)
         done = (step + update / config.updates) / config.steps
         for learning, group in zip(run.optimizer.param_groups, run.groups, strict=True):
             learning["lr"] = run.losses.limit_rate(group.lr * decay(config.lr_decay, done), step)
@@ -290,7 +275,6 @@ def take_step(run: Run, progress: Progress, step: int, held: Held, ahead: Ahead 
         progress.loss_count += 1
     progress.step = step + 1
     progress.loss = progress.loss_sum / progress.loss_count
-    return is_stopped
 
 
 def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
@@ -333,26 +317,6 @@ def save_weights(run: Run) -> None:
     check_numbers(weights, where=str(run.out / WEIGHTS))
     save_state(run.out / WEIGHTS, weights)
     delete_checkpoints(run.out)
-
-
-def check_processes(config: TrainConfig, processes: Processes) -> None:
-    """Raises a HyalineError if several processes would have to share more than gradients."""
-    if processes.count == 1:
-        return
-    if not config.net.is_shareable:
-        raise HyalineError(
-            f"{config.method}: has state besides its gradients, which several processes do not share; train it without "
-            "torchrun"
-        )
-    if config.loss.adversarial:
-        raise HyalineError(
-            "adversarial: several processes do not share the discriminator; train without torchrun, or leave it out"
-        )
-    if processes.share(config.batch // config.updates) < 1:
-        raise HyalineError(
-            f"batch: is {config.batch}; expected at least one pixel per process and update, with {processes.count} "
-            f"processes and {config.updates} updates"
-        )
 
 
 def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:

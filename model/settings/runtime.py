@@ -17,14 +17,6 @@ if TYPE_CHECKING:
 M_TRIM_THRESHOLD, M_TOP_PAD, M_MMAP_MAX = -1, -2, -4
 
 
-def process_number(name: str, usual: int) -> int:
-    """What `torchrun` says of this process in the environment, such as WORLD_SIZE; empty counts as unset."""
-    value = os.environ.get(name) or str(usual)
-    if not value.isdecimal():
-        raise HyalineError(f"{name}={value}: expected a whole number, as torchrun sets it; unset {name}")
-    return int(value)
-
-
 def keep_freed_memory() -> None:
     """Tells glibc to keep freed blocks for the next step; does nothing where there is no glibc.
 

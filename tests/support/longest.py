@@ -16,7 +16,6 @@ LONGEST = (
     "eval/page/test_page_in_browser.py",
     "model/run/test_misplaced_files.py",
     "model/fit/test_boxes.py",
-    "model/batches/test_distributed.py",
     "eval/test_report.py",
     "datagen/build/test_build.py",
     "eval/page/test_fit_page.py",

@@ -19,7 +19,6 @@ class AuthorsConfig(MethodConfig):
 
     room: ClassVar[str] = "model.methods.authors_code.renderer"
     reads_layers: ClassVar[bool] = True
-    is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})

@@ -29,7 +29,6 @@ class DnrConfig(MethodConfig):
 
     room: ClassVar[str] = "model.methods.dnr.renderer"
     reads_layers: ClassVar[bool] = True
-    is_shareable: ClassVar[bool] = True
     max_layers: ClassVar[int | None] = 1
     draws_cameras: ClassVar[bool] = True
 

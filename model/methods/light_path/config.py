@@ -30,7 +30,6 @@ class LightPathConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.light_path.method"
     page: ClassVar[str] = "model.methods.light_path.page"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
-    is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
     has_radiance: ClassVar[bool] = True
 

@@ -27,7 +27,6 @@ class PaperConfig(MethodConfig):
     room: ClassVar[str] = "model.methods.paper.renderer"
     page: ClassVar[str] = "model.methods.paper.renderer"
     reads_layers: ClassVar[bool] = True
-    is_shareable: ClassVar[bool] = True
     draws_cameras: ClassVar[bool] = True
 
     extrinsics: Extrinsics = choice("view", {"none": "no-extrinsics", "sh": "sh"})
