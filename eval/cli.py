@@ -45,7 +45,7 @@ def report(
             light-path), variants (of paper), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains;
             or known (scores by prior knowledge of the glass) or perceptual (FLIP, LPIPS). May be repeated. With --json,
             these tables are part of the results.
-        full: Also describe each run, and print quality by angle, by number of training views and by layers.
+        full: Also describe each run, and print quality by angle and by number of training views.
         published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
         shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
             page would exceed 20 MB, it shows fewer.

@@ -3,16 +3,12 @@
 from collections.abc import Callable, Mapping, Sequence
 
 import matplotlib as mpl
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, FigureBase, SubFigure
-from matplotlib.lines import Line2D
+from matplotlib.figure import Figure, FigureBase
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from datagen.data.config import TEST_SPLITS
 from datagen.pages.charts import GRID, STYLE, figure_svg, new_figure, page_figure
 from datagen.pages.html import Markup
-from eval.analyses.coverage import Budget
 from eval.analyses.curve import ANGLE_EDGES, MIN_PIXELS, Bin, Curve
 
 SIZE = 15, 6.4
@@ -33,7 +29,8 @@ def curve_figure(title: str, curves: dict[str, Curve]) -> bytes:
         name if curve.db_per_10deg is None else f"{name} ({curve.db_per_10deg:+.1f} dB / 10°)"
         for name, curve in curves.items()
     ]
-    _head(top, f"{title}: error against what training saw", left.axes[0].get_lines(), names)
+    top.text(0.02, 0.5, f"{title}: error against what training saw", fontsize=14, weight="bold", va="center")
+    top.legend(left.axes[0].get_lines(), names, loc="right", ncols=3, frameon=False, fontsize=10)
     return figure_svg(figure)
 
 
@@ -79,38 +76,6 @@ def draw_by_views(figure: FigureBase, curves: dict[str, Curve]) -> None:
     ticks = [tick for tick in VIEW_TICKS if tick <= 1.5 * most]
     shares.set_xticks(ticks, map(str, ticks))
     shares.xaxis.set_minor_locator(NullLocator())
-
-
-@mpl.rc_context(STYLE)
-def budget_figure(title: str, budgets: tuple[Budget, ...]) -> bytes:
-    """The SVG of PSNR by the number of layers, and of the shares of rays that these leave out, for both test splits."""
-    figure = Figure(figsize=SIZE, facecolor="white")
-    top, below = figure.subfigures(2, 1, squeeze=False, height_ratios=(2 + len(budgets) // 3, 18)).flat
-    margins = {**MARGINS, "left": 0.07, "wspace": 0.06}
-    panels = below.subplots(2, 2, sharex=True, sharey="row", height_ratios=(2, 1), gridspec_kw=margins)
-    for column, split in enumerate(TEST_SPLITS):
-        scores, shares = panels[:, column]
-        for budget in budgets:
-            layers = [point.num_layers for point in budget.points]
-            psnr = [np.nan if (value := point.psnr_db[split]) is None else value for point in budget.points]
-            (line,) = scores.plot(layers, psnr)
-            for values, dash, what in (("more_share", ":", "more surfaces"), ("deeper_share", "-", "deeper sight")):
-                percent = [100 * getattr(point, values)[split] for point in budget.points]
-                shares.plot(layers, percent, f"o{dash}", color=line.get_color(), markersize=3)
-                if budget is budgets[0]:
-                    shares.annotate(what, (layers[0], percent[0]), (4, 4), textcoords="offset points", fontsize=9)
-        shares.xaxis.set_major_locator(MaxNLocator(integer=True))
-        shares.set(xlabel=f"layers, {split}", ylim=(-6, 122), yticks=(0, 50, 100))
-    panels[0, 0].set_ylabel("PSNR (dB)")
-    panels[1, 0].set_ylabel("rays (%)")
-    _head(top, f"{title}: layer budget", panels[0, 0].get_lines(), [budget.name for budget in budgets])
-    return figure_svg(figure)
-
-
-def _head(top: SubFigure, title: str, lines: Sequence[Line2D], names: Sequence[str]) -> None:
-    """A title on the left, and on the right a legend."""
-    top.text(0.02, 0.5, title, fontsize=14, weight="bold", va="center")
-    top.legend(lines, names, loc="right", ncols=3, frameon=False, fontsize=10)
 
 
 def _draw(

@@ -15,7 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.coverage import Budget, Coverage, PixelCoverage, budget_grid, cover_view, find_budgets, read_coverage
+from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
 from eval.analyses.edits import EditScores, edit_grids, edit_json, score_edits
 from eval.analyses.fits import Fit, Measured, fit_data, measure_fit
@@ -79,10 +79,6 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Se
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
         figures[f"curve_{name}.svg"] = _curve_figure(scene.title, pooled)
-    if budgets := find_budgets(scene, kept):
-        grids.append(budget_grid(scene.title, budgets))
-        data["layer_budgets"] = to_json(budgets)
-        figures[f"budget_{name}.svg"] = _budget_figure(scene.title, budgets)
     if larger := [(scored, score_enlarged(scene, scored, kept)) for scored in variants if is_larger(scored.variant)]:
         grids.append(super_resolution_grid(scene, larger))
         by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
@@ -119,15 +115,6 @@ def _curve_figure(title: str, curves: dict[str, Curve]) -> Drawing:
         return curve_figure(title, curves)
 
     return Drawing(draw=draw, about=["curves", title, [[name, curve_json(curve)] for name, curve in curves.items()]])
-
-
-def _budget_figure(title: str, budgets: tuple[Budget, ...]) -> Drawing:
-    def draw() -> bytes:
-        from eval.analyses.plots import budget_figure
-
-        return budget_figure(title, budgets)
-
-    return Drawing(draw=draw, about=["budget", title, to_json(budgets)])
 
 
 def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:

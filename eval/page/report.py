@@ -53,7 +53,7 @@ def make_report(
 
     Args:
         only: score only the runs of this dataset; None: all runs.
-        is_full: also describe the runs, and print quality by angle and by layers.
+        is_full: also describe the runs, and print quality by angle.
         is_published: also print the paper's own numbers, and what its authors' script would print for our runs.
         most_views: views that the page shows of each split and run.
     """
