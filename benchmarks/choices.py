@@ -1,7 +1,6 @@
 """The flags of the network benchmarks; torch is not imported, so that `--help` is fast."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 from datagen.disk.errors import HyalineError
 
@@ -24,8 +23,6 @@ class BenchChoices:
     """Channels of a texture."""
     width: str = "34k"
     """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
-    precision: Literal["fp32", "bf16"] = "fp32"
-    """Number format of the network's multiplications; the naive form always uses fp32."""
     rounds: int = 7
     """Rounds of every candidate, without warm-up."""
     json: bool = False

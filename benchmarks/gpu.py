@@ -1,6 +1,6 @@
 """Benchmark of a GPU: the networks beside the naive baseline, truth, light paths, and training on them.
 
-Floors follow from what this GPU was measured to do: matrix products in the network's precision, and copying.
+Floors follow from what this GPU was measured to do: matrix products, and copying.
 """
 
 import tempfile
@@ -32,20 +32,20 @@ FRAME, STEP = 1920 * 1080, 1 << 18
 GPU_GATE = 5.0
 """Least ratio of a step. 20 was hoped for before a GPU was at hand; an H100 reached 7.5 (docs/notes/speed.md)."""
 
-GPU_TOLERANCE = {"fp32": 1e-4, "bf16": 2e-2}
+GPU_TOLERANCE = 1e-4
 
 
-def gpu_ceilings(precision: str) -> tuple[Ceiling, Ceiling]:
-    """The GPU's best speed: matrix products in the network's precision, and copying."""
-    size, kind = 4096, torch.bfloat16 if precision == "bf16" else torch.float32
-    a, b = torch.randn(2, size, size, device="cuda", dtype=kind)
+def gpu_ceilings() -> tuple[Ceiling, Ceiling]:
+    """The GPU's best speed: matrix products, and copying."""
+    size = 4096
+    a, b = torch.randn(2, size, size, device="cuda")
     out = torch.empty_like(a)
     flops = 2 * size**3 / best_seconds(synchronised(lambda: torch.mm(a, b, out=out)))
     source = torch.ones(1 << 28, device="cuda")  # 1 GiB, beyond every cache.
     target = torch.empty_like(source)
     copied = 2 * source.nbytes / best_seconds(synchronised(lambda: target.copy_(source)))
     return (
-        Ceiling(name=f"{precision} matrix product", value=1e-12 * flops, unit="TFLOP/s"),
+        Ceiling(name="matrix product", value=1e-12 * flops, unit="TFLOP/s"),
         Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
     )
 
@@ -94,9 +94,7 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
     """Times frames, steps, truth and light paths; skipped with a message without CUDA. Call `use_mitsuba` first."""
     if not torch.cuda.is_available():
         why = "torch finds no CUDA device here"
-        return measure(
-            "gpu", [], settings={"precision": choices.precision}, facts={"skipped": why}, rounds=choices.rounds
-        )
+        return measure("gpu", [], facts={"skipped": why}, rounds=choices.rounds)
     # Else the rival's convolutions, and they alone, would round their factors to TF32 on every GPU since Ampere.
     torch.backends.cudnn.allow_tf32 = torch.backends.cuda.matmul.allow_tf32 = False
     device = torch.device("cuda")
@@ -125,10 +123,10 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
         return result
 
     def compare() -> tuple[bool, str]:
-        error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE[choices.precision]
+        error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE
         return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
 
-    ceilings = gpu_ceilings(choices.precision)
+    ceilings = gpu_ceilings()
     least = floors(renderer, frame, filled, ceilings)["frame"], floors(renderer, step, filled, ceilings)["step"]
     folder = tempfile.TemporaryDirectory(prefix="hyaline-bench-")
     traced, amounts = traced_candidates(Path(folder.name), device, size=SIZE)

@@ -108,7 +108,6 @@ def make_renderer(choices: BenchChoices, *, rng: np.random.Generator) -> PaperRe
         texture_size=choices.texture_size,
         texture_features=choices.features,
         extrinsics="none",
-        precision=choices.precision,
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(1 << 31)))
@@ -142,7 +141,6 @@ def describe(choices: BenchChoices, renderer: PaperRenderer) -> dict[str, object
         "layers": choices.layers,
         "texture": f"{choices.texture_size} x {choices.texture_size} x {choices.features}",
         "network": f"{num_parameters:,} parameters",
-        "precision": choices.precision,
         "threads": torch.get_num_threads(),
     }
 

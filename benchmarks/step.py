@@ -24,7 +24,6 @@ from benchmarks.naive import (
 )
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, SplitConfig, square
-from datagen.machine.hardware import bf16_instructions
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.finding import find_scene
@@ -44,7 +43,7 @@ GATE_STEP, GATE_TEXTURES = 5.0, 10.0
 CHECKED = 4096
 """Pixels compared. With more, torch's batch norm over rows accumulates too much rounding."""
 
-TOLERANCE = {"fp32": 1e-2, "bf16": 0.4}
+TOLERANCE = 1e-2
 """Tolerance of gradients, relative to their length. If rounding moves a value across the kink of an activation or of
 the loss, that pixel's gradient changes, however small the step."""
 
@@ -235,11 +234,10 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
         ),
         Candidate(name="light-path", run=light_path_step(seed), note="a step of 2,048 pixels, 128² textures"),
     ]
-    tolerance = TOLERANCE[choices.precision]
     report = measure(
         "step",
         candidates,
-        checks=[Check(name="same step", run=lambda: compare(renderer, naive, rays, truth, tolerance))],
+        checks=[Check(name="same step", run=lambda: compare(renderer, naive, rays, truth, TOLERANCE))],
         gates=[
             Gate(name="whole step", baseline="naive step", candidate="step", at_least=GATE_STEP),
             Gate(name="texture part", baseline="naive textures", candidate="textures", at_least=GATE_TEXTURES),
@@ -259,32 +257,27 @@ FAULTED = 64 << 20
 
 
 def all_ceilings() -> tuple[Ceiling, ...]:
-    """Those that any bench prints, and torch's: matrix products in both precisions, and what page faults cost."""
-    # Without instructions for bf16, its products alone would take a minute.
-    kinds = {"float32": torch.float32} | ({"bfloat16": torch.bfloat16} if bf16_instructions() else {})
+    """Those that any bench prints, and torch's: matrix products, and what page faults cost."""
     return (
         *machine_ceilings(),
-        *(
-            Ceiling(name=f"{name} {what}, all cores", value=rate(kind), unit="GFLOP/s")
-            for what, rate in (("matrix product, torch", _product), ("layer of the network", _layer))
-            for name, kind in kinds.items()
-        ),
+        Ceiling(name="matrix product, torch, all cores", value=_product(), unit="GFLOP/s"),
+        Ceiling(name="layer of the network, all cores", value=_layer(), unit="GFLOP/s"),
         Ceiling(name="writing fresh memory, page faults included", value=_faults(), unit="times as long"),
     )
 
 
 @torch.inference_mode()
-def _product(dtype: torch.dtype) -> float:
+def _product() -> float:
     size = 1536
-    a, b = torch.ones(2, size, size, dtype=dtype)
+    a, b = torch.ones(2, size, size)
     return 2 * size**3 / best_seconds(lambda: a @ b) * 1e-9
 
 
 @torch.inference_mode()
-def _layer(dtype: torch.dtype) -> float:
+def _layer() -> float:
     pixels, inputs, outputs = 65_536, 96, 88
-    x, weight = torch.ones(pixels, inputs, dtype=dtype), torch.ones(outputs, inputs, dtype=dtype)
-    bias = torch.zeros(outputs, dtype=dtype)
+    x, weight = torch.ones(pixels, inputs), torch.ones(outputs, inputs)
+    bias = torch.zeros(outputs)
     return 2 * pixels * inputs * outputs / best_seconds(lambda: linear(x, weight, bias)) * 1e-9
 
 

@@ -7,7 +7,7 @@ import platform
 import subprocess
 from dataclasses import asdict, dataclass
 
-from datagen.machine.hardware import cuda_problem, describe_gpus, describe_processor, has_gpu, torch_cuda_problem
+from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu, torch_cuda_problem
 from datagen.machine.llvm import VARIABLE, advice
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processes import ROOT
@@ -30,7 +30,7 @@ def examine() -> list[Finding]:
     return [
         Finding(what="hyaline", found=f"{VERSION} in {ROOT}", remedy=None),
         Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
-        Finding(what="processor", found=describe_processor(), remedy=None),
+        Finding(what="processor", found=platform.machine(), remedy=None),
         Finding(what="GPU", found=_gpu(), remedy=None),
         *_mitsuba(),
         _torch(),

@@ -1,9 +1,8 @@
-"""This machine's processor and GPU: whether one has instructions for bf16, and whether Mitsuba renders on the other."""
+"""This machine's GPU, and whether Mitsuba renders on it."""
 
 import contextlib
 import functools
 import os
-import platform
 import shutil
 import subprocess
 import sys
@@ -12,32 +11,6 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed, sha256, user_cache
-
-CPUINFO = Path("/proc/cpuinfo")
-BF16_FLAGS = ("amx_bf16", "avx512_bf16", "bf16")
-"""CPU flags for bf16 on x86-64 and (the last) Arm, as Linux names them, fastest first."""
-
-
-def bf16_instructions() -> str | None:
-    """The processor's instructions for bf16; None where it has none, and on systems other than Linux.
-
-    Without them PyTorch multiplies bf16 several times more slowly than fp32.
-    """
-    if not CPUINFO.is_file():
-        return None
-    flags: set[str] = set()
-    for line in CPUINFO.read_text().splitlines():
-        name, _, value = line.partition(":")
-        if name.strip() in ("flags", "Features"):
-            flags |= set(value.split())
-    return next((flag for flag in BF16_FLAGS if flag in flags), None)
-
-
-def describe_processor() -> str:
-    """The processor's kind, and whether bf16 pays off on it."""
-    found = bf16_instructions()
-    return f"{platform.machine()}, {f'bf16 by {found}' if found else 'no instructions for bf16: use fp32'}"
-
 
 DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
 """Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""

@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_linear_bn_weights
 
-from model.settings.network_parts import Norm, Precision, check_width
+from model.settings.network_parts import Norm, check_width
 
 LEAKY_SLOPE = 0.2
 
@@ -23,7 +23,6 @@ class LinearUnit(nn.Module):
         self.activation = nn.LeakyReLU(LEAKY_SLOPE, inplace=True)
 
     def forward(self, x: Float[Tensor, "ray c_in"]) -> Float[Tensor, "ray c_out"]:
-        """float32; bfloat16 where the network is asked for that."""
         return self.activation(self.norm(self.linear(x)))
 
     def folded(self) -> tuple[Tensor, Tensor]:
@@ -48,7 +47,6 @@ class ResidualBlock(nn.Module):
         self.halve = LinearUnit(width, width // 2, norm)
 
     def forward(self, x: Float[Tensor, "ray c"]) -> Float[Tensor, "ray c_half"]:
-        """As the units."""
         return self.halve(x + self.second(self.first(x)))
 
 
@@ -60,10 +58,9 @@ class PixelMlp(nn.Module):
     dropout on). The output has no activation: clip it to [0, 1] for display.
     """
 
-    def __init__(self, num_inputs: int, *, width: int, blocks: int, norm: Norm, precision: Precision = "fp32") -> None:
+    def __init__(self, num_inputs: int, *, width: int, blocks: int, norm: Norm) -> None:
         super().__init__()
         check_width(width, blocks)
-        self.precision: Precision = precision
         self.first = LinearUnit(num_inputs, width, norm)
         self.blocks = nn.Sequential(*(ResidualBlock(width >> index, norm) for index in range(blocks)))
         self.last = nn.Linear(width >> blocks, 3)
@@ -72,9 +69,7 @@ class PixelMlp(nn.Module):
 
     def forward(self, x: Float32[Tensor, "ray c"]) -> Float32[Tensor, "ray 3"]:
         """sRGB colours, about [0, 1], of the inputs of all layers, nearest first."""
-        with torch.autocast(x.device.type, torch.bfloat16, enabled=self.precision == "bf16"):
-            hidden = self.blocks(self.first(x))
-        return self.last(hidden.float())  # In bf16 a colour would have as few steps as an 8-bit picture.
+        return self.last(self.blocks(self.first(x)))
 
     def residual_blocks(self) -> list[ResidualBlock]:
         """The blocks in their order."""

@@ -14,10 +14,9 @@ from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
-from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.errors import NumericsError
 from model.nets.lazy_adam import LazyAdam
 from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
-from model.settings.network_parts import TextureSharing
 
 FINER_COUNTS = 0.5
 """Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at
@@ -42,21 +41,6 @@ def object_layout(sizes: Sequence[int]) -> TextureLayout:
     """A texture of `sizes[k]` texels squared for object k + 1, one after the other."""
     *bases, num_texels = itertools.accumulate((size * size for size in sizes), initial=0)
     return TextureLayout(bases=tuple(bases), sizes=tuple(sizes), strides=tuple(sizes), num_texels=num_texels)
-
-
-def scene_layout(num_objects: int, size: int) -> TextureLayout:
-    """One texture of `size` texels squared for the whole scene, a grid of equal cells, one cell an object.
-
-    Lookups are clamped to the object's cell, so neighbours in the grid never mix.
-    """
-    cells = math.ceil(math.sqrt(num_objects))
-    cell = size // cells
-    if cell < 2:
-        raise HyalineError(f"texture_size: is {size} for {num_objects} objects; expected at least {2 * cells} texels")
-    bases = tuple((index // cells * size + index % cells) * cell for index in range(num_objects))
-    return TextureLayout(
-        bases=bases, sizes=(cell,) * num_objects, strides=(size,) * num_objects, num_texels=size * size
-    )
 
 
 def bilinear_taps(
@@ -275,8 +259,3 @@ class TexturePyramid(nn.ModuleList):
 def level_scales(num_levels: int, finer_counts: float) -> list[float]:
     """The weight of each level of a pyramid, finest first: `finer_counts` times that of the next coarser one."""
     return [finer_counts ** (num_levels - 1 - level) for level in range(num_levels)]
-
-
-def make_layout(num_objects: int, size: int, sharing: TextureSharing) -> TextureLayout:
-    """A texture of `size` texels squared for each object, at least 2, or one of that size for all."""
-    return object_layout((max(2, size),) * num_objects) if sharing == "object" else scene_layout(num_objects, size)

@@ -10,14 +10,9 @@ Extrinsics = Literal["none", "view", "sh"]
 EXTRINSIC_CHANNELS: dict[Extrinsics, int] = {"none": 0, "view": 3, "sh": 9}
 """Inputs that each layer gets besides its features. Source: paper section 4.6."""
 
-TextureSharing = Literal["object", "scene"]
-
 Norm = Literal["batch", "none"]
 
 UNetNorm = Literal["instance", "batch"]
-
-Precision = Literal["fp32", "bf16"]
-"""Numbers that linear layers multiply; parameters, and sums over pixels, are float32 anyway."""
 
 VggKind = Literal["vgg16", "vgg19"]
 

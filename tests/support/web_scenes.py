@@ -166,10 +166,9 @@ def noisy_light_path(**change: Any) -> LightPathRenderer:
     noisy(net, {"relief.table": 4.0})
     with torch.no_grad():
         darken(net, METAL * net.config.shells)
-        if net.config.composite:
-            net.environment.maps[-1].fill_(-2.0)  # Else all would be white,
-            if net.stack_net is not None:
-                net.stack_net[-1].bias[:3].fill_(2.0)  # and what the stack adds too dark to be seen.
+        net.environment.maps[-1].fill_(-2.0)  # Else all would be white,
+        if net.stack_net is not None:
+            net.stack_net[-1].bias[:3].fill_(2.0)  # and what the stack adds too dark to be seen.
     return net.eval()
 
 

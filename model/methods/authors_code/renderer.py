@@ -147,8 +147,7 @@ def seeded(seed: int, device: torch.device) -> Iterator[None]:
 
 
 def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:
-    side, num_objects = inputs.dataset.config.resolution.mean_side, len(inputs.dataset.objects)
-    size = config.texture_size or default_texture_size(side, num_objects, "object")
+    size = config.texture_size or default_texture_size(inputs.dataset.config.resolution.mean_side)
     return dataclasses.replace(config, texture_size=size)
 
 

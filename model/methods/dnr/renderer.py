@@ -164,7 +164,7 @@ def complete(config: DnrConfig, inputs: Inputs) -> DnrConfig:
     crop = min(side, max(side // 2, LEAST_CROP)) if config.crop is None else config.crop
     if crop > side:
         raise HyalineError(f"crop: is {crop}; expected at most {side}, the shorter side of pictures of {resolution}")
-    size = config.texture_size or default_texture_size(resolution.mean_side, len(inputs.dataset.objects), "object")
+    size = config.texture_size or default_texture_size(resolution.mean_side)
     return dataclasses.replace(config, texture_size=size, crop=crop)
 
 

@@ -2,7 +2,7 @@
 
 import dataclasses
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Self
+from typing import ClassVar, Self
 
 from datagen.data.paths import TRUTH, follows_light
 from datagen.disk.errors import HyalineError
@@ -44,8 +44,6 @@ class LightPathConfig(MethodConfig):
     refined if this is at most --render-rays. 0: 64, or --render-rays if that is not 16."""
     branches: int = choice(12, "{}-branches", limits=(1, 64))
     """Branches traced per ray: the refracted one, the first reflection, then those that carry most light."""
-    compositing: Literal["physics", "stack"] = choice("physics", "{}")
-    """physics: sum the light at the ends of branches, with physical weights. stack: use only the stack network."""
     stack_hidden: int = choice(32, "stack{}", flag="stack", limits=(0, 4096))
     """Units of the two hidden layers of the stack network, which sees the stacked vertices and adds light that physics
     leaves out; 0: no stack network. On proxies 96."""
@@ -76,8 +74,6 @@ class LightPathConfig(MethodConfig):
     pairs. At 0 lamps are learned too dim. On proxies 0: not tried there."""
     fill_in: bool = choice(True, {True: "filled", False: "unfilled"})
     """After training, fill in rarely sampled texels from their neighbours. On proxies off: not tried there."""
-    position_octaves: int = choice(0, "{}-octaves", limits=(0, 16))
-    """Octaves of positional encoding (sines and cosines) of a path's end, as decoder inputs."""
     texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
     """Number of textures summed, each half as wide as the one before: coarser levels fill in rarely sampled texels."""
     texture_sizes: tuple[int, ...] = unflagged(())
@@ -91,8 +87,6 @@ class LightPathConfig(MethodConfig):
         super().__post_init__()
         if min(self.texture_sizes, default=2) < 2:
             raise HyalineError(f"texture_sizes: are {self.texture_sizes}; expected at least 2 texels for each object")
-        if not self.composite and not self.stack_hidden:
-            raise HyalineError("compositing: is stack, but the stack network has no units; expected --stack above 0")
         if self.shells * len(self.texture_sizes) > MAX_SURFACES:
             raise HyalineError(
                 f"shells: is {self.shells} for {len(self.texture_sizes)} objects; expected at most 255 copies"
@@ -104,14 +98,9 @@ class LightPathConfig(MethodConfig):
         check_rate("sky_lr", self.sky_lr)
 
     @property
-    def composite(self) -> bool:
-        """True if paths are composited by physics; otherwise the stack network alone makes the colour."""
-        return self.compositing == "physics"
-
-    @property
     def needs_details(self) -> bool:
-        """True if the ends of paths need a position, a mirrored direction and a slope of uv."""
-        return self.relief or self.directions or self.position_octaves > 0
+        """True if the ends of paths need a mirrored direction and a slope of uv."""
+        return self.relief or self.directions
 
     @property
     def paired_rays(self) -> bool:

@@ -1,6 +1,6 @@
 // What shines at the end of a light path: a surface, or the sky. Source: model/methods/light_path/net.py.
 
-const int INPUTS = 4 * FEATURE_TEXELS + 1 + 9 * SEES_DIRECTIONS + 6 * OCTAVES;
+const int INPUTS = 4 * FEATURE_TEXELS + 1 + 9 * SEES_DIRECTIONS;
 const int SLOT = 4 * FEATURE_TEXELS + 2, PATH_SLOTS = STACKED_FIRST + STACKED_SECOND, SLOTS = PATH_SLOTS + STRAIGHT;
 const int STACK_INPUTS = SLOTS * SLOT + (STRAIGHT > 0 ? 4 : 0), STACK_OUTPUTS = 1 + (STRAIGHT > 0 ? (STRAIGHT + 3) / 4 : 0);
 const int GROUPS = HIDDEN / 4, STACK_GROUPS = STACK_HIDDEN / 4;
@@ -15,7 +15,7 @@ const int COVER_INPUTS = 4 * FEATURE_TEXELS + 10;
 const int C_FIRST = S_THIRD_BIAS + STACK_OUTPUTS, C_FIRST_BIAS = C_FIRST + GROUPS * COVER_INPUTS;
 const int C_SECOND = C_FIRST_BIAS + GROUPS, C_SECOND_BIAS = C_SECOND + GROUPS * HIDDEN;
 const int C_THIRD = C_SECOND_BIAS + GROUPS, C_THIRD_BIAS = C_THIRD + HIDDEN;
-const int SKY = STRAIGHT > 0 && COMPOSITE == 1 ? C_THIRD_BIAS + 1 : C_FIRST;
+const int SKY = STRAIGHT > 0 ? C_THIRD_BIAS + 1 : C_FIRST;
 
 // Where a ray meets the learned relief below, or above, a surface.
 vec2 relieved(int object, Place place) {
@@ -35,21 +35,14 @@ vec2 relieved(int object, Place place) {
 #endif
 }
 
-#if COMPOSITE == 1
-// Linear radiance that leaves the end of a branch. Inputs after the features: cosine, harmonics, octaves.
-vec3 decode(Features features, float cosine, vec3 reflected, vec3 p) {
+// Linear radiance that leaves the end of a branch. Inputs after the features: cosine, harmonics.
+vec3 decode(Features features, float cosine, vec3 reflected) {
     float others[INPUTS - 4 * FEATURE_TEXELS];
     others[0] = cosine;
 #if SEES_DIRECTIONS == 1
     float bands[9] = harmonics(reflected);
     for (int k = 0; k < 9; k++) others[1 + k] = bands[k];
 #endif
-    for (int octave = 0; octave < OCTAVES; octave++) {
-        vec3 angle = p * (3.141592653589793 * float(1 << octave));
-        int at = 1 + 9 * SEES_DIRECTIONS + 6 * octave;
-        others[at] = sin(angle.x), others[at + 1] = sin(angle.y), others[at + 2] = sin(angle.z);
-        others[at + 3] = cos(angle.x), others[at + 4] = cos(angle.y), others[at + 5] = cos(angle.z);
-    }
     vec4 hidden[GROUPS];
     for (int g = 0; g < GROUPS; g++) {
         vec4 sum = fetch(weights, FIRST_BIAS + g);
@@ -94,7 +87,6 @@ vec3 sky(vec3 d) {
     }
     return light;
 }
-#endif
 
 #if STACK_HIDDEN > 0
 vec4 stacked[STACK_GROUPS];  // The sums of the stack network's first layer, of what the ray has met so far.

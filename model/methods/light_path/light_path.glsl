@@ -36,9 +36,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             return radiance;
         }
         if (missed) {
-#if COMPOSITE == 1
             radiance += beta * sky(d);
-#endif
         } else {
             // Where the ray is, and what is there.
             Place place = place_of(hit, d);
@@ -62,7 +60,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
             float cos_i = place.cosine, offset = place.offset;
             bool is_end = kind == ENDS || kind == COATED || kind == MIRRORS;
             bool is_stacked = STACK_HIDDEN > 0 && !is_void && (branch == 0 && vertex < STACKED_FIRST || branch == 1 && vertex < STACKED_SECOND);
-            if (is_stacked || is_end && COMPOSITE == 1) {
+            if (is_stacked || is_end) {
                 Features features = look_up(hit.object, place.uv);
 #if STACK_HIDDEN > 0
                 if (is_stacked && stacks) stack_slot(branch == 0 ? vertex : STACKED_FIRST + vertex, features, (beta.r + beta.g + beta.b) / 3.0, cos_i);
@@ -70,9 +68,7 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
 #if RELIEF == 1
                 if (is_end) features = look_up(hit.object, relieved(hit.object, place));
 #endif
-#if COMPOSITE == 1
-                if (is_end) radiance += beta * decode(features, cos_i, d + 2.0 * cos_i * facing, p);
-#endif
+                if (is_end) radiance += beta * decode(features, cos_i, d + 2.0 * cos_i * facing);
             }
 
             // What the surface does to the ray.

@@ -27,8 +27,8 @@ from model.settings.optimisation import Optimisation
 RELIEF_DEPTH = 0.01
 """Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""
 
-STACK_SHIFT = {"physics": 4.0, "stack": 1.0}
-"""Subtracted from the stack network's outputs before the softplus: with physics, they start near black."""
+STACK_SHIFT = 4.0
+"""Subtracted from the stack network's outputs before the softplus, so that they start near black."""
 
 RELIEF_COARSER = 4
 """Width of a relief texel, in texels of the finest colour texture."""
@@ -63,15 +63,11 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         )
         relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
         self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
-        if config.composite:
-            # Feature, cosine, spherical harmonics of the mirrored direction, position -> linear radiance.
-            directions = 9 if config.directions else 0
-            self.decoder = _Mlp(
-                config.texture_features + 1 + directions + 6 * config.position_octaves, config.hidden, 3
-            )
-            # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
-            self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
-            self.environment = LearnedSky(config.environment_size, config.sky_lobes)
+        # Feature, cosine, spherical harmonics of the mirrored direction -> linear radiance.
+        self.decoder = _Mlp(config.texture_features + 1 + (9 if config.directions else 0), config.hidden, 3)
+        # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
+        self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
+        self.environment = LearnedSky(config.environment_size, config.sky_lobes)
         slots = sum(STACKED_VERTICES) + config.straight_layers
         inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
         # Colour; opacity of each straight layer; share of the paths.
@@ -163,15 +159,11 @@ class LightPathRenderer(Renderer[LightPathPixels]):
 
         Straight layers mix the sky into the first part, with its gradients; the second is then zero.
         """
-        num_rays = paths.num_pixels * paths.samples
+        num_rays, ends = paths.num_pixels * paths.samples, paths.ends
         at_ends, at_stack = self._features(paths)
-        others = torch.zeros(num_rays, 3, device=paths.ends.uv.device)
-        sky = torch.zeros_like(others)
-        if at_ends is not None:
-            ends = paths.ends
-            shine = self._decode(at_ends, ends.cosine, ends.reflected, ends.position)
-            others = others.index_add(0, ends.ray, shine * ends.throughput)
-            sky = sky.index_add(0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput)
+        dark = torch.zeros(num_rays, 3, device=ends.uv.device)
+        others = dark.index_add(0, ends.ray, self._decode(at_ends, ends.cosine, ends.reflected) * ends.throughput)
+        sky = dark.index_add(0, paths.sky.ray, self.environment(paths.sky.direction) * paths.sky.throughput)
         if at_stack is not None:
             assert paths.stack is not None
             assert self.stack_net is not None
@@ -180,36 +172,30 @@ class LightPathRenderer(Renderer[LightPathPixels]):
             if self.config.straight_layers:
                 inputs = torch.cat([inputs, stack.direction], dim=-1)
             out = self.stack_net(inputs)
-            if self.config.straight_layers and self.config.composite:
+            if self.config.straight_layers:
                 share = torch.sigmoid(out[:, 3:4])
                 others = share * (others + sky) + (1 - share) * self._over(stack, at_stack, out[:, 4:])
-                sky = torch.zeros_like(others)
-            others = others + functional.softplus(out[:, :3] - STACK_SHIFT[self.config.compositing])
+                sky = dark
+            others = others + functional.softplus(out[:, :3] - STACK_SHIFT)
         return others.view(-1, paths.samples, 3), sky.view(-1, paths.samples, 3)
 
-    def _features(
-        self, paths: LightPathBatch
-    ) -> tuple[Float32[Tensor, "end c"] | None, Float32[Tensor, "ray slot c"] | None]:
-        """Texture features at the ends and in the stack, where the configuration has them.
+    def _features(self, paths: LightPathBatch) -> tuple[Float32[Tensor, "end c"], Float32[Tensor, "ray slot c"] | None]:
+        """Texture features at the ends, and in the stack where the configuration has one.
 
         They share one look-up, because each look-up makes a gradient as large as the textures.
         """
-        slots: list[tuple[Tensor, Tensor]] = []
-        if self.config.composite:
-            ends = paths.ends
-            uv = ends.uv
-            if self.relief is not None:
-                assert ends.uv_slope is not None
-                uv = self._shifted(uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])[:, 0]
-            slots.append((uv, ends.surface))
+        ends = paths.ends
+        uv = ends.uv
+        if self.relief is not None:
+            assert ends.uv_slope is not None
+            uv = self._shifted(uv[:, None], ends.surface[:, None], ends.uv_slope[:, None])[:, 0]
+        slots = [(uv, ends.surface)]
         stack = paths.stack if self.stack_net is not None else None
         if stack is not None:
             slots.append((self._relieved(stack).flatten(0, 1), stack.surface.flatten()))
         uv, surface = (torch.cat(parts)[:, None] for parts in zip(*slots, strict=True))
-        parts = list(self.textures(uv, surface)[:, 0].split([len(surface) for _, surface in slots]))
-        at_ends = parts.pop(0) if self.config.composite else None
-        at_stack = None if stack is None else parts.pop().unflatten(0, stack.surface.shape)
-        return at_ends, at_stack
+        parts = self.textures(uv, surface)[:, 0].split([len(surface) for _, surface in slots])
+        return parts[0], None if stack is None else parts[1].unflatten(0, stack.surface.shape)
 
     def _relieved(self, stack: Stack) -> Float32[Tensor, "ray slot 2"]:
         """The stack's texture coordinates; only those of straight layers are shifted by the relief."""
@@ -234,9 +220,8 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         first = sum(STACKED_VERTICES)
         hits = (stack.surface[:, first:] > 0).nonzero(as_tuple=True)
         behind = (hits[0], hits[1] + first)
-        assert stack.position is not None
         assert stack.reflected is not None
-        shine = self._decode(features[behind], stack.cosine[behind], stack.reflected[hits], stack.position[hits])
+        shine = self._decode(features[behind], stack.cosine[behind], stack.reflected[hits])
         # A layer's opacity has a term of its own and one from the whole stack.
         assert self.cover is not None
         turned = spherical_harmonics(stack.direction)[hits[0]]
@@ -248,17 +233,11 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         sky = self.environment(stack.direction) * passed[:, -1:]
         return sky.index_add(0, hits[0], shine * (opacity * before)[hits][:, None])
 
-    def _decode(
-        self, features: Tensor, cosine: Tensor, reflected: Tensor | None, position: Tensor | None
-    ) -> Float32[Tensor, "end 3"]:
+    def _decode(self, features: Tensor, cosine: Tensor, reflected: Tensor | None) -> Float32[Tensor, "end 3"]:
         inputs = [features, cosine[:, None]]
         if self.config.directions:
             assert reflected is not None
             inputs.append(spherical_harmonics(reflected))
-        for octave in range(self.config.position_octaves):
-            assert position is not None
-            angle = position * (torch.pi * 2**octave)
-            inputs += [torch.sin(angle), torch.cos(angle)]
         # The first features are added as colour: a texel learns its own at once, the decoder what depends on the view.
         return functional.softplus(self.decoder(torch.cat(inputs, dim=-1)) + features[:, :3])
 

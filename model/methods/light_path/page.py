@@ -43,9 +43,8 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
     media = [item.material.medium for item in scene.objects if item.material.medium is not None]
     stacked_first, stacked_second = STACKED_VERTICES
     return {
-        # If only the stack network makes the colour, no other paths matter.
-        "BRANCHES": config.branches if config.composite else len(STACKED_VERTICES),
-        "MAX_DEPTH": LIMITS.max_depth if config.composite else max(STACKED_VERTICES),
+        "BRANCHES": config.branches,
+        "MAX_DEPTH": LIMITS.max_depth,
         "MIN_THROUGHPUT": LIMITS.min_throughput,
         "FIRST_MIRROR": FIRST_MIRROR,
         "SPARE_STEPS": SPARE_STEPS,
@@ -54,14 +53,12 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "STACKED_FIRST": stacked_first,
         "STACKED_SECOND": stacked_second,
         "STACK_HIDDEN": fours(config.stack_hidden),
-        "STACK_SHIFT": STACK_SHIFT[config.compositing],
+        "STACK_SHIFT": STACK_SHIFT,
         "HIDDEN": fours(config.hidden),
         "SEES_DIRECTIONS": int(config.directions),
-        "OCTAVES": config.position_octaves,
-        "COMPOSITE": int(config.composite),
         "SKY_HEIGHT": config.environment_size,
         "SKY_LEVELS": config.environment_size.bit_length() + 1,
-        "LOBES": config.sky_lobes if config.composite else 0,
+        "LOBES": config.sky_lobes,
         "STRAIGHT": _straight(config),
         "RELIEF_DEPTH": RELIEF_DEPTH,
         "MAX_NESTED": MAX_NESTED,
@@ -80,12 +77,7 @@ def _straight(config: LightPathConfig) -> int:
 def _networks(renderer: LightPathRenderer) -> list[Rows]:
     """Decoder, stack network, opacity of straight layers, sky."""
     config, features = renderer.config, renderer.config.texture_features
-    others = 1 + (9 if config.directions else 0) + 6 * config.position_octaves
-    parts: list[Rows] = []
-    if config.composite:
-        parts += mlp_rows(renderer.decoder, feature_columns(features, others))
-    else:
-        parts += _no_mlp(config, others)
+    parts = mlp_rows(renderer.decoder, feature_columns(features, 1 + (9 if config.directions else 0)))
     if renderer.stack_net is not None:
         slots = sum(STACKED_VERTICES) + config.straight_layers
         columns = [at for slot in range(slots) for at in feature_columns(features, 2, slot * (features + 2))]
@@ -94,18 +86,10 @@ def _networks(renderer: LightPathRenderer) -> list[Rows]:
         parts += mlp_rows(renderer.stack_net, columns)
     else:
         parts.append(np.zeros((1, 4), np.float32))  # The biases of a last layer that nothing reads.
-    if config.composite:
-        if _straight(config):
-            assert renderer.cover is not None
-            parts += mlp_rows(renderer.cover, feature_columns(features, 10))
-        parts += _sky(renderer.environment)
-    return parts
-
-
-def _no_mlp(config: LightPathConfig, others: int) -> list[Rows]:
-    """Zero padding for the absent decoder, so that later weights keep their offsets."""
-    groups, inputs = fours(config.hidden) // 4, fours(config.texture_features) + others
-    return [np.zeros((groups * (inputs + 1) + groups * (4 * groups + 1) + 4 * groups + 1, 4), np.float32)]
+    if _straight(config):
+        assert renderer.cover is not None
+        parts += mlp_rows(renderer.cover, feature_columns(features, 10))
+    return [*parts, *_sky(renderer.environment)]
 
 
 def _relief_places(relief: NeuralTextures, first_row: int) -> list[list[int]]:

@@ -46,10 +46,8 @@ class Ends:
     throughput: Float32[Tensor, "end 3"]
     cosine: Float32[Tensor, " end"]
     """Cosine of the angle between the arriving ray and the surface normal, 0 to 1."""
-    position: Float32[Tensor, "end 3"] | None = None
-    """None, like the next two, where the configuration uses none of them."""
     reflected: Float32[Tensor, "end 3"] | None = None
-    """The arriving direction, mirrored at the surface."""
+    """The arriving direction, mirrored at the surface; None, like the next, where the configuration uses neither."""
     uv_slope: Float32[Tensor, "end 2"] | None = None
     """Change of uv per metre of depth below the surface."""
 
@@ -75,10 +73,8 @@ class Stack:
     cosine: Float32[Tensor, "ray slot"]
     direction: Float32[Tensor, "ray 3"]
     """Direction of the camera's ray."""
-    position: Float32[Tensor, "ray straight 3"] | None = None
-    """Hit point of each straight layer; None without straight layers."""
     reflected: Float32[Tensor, "ray straight 3"] | None = None
-    """The ray's direction, mirrored at the surface of each straight layer."""
+    """The ray's direction, mirrored at the surface of each straight layer; None without straight layers."""
     uv_slope: Float32[Tensor, "ray straight 2"] | None = None
     """Change of uv per metre of depth below the surface of each straight layer."""
 
@@ -183,10 +179,7 @@ class LightPathPixels(RayPixels):
             paths = self.tracer.trace_ends(
                 origins,
                 directions,
-                # Without physics only the first vertices count.
-                self.limits._replace(max_branches=config.branches)
-                if config.composite
-                else Limits(len(STACKED_VERTICES), max_depth=max(STACKED_VERTICES)),
+                self.limits._replace(max_branches=config.branches),
                 stacked=STACKED_VERTICES if config.stack_hidden else (),
                 has_details=config.needs_details,
                 seed=seed,
@@ -215,7 +208,7 @@ class LightPathPixels(RayPixels):
         self, paths: "PathEnds", starts: list[int], stack: dict[str, np.ndarray]
     ) -> dict[tuple[str, str], np.ndarray]:
         """The arrays of `Ends`, `Sky` and `Stack` by part and name; rays are counted in each batch on its own."""
-        details = {"position": paths.position, "reflected": paths.reflected, "uv_slope": paths.uv_slope}
+        details = {"reflected": paths.reflected, "uv_slope": paths.uv_slope}
         parts: dict[str, dict[str, np.ndarray]] = {
             "ends": {
                 "ray": _in_batch(paths.ray, starts),
@@ -266,9 +259,7 @@ class LightPathPixels(RayPixels):
             }
             for name, values in further.items():
                 columns[name] = np.concatenate([columns[name], np.moveaxis(values, 0, 1)], axis=1)
-            details = {"position": straight.position[0], "reflected": reflected, "uv_slope": straight.uv_slope[0]}
-            for name, values in details.items():
-                columns[name] = np.moveaxis(values, 0, 1)
+            columns["reflected"], columns["uv_slope"] = reflected.swapaxes(0, 1), straight.uv_slope[0].swapaxes(0, 1)
         return {**columns, "direction": directions}
 
 

@@ -6,7 +6,7 @@
 struct Layer {
     Features features;
     float cosine;
-    vec3 reflected, p;
+    vec3 reflected;
 };
 
 Layer layers[STRAIGHT];
@@ -19,7 +19,7 @@ void stack_straight(vec3 o, vec3 d) {
         Hit hit = next_of(walk, SHELLS_ROOT, d, place);
         if (hit.face == NO_FACE) break;
         Features features = look_up(hit.object, relieved(hit.object, place));
-        layers[num_layers] = Layer(features, place.cosine, d + 2.0 * place.cosine * place.facing, place.p);
+        layers[num_layers] = Layer(features, place.cosine, d + 2.0 * place.cosine * place.facing);
         stack_slot(PATH_SLOTS + num_layers, features, 1.0, place.cosine);
     }
     for (int g = 0; g < STACK_GROUPS; g++) {
@@ -28,7 +28,6 @@ void stack_straight(vec3 o, vec3 d) {
     }
 }
 
-#if COMPOSITE == 1
 // What a layer itself says of its opacity.
 float cover(Layer layer, float bands[9]) {
     vec4 hidden[GROUPS];
@@ -57,12 +56,11 @@ vec3 lay_over(vec3 d, vec4 logits[STACK_OUTPUTS]) {
     float passed = 1.0, bands[9] = harmonics(d);
     for (int k = 0; k < num_layers; k++) {
         float opacity = sigmoid(logits[1 + k / 4][k % 4] + cover(layers[k], bands));
-        sum += passed * opacity * decode(layers[k].features, layers[k].cosine, layers[k].reflected, layers[k].p);
+        sum += passed * opacity * decode(layers[k].features, layers[k].cosine, layers[k].reflected);
         passed *= 1.0 - opacity;
     }
     return sum + passed * sky(d);
 }
-#endif
 #endif
 
 // Linear radiance of a ray.
@@ -82,7 +80,7 @@ vec3 shade(vec3 o, vec3 d, vec2 row, uint ray) {
         said[out_group] = fetch(weights, S_THIRD_BIAS + out_group);
         for (int g = 0; g < STACK_GROUPS; g++) said[out_group] += four(S_THIRD + out_group * STACK_HIDDEN + 4 * g, hidden[g]);
     }
-#if STRAIGHT > 0 && COMPOSITE == 1
+#if STRAIGHT > 0
     radiance = mix(lay_over(d, said), radiance, sigmoid(said[0].w));
 #endif
     // What physics leaves out.

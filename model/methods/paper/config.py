@@ -11,8 +11,6 @@ from model.settings.losses import LossConfig
 from model.settings.network_parts import (
     Extrinsics,
     Norm,
-    Precision,
-    TextureSharing,
     check_samples,
     check_texels,
     check_width,
@@ -39,10 +37,8 @@ class PaperConfig(MethodConfig):
     """Residual blocks; each halves the channels at its end (section 4.3)."""
     norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
     """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
-    textures: TextureSharing = choice("object", "scene-texture")
-    """One neural texture per object (section 4.4), or one for the scene, with a cell for each object."""
     texture_size: int = choice(0, "t{}")
-    """Width and height of a texture in texels; 0: half the image's width, or all of it with paper-best."""
+    """Width and height of an object's texture in texels; 0: half the image's width, or all of it with paper-best."""
     zero_layer: bool = choice(False, "zero-layer")
     """Insert a layer of zeros at a random position in training, and after all others at test (section 4.4)."""
     layers: str = choice("all", "{}-layers", flag="use-layers")
@@ -58,9 +54,6 @@ class PaperConfig(MethodConfig):
     texture_levels: int = choice(1, "{}-levels", limits=(1, 8))
     """Textures summed, each half as wide as the one before; the paper has one (section 4.3), Deferred Neural Rendering
     4."""
-    precision: Precision = choice("fp32", {"bf16": "bf16"})
-    """Number format of the network's multiplications, in training and in rendering; bf16 is faster where the processor
-    has instructions for it, and fp32 is used where it has none."""
     finer_counts: float = unflagged(1.0, limits=(0.001, 1))
     """Weight of a texture level relative to the next coarser one."""
     texels_per_pixel: float = unflagged(0.5, limits=(1 / 64, 64))

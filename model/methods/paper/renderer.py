@@ -1,8 +1,6 @@
 """The renderer of `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
 
 import dataclasses
-import functools
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,9 +11,7 @@ from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.machine.hardware import bf16_instructions
 from datagen.scene.description import Scene
-from datagen.terminal.command import say
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
 from model.batches.traced_layers import load_traced_layers, trace_cameras
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
@@ -25,8 +21,8 @@ from model.methods.renderer import Renderer
 from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
-from model.nets.texture import NeuralTextures, TexturePyramid, make_layout
-from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics, Precision, TextureSharing
+from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
+from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics
 
 START_ALONE = 0.5
 """Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
@@ -35,7 +31,7 @@ measured on the glass table at 128 pixels after 1,200 steps, 23.4 dB on held-out
 from one half."""
 
 
-def default_texture_size(side: int, num_objects: int, sharing: TextureSharing, *, texels_per_pixel: float = 0.5) -> int:
+def default_texture_size(side: int, texels_per_pixel: float = 0.5) -> int:
     """Half the side of a square image for each object, as the authors ran it: 256 texels for frames of 512 pixels.
 
     With more, the texels of small objects are seen so rarely that they memorise single pixels: at 128 pixels, 256
@@ -44,8 +40,7 @@ def default_texture_size(side: int, num_objects: int, sharing: TextureSharing, *
     Args:
         side: side of the square with as many pixels as an image.
     """
-    cells = 1 if sharing == "object" else math.ceil(math.sqrt(num_objects))
-    return cells * max(16, int(side * texels_per_pixel))
+    return max(16, int(side * texels_per_pixel))
 
 
 def count_inputs(num_layers: int, *, texture_features: int, extrinsics: Extrinsics, zero_layer: bool) -> int:
@@ -61,8 +56,8 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
     ) -> None:
         super().__init__()
         self.zero_layer = config.zero_layer
-        sizes = [config.texture_size >> level for level in range(config.texture_levels)]
-        layouts = [make_layout(num_objects, size, config.textures) for size in sizes]
+        sizes = [max(2, config.texture_size >> level) for level in range(config.texture_levels)]
+        layouts = [object_layout((size,) * num_objects) for size in sizes]
         start = START_ALONE if config.extrinsics == "none" else 0.0
         self.textures = (
             NeuralTextures(layouts[0], config.texture_features, start=start)
@@ -80,9 +75,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             extrinsics=config.extrinsics,
             zero_layer=config.zero_layer,
         )
-        self.net = PixelMlp(
-            num_inputs, width=config.width, blocks=config.blocks, norm=config.norm, precision=config.precision
-        )
+        self.net = PixelMlp(num_inputs, width=config.width, blocks=config.blocks, norm=config.norm)
 
     def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours of the pixels, about [0, 1]; several rays of a pixel are averaged in linear light.
@@ -121,42 +114,24 @@ class _Beside(torch.autograd.Function):
 
 
 def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
-    """The same with the widths of network and texture that depend on the dataset, in a precision that pays off here."""
+    """The same with the widths of network and texture that depend on the dataset."""
     num_inputs = count_inputs(
         inputs.num_layers,
         texture_features=config.texture_features,
         extrinsics=config.extrinsics,
         zero_layer=config.zero_layer,
     )
-    size = config.texture_size or default_texture_size(
-        inputs.dataset.config.resolution.mean_side,
-        len(inputs.dataset.objects),
-        config.textures,
-        texels_per_pixel=config.texels_per_pixel,
-    )
+    side = inputs.dataset.config.resolution.mean_side
+    size = config.texture_size or default_texture_size(side, config.texels_per_pixel)
     width = config.width or width_for_34k(num_inputs, config.blocks)
-    return dataclasses.replace(config, width=width, texture_size=size, precision=choose_precision(config.precision))
+    return dataclasses.replace(config, width=width, texture_size=size)
 
 
 def build(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
-    # A run of bf16 may be drawn on a machine without it.
-    config = dataclasses.replace(config, precision=choose_precision(config.precision))
     positions = positions_for(config.extrinsics, inputs.dataset, inputs.geometry, config.position_size)
     return PaperRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
-
-
-@functools.cache
-def choose_precision(asked: Precision) -> Precision:
-    """fp32 instead of bf16 on processors without instructions for it, where bf16 is up to 50 times slower.
-
-    Says so once a process.
-    """
-    if asked == "fp32" or torch.cuda.is_available() or bf16_instructions() is not None:
-        return asked
-    say("--precision bf16: this processor has no instructions for it; using fp32 instead, which the run records")
-    return "fp32"
 
 
 def load(

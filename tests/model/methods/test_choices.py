@@ -22,24 +22,22 @@ from model.settings.run_flags import RunFlags
         ("paper", "paper"),
         ("paper --geometry box --steps 10 --seed 2", "paper-box-10-steps-seed2"),
         (
-            "paper --extrinsics none --hidden 256 --blocks 2 --norm none --textures scene",
-            "paper-no-extrinsics-w256-2-blocks-no-norm-scene-texture",
+            "paper --extrinsics none --hidden 256 --blocks 2 --norm none",
+            "paper-no-extrinsics-w256-2-blocks-no-norm",
         ),
         (
             "paper --extrinsics sh --texture-size 64 --zero-layer --rays 4 --render-rays 1",
             "paper-sh-t64-zero-layer-4-rays",
         ),
         (
-            "light-path --geometry box --texture-size 9 --rays 1 --branches 2 --compositing stack --stack 32"
-            " --straight-layers 0",
-            "light-path-box-t9-1-rays-2-branches-stack-stack32-0-straight",
+            "light-path --geometry box --texture-size 9 --rays 1 --branches 2 --stack 32 --straight-layers 0",
+            "light-path-box-t9-1-rays-2-branches-stack32-0-straight",
         ),
         ("light-path --geometry box --stack 96 --relief", "light-path-box"),
         ("light-path --stack 96 --relief", "light-path-stack96-relief"),
         (
-            "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --refined-rays 9 --position-octaves 3"
-            " --texture-levels 1",
-            "light-path-9-refined-rays-sky1-3-lobes-sky-lr0.5-3-octaves-1-levels",
+            "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --refined-rays 9 --texture-levels 1",
+            "light-path-9-refined-rays-sky1-3-lobes-sky-lr0.5-1-levels",
         ),
         (
             "paper --use-layers 2 --batch 64 --lr 0.1 --texture-lr 0.5 --lr-decay none --steps 10 --seed 2",

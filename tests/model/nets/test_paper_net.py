@@ -10,11 +10,10 @@ from scipy.special import sph_harm_y
 from support.synthetic import pixel_rays, write_synthetic_dataset
 from support.training import build
 
-from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.rays import insert_empty_layer, load_pixels
 from model.methods.paper.config import PaperConfig
-from model.methods.paper.renderer import PaperRenderer, choose_precision, default_texture_size
+from model.methods.paper.renderer import PaperRenderer, default_texture_size
 from model.methods.table import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
@@ -145,17 +144,16 @@ def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_e
         torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
 
 
-@pytest.mark.parametrize("textures", ["object", "scene"])
-def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path, textures: str) -> None:
+def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
-    net = PaperConfig(extrinsics="none", textures=textures, texture_size=16, texture_levels=3, texture_features=64)  # pyright: ignore
+    net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64)
     config = net.complete(open_inputs(net, dataset, "truth"))
     renderer = build(config, dataset).eval()
     assert isinstance(renderer.textures, TexturePyramid)
     assert renderer.net.first.linear.in_features == 2 * 64
     assert abs(count_parameters(128, config.width, 3) - 34_000) < 2000
     texels = [table.shape[0] for table in renderer.textures.tables()]
-    assert texels == ([512, 128, 32] if textures == "object" else [256, 64, 16])
+    assert texels == [512, 128, 32]
     rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(1024), None)
     with torch.no_grad():
         for level, table in enumerate(renderer.textures.tables()):
@@ -185,24 +183,4 @@ def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
 
 
 def test_textures_have_half_the_images_width() -> None:
-    assert default_texture_size(512, 18, "object") == 256  # What the authors ran.
-    assert default_texture_size(512, 18, "scene") == 5 * 256
-
-
-@pytest.mark.parametrize("has_instructions", [True, False])
-def test_bf16_without_instructions_for_it_is_computed_and_recorded_in_fp32_and_told_once(
-    has_instructions: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "cpuinfo").write_text(f"flags\t\t: fpu sse {'avx512_bf16' if has_instructions else ''}\n")
-    monkeypatch.setattr("datagen.machine.hardware.CPUINFO", tmp_path / "cpuinfo")
-    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    dataset = write_synthetic_dataset(tmp_path / "data")
-    expected = "bf16" if has_instructions else "fp32"
-    choose_precision.cache_clear()
-    for _ in range(2):
-        config = PaperConfig(width=8, texture_size=4, precision="bf16")
-        assert config.complete(open_inputs(config, dataset, TRUTH)).precision == expected
-        assert build(config, dataset).net.precision == expected  # As a run that another machine has trained.
-    choose_precision.cache_clear()
-    told = capsys.readouterr().err.count("using fp32 instead")
-    assert told == (0 if has_instructions else 1)
+    assert default_texture_size(512) == 256  # What the authors ran.

@@ -1,17 +1,17 @@
-"""Tests of the network at evaluation, with its batch norms folded into weights, and in bf16."""
+"""Tests of the network at evaluation, with its batch norms folded into weights."""
 
 import pytest
 import torch
 from torch import nn
 from torch.nn import functional
 
-from model.nets.pixel_mlp import Norm, PixelMlp, Precision
+from model.nets.pixel_mlp import Norm, PixelMlp
 
 
-def trained_net(norm: Norm, precision: Precision = "fp32") -> tuple[PixelMlp, torch.Tensor]:
+def trained_net(norm: Norm) -> tuple[PixelMlp, torch.Tensor]:
     """A network whose batch norm has seen a few batches, and inputs."""
     torch.manual_seed(0)
-    net = PixelMlp(40, width=32, blocks=3, norm=norm, precision=precision)
+    net = PixelMlp(40, width=32, blocks=3, norm=norm)
     with torch.no_grad():
         for module in net.modules():
             if isinstance(module, nn.BatchNorm1d):
@@ -36,21 +36,3 @@ def test_layers_with_folded_norms_compute_what_the_network_does_at_evaluation(no
             hidden = unit(hidden + unit(unit(hidden, first), first + 1), first + 2)
         found, expected = functional.linear(hidden, *layers[-1]), net(x)
     assert (found - expected).abs().max() / expected.abs().max() < 1e-5
-
-
-@torch.inference_mode()
-def test_bf16_agrees_to_a_hundredth_and_repeats() -> None:
-    exact, x = trained_net("batch")
-    net, _ = trained_net("batch", "bf16")
-    net.load_state_dict(exact.state_dict())
-    expected = exact(x)
-    found = net(x)
-    assert found.dtype == torch.float32
-    assert 0 < (found - expected).abs().max() / expected.abs().max() < 1e-2
-    assert torch.equal(found, net(x))
-
-
-def test_a_network_in_bf16_learns_float32_parameters() -> None:
-    net, x = trained_net("batch", "bf16")
-    net.train()(x).square().mean().backward()
-    assert all(item.grad is not None and item.grad.dtype == torch.float32 for item in net.parameters())

@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from datagen.disk.errors import HyalineError
 from model.nets.texels import add_gradient
-from model.nets.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags, scene_layout
+from model.nets.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags
 
 
 def slow_sample(table: np.ndarray, uv: np.ndarray, object_id: np.ndarray, layout: TextureLayout) -> np.ndarray:
@@ -42,12 +41,12 @@ def look_up(table: Tensor, uv: Tensor, object_id: Tensor, layout: TextureLayout)
 
 
 def random_case(
-    seed: int, num_objects: int, size: int, *, scene: bool, step: int = 0
+    seed: int, num_objects: int, size: int, *, step: int = 0
 ) -> tuple[Tensor, Tensor, Tensor, TextureLayout]:
-    """Each object's texture is `step` texels wider than the one before; those that share one image are equal."""
+    """Each object's texture is `step` texels wider than the one before."""
     generator = torch.Generator().manual_seed(seed)
     sizes = [size + step * index for index in range(num_objects)]
-    layout = scene_layout(num_objects, size) if scene else object_layout(sizes)
+    layout = object_layout(sizes)
     uv = torch.rand(13, 3, 2, generator=generator)
     uv[:4, 0] = torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     object_id = torch.randint(0, num_objects + 1, (13, 3), generator=generator, dtype=torch.uint8)
@@ -59,11 +58,10 @@ def random_case(
     seed=st.integers(0, 1000),
     num_objects=st.integers(1, 7),
     size=st.integers(6, 17),
-    scene=st.booleans(),
     step=st.integers(0, 3),
 )
-def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, scene: bool, step: int) -> None:
-    table, uv, object_id, layout = random_case(seed, num_objects, size, scene=scene, step=step)
+def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, step: int) -> None:
+    table, uv, object_id, layout = random_case(seed, num_objects, size, step=step)
     expected = slow_sample(table.numpy(), uv.numpy(), object_id.numpy(), layout)
     np.testing.assert_allclose(look_up(table, uv, object_id, layout).numpy(), expected, atol=2e-5)
 
@@ -71,7 +69,7 @@ def test_lookup_equals_a_slow_loop(seed: int, num_objects: int, size: int, scene
 @settings(deadline=None, max_examples=40, derandomize=True)
 @given(seed=st.integers(0, 1000), num_objects=st.integers(1, 4), size=st.integers(2, 33))
 def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, num_objects: int, size: int) -> None:
-    table, uv, object_id, layout = random_case(seed, num_objects, size, scene=False)
+    table, uv, object_id, layout = random_case(seed, num_objects, size)
     upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(seed))
     table.requires_grad_()
     features = look_up(table, uv, object_id, layout)
@@ -94,7 +92,7 @@ def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, nu
 
 
 def test_an_empty_layer_gives_exact_zeros_whatever_its_uv() -> None:
-    table, uv, object_id, layout = random_case(0, 3, 8, scene=False)
+    table, uv, object_id, layout = random_case(0, 3, 8)
     features = look_up(table + 7, uv, object_id, layout)
     assert (features[object_id == 0] == 0).all() and (features[object_id != 0] != 0).all()
     nothing = look_up(table, uv, torch.zeros_like(object_id), layout)
@@ -114,25 +112,12 @@ def test_a_gradient_reaches_only_the_four_texels_around_a_hit() -> None:
 
 
 def test_permuting_objects_permutes_textures() -> None:
-    table, uv, object_id, layout = random_case(3, 4, 6, scene=False)
+    table, uv, object_id, layout = random_case(3, 4, 6)
     order = torch.tensor([2, 0, 3, 1])  # The new object k is the old object order[k].
     permuted_table = table.view(4, 36, 5)[order].reshape(-1, 5)
     new_id = torch.cat([torch.zeros(1), torch.argsort(order) + 1]).to(torch.uint8)
     permuted = look_up(permuted_table, uv, new_id[object_id.long()], layout)
     assert torch.equal(permuted, look_up(table, uv, object_id, layout))
-
-
-def test_the_cells_of_a_scene_texture_do_not_overlap() -> None:
-    layout = scene_layout(5, 32)
-    assert set(layout.sizes) == {10} and set(layout.strides) == {32}
-    local = np.arange(10)[:, None] * 32 + np.arange(10)
-    texels = np.concatenate([base + local.ravel() for base in layout.bases])
-    assert len(np.unique(texels)) == 5 * 100 and texels.max() < layout.num_texels == 32 * 32
-
-
-def test_a_scene_texture_too_small_for_its_objects_is_refused() -> None:
-    with pytest.raises(HyalineError, match="texture_size: is 4 for 9 objects; expected at least 6 texels"):
-        scene_layout(9, 4)
 
 
 def test_lookup_and_dense_gradient_repeat_bit_by_bit() -> None:
@@ -194,7 +179,7 @@ def test_the_gradient_has_the_same_bits_for_any_number_of_threads() -> None:
 
 
 def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
-    table, uv, object_id, layout = random_case(5, 2, 9, scene=False)
+    table, uv, object_id, layout = random_case(5, 2, 9)
     upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(5))
     uv.requires_grad_()
     look_up(table, uv, object_id, layout).backward(upstream)

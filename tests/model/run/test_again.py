@@ -10,13 +10,12 @@ from model.run.preparation import words_again
 ASKED = (
     "paper",
     "paper-best",
-    "paper --extrinsics none --hidden 256 --blocks 2 --norm none --textures scene --seed 7",
+    "paper --extrinsics none --hidden 256 --blocks 2 --norm none --seed 7",
     "paper-best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
     "paper --extrinsics sh",
-    "paper --textures scene",
     "paper --vgg-weights random --adversarial 0.01 --inpaint",
     "mlp-first --updates 2",
-    "light-path --branches 2 --compositing stack --stack 32 --straight-layers 2 --rays 1",
+    "light-path --branches 2 --stack 32 --straight-layers 2 --rays 1",
     "light-path --environment 1 --sky-lobes 3 --sky-lr 0.5 --debias 0.5",
     "dnr-authors --features 8 --crop 0",
 )

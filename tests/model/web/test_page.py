@@ -271,7 +271,7 @@ SHARED = {
     "MAX_NESTED 11": (media, "MAX_NESTED", 11),
     "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
     "STACKED_SECOND 1": (pixels, "STACKED_VERTICES", (3, 1)),
-    "STACK_SHIFT 2.5": (net, "STACK_SHIFT", {"physics": 2.5}),
+    "STACK_SHIFT 2.5": (net, "STACK_SHIFT", 2.5),
     "RELIEF_DEPTH 0.5": (net, "RELIEF_DEPTH", 0.5),
     "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
     "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
@@ -476,13 +476,6 @@ def proxies(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     [
         pytest.param(PROXY, "exact", 45, id="exact"),
         pytest.param(PROXY, "small", 42, id="small", marks=pytest.mark.full),
-        pytest.param(
-            {**PROXY, "compositing": "stack", "position_octaves": 1},
-            "exact",
-            45,
-            id="stacked alone",
-            marks=pytest.mark.full,
-        ),
     ],
 )
 def test_straight_layers_shells_and_relief_are_drawn_as_by_python(

@@ -107,10 +107,10 @@ def drawn_by_python(renderer: PaperRenderer, config: PaperConfig, dataset: Datas
     [
         pytest.param({}, "exact", 1, 45, marks=pytest.mark.full),
         ({"norm": "none", "texture_levels": 3, "finer_counts": 0.5}, "small", 4, 42),
-        ({"extrinsics": "sh", "zero_layer": True, "textures": "scene", "texture_size": 40}, "exact", 1, 45),
+        ({"extrinsics": "sh", "zero_layer": True, "texture_size": 40}, "exact", 1, 45),
         pytest.param({"extrinsics": "none", "width": 20, "blocks": 1}, "small", 1, 42, marks=pytest.mark.full),
     ],
-    ids=["published", "best", "harmonics, a zero layer, one texture", "told nothing"],
+    ids=["published", "best", "harmonics, a zero layer", "told nothing"],
 )
 def test_a_page_of_paper_draws_what_python_draws(
     browser: "Browser",
