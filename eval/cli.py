@@ -41,10 +41,9 @@ def report(
         format: Format of the tables on stdout: table, markdown, csv or latex.
         out: Folder for index.html, results.json and pictures. Default: RUNS/report.
         table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
-            table2 (DNR), square (layers or network), zero-layer, headline, proxies (with a figure), ablation (parts of
-            light-path), variants (of paper), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains;
-            or known (scores by prior knowledge of the glass) or perceptual (FLIP, LPIPS). May be repeated. With --json,
-            these tables are part of the results.
+            table2 (DNR), square (layers or network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs
+            `model sweep` trains; or known (scores by prior knowledge of the glass). May be repeated. With --json, these
+            tables are part of the results.
         full: Also describe each run, and print quality by angle and by number of training views.
         published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
         shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the

@@ -326,8 +326,8 @@ def sweep(
 
     Args:
         experiment: A TOML file (see model/run/experiments.py), paper-tables or one of its parts (table1, table2,
-            square, zero-layer, variants, claims, figure8, deepvoxels, larger), paper-sizes, headline, proxies,
-            ablation, random, bench (hyaline-bench) or bench-fitted (its scenes whose glass `model fit` can find).
+            square, zero-layer, claims, figure8, deepvoxels, larger), paper-sizes, random, bench (hyaline-bench) or
+            bench-fitted (its scenes whose glass `model fit` can find).
         preset: Size, for files that have presets: demo, small, standard or tiny for bench. Default: the file's first.
         dataset: Train on this existing dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.

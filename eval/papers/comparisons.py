@@ -68,13 +68,6 @@ class Comparison:
     notes: tuple[str, ...] = ()
 
 
-UNCOMPARED = ("seed", "type", "texels_per_pixel", "vgg_sha256")
-"""Keys that describe how others were chosen."""
-
-FOLLOWING = ("width", "batch", "texture_sizes", "sky_lobes", "refined_samples")
-"""Keys that follow from others: a difference in them alone counts, one beside another does not."""
-
-
 CONFIRMED, SIGN_ALONE, WITHIN_SPREAD = "confirmed", "the paper's sign, another size", "within the spread of seeds"
 CONTRADICTED, MEASURED, NOT_RUN = "contradicted", "measured, the paper states none", "not run"
 VERDICTS = (CONFIRMED, SIGN_ALONE, WITHIN_SPREAD, CONTRADICTED, MEASURED, NOT_RUN)
@@ -88,9 +81,6 @@ WRAPPED_NOTE = (
 PUBLISHED_NOTE = (
     "Published: on other scenes, and most likely the wrapped PSNR; if anything, compare it with that column."
 )
-
-MAX_CHANGES = 2
-"""Choices in which a run of the ablation may differ from the one that the others are compared with."""
 
 SCORES = (
     *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
@@ -108,14 +98,6 @@ class Entry:
     group: SeedGroup
 
 
-def flat_config(run: Run) -> dict[str, Json]:
-    """A run's choices, those of its network among them, without its seed; empty if its record has none."""
-    flat: dict[str, Json] = {}
-    for key, value in (run.config or {}).items():
-        flat |= value if isinstance(value, dict) else {key: value}
-    return {key: value for key, value in flat.items() if key not in UNCOMPARED}
-
-
 def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[list[Entry]]:
     """Runs that may be compared: alike but for the flag that the comparison varies; each part in the lines' order.
 
@@ -129,14 +111,6 @@ def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[li
     most = max((_variety(part) for part in parts.values()), default=0)
     kept = [part for part in parts.values() if _variety(part) > 1 or most == 1]
     return sorted(kept, key=lambda part: -_variety(part))
-
-
-def differences(one: Run, other: Run) -> dict[str, tuple[Json, Json]]:
-    """The keys in which two configurations differ with both values, without those that follow from others."""
-    before, after = flat_config(one), flat_config(other)
-    keys = [key for key in dict.fromkeys([*before, *after]) if before.get(key) != after.get(key)]
-    leading = [key for key in keys if key not in FOLLOWING] or keys
-    return {key: (before.get(key), after.get(key)) for key in leading}
 
 
 def _same(run: Run, varied: str | None) -> bytes:
@@ -262,41 +236,6 @@ def _sheet(comparison: Comparison, scene: SceneScores) -> bytes | None:
     return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
 
 
-def ablation_table(line: Line) -> Table:
-    """The table of what each choice of a method is worth."""
-    return Table(shows=line.fits, grids=lambda scenes, _: [ablation_grid(line, scene) for scene in scenes])
-
-
-def ablation_grid(line: Line, scene: SceneScores) -> Grid:
-    """What each choice is worth: beside a base, the runs that differ from it in a choice or two."""
-    groups = [group for group in group_seeds(scene.runs) if line.fits(group.first) and group.first.config]
-    base, others = _base_of(groups)
-    rows = []
-    sorted_out: dict[str, list[str]] = {"better on both splits": [], "worse on both": [], "neither": []}
-    if base is None:
-        rows.append((NOT_RUN, *[MISSING] * 10))
-    else:
-        rows.append(("the base", *_run_cells(base), MISSING, MISSING))
-        for group in others:
-            changed = "; ".join(
-                f"{key}: {_text(before)} → {_text(after)}"
-                for key, (before, after) in differences(base.first, group.first).items()
-            )
-            changes = [difference(group.score("psnr_db", s), base.score("psnr_db", s)) for s in TEST_SPLITS]
-            texts = [MISSING if change is None else f"{change:+.2f}" for change, _ in changes]
-            rows.append((changed, *_run_cells(group), *texts))
-            signs = [
-                0 if change is None or abs(change) <= 2 * error else math.copysign(1, change)
-                for change, error in changes
-            ]
-            verdict = "better on both splits" if min(signs) > 0 else "worse on both" if max(signs) < 0 else "neither"
-            sorted_out[verdict].append(f"{changed} ({' / '.join(texts)} dB)")
-    title = f"what each choice of {line.title} is worth"
-    said = " ".join(f"{what.capitalize()}: {'; '.join(which)}." for what, which in sorted_out.items() if which)
-    notes = (*([said] if said else []), WRAPPED_NOTE)
-    return _grid(scene, title, rows, first="changed", last="change dB", notes=notes)
-
-
 def _grid(
     scene: SceneScores, title: str, rows: Sequence[tuple[str, ...]], *, first: str, last: str, notes: tuple[str, ...]
 ) -> Grid:
@@ -314,24 +253,6 @@ def _grid(
         rows=tuple(rows),
         notes=(*notes, data_note(scene)),
     )
-
-
-def _base_of(groups: Sequence[SeedGroup]) -> tuple[SeedGroup | None, list[SeedGroup]]:
-    """The group from which most others differ in one choice, of equals the one of the shortest name; its neighbours."""
-
-    def near(group: SeedGroup, changes: int) -> list[SeedGroup]:
-        return [
-            other
-            for other in groups
-            if other is not group
-            and other.first.geometry == group.first.geometry
-            and len(differences(group.first, other.first)) <= changes
-        ]
-
-    if not groups:
-        return None, []
-    base = min(groups, key=lambda group: (-len(near(group, 1)), len(group.name), group.name))
-    return base, sorted(near(base, MAX_CHANGES), key=lambda group: group.name)
 
 
 def _run_cells(group: SeedGroup) -> tuple[str, ...]:
@@ -353,10 +274,6 @@ def score_cells(group: SeedGroup) -> tuple[str, ...]:
 
 def _published(row: PublishedRow | None) -> tuple[str, str]:
     return (MISSING, MISSING) if row is None else (f"{row.interpolating_db:.2f}", f"{row.extrapolating_db:.2f}")
-
-
-def _text(value: Json) -> str:
-    return MISSING if value is None else str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def data_note(scene: SceneScores) -> str:

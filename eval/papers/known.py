@@ -1,11 +1,11 @@
-"""Two tables that the paper lacks: what is known against what is reached, and perceptual scores."""
+"""A table that the paper lacks: what is known of the glass against what is reached."""
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
 from eval.papers.comparisons import NOT_RUN, Line, cpu_minutes_cell, data_note, spread_cell
 from eval.score.runs import Run
-from eval.score.scores import METRICS, SceneScores
+from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, group_seeds
 from eval.tables.grids import MISSING, Column, Grid
 from eval.tables.named import Table
@@ -89,46 +89,4 @@ KNOWN = Table(
     shows=lambda run: known_to(run) is not None,
     grids=lambda scenes, _: [known_grid(scene) for scene in scenes],
     is_swept=False,
-)
-
-
-SHOWN = ("psnr_db", "ssim", "flip", "lpips")
-
-
-def perceptual_grid(scene: SceneScores) -> Grid:
-    """FLIP and LPIPS of each run beside PSNR and SSIM, the best FLIP first."""
-    metrics = [metric for metric in METRICS if metric.key in SHOWN]
-    groups = sorted(group_seeds(scene.runs), key=_by_flip)
-    rows = [
-        (
-            group.name,
-            str(len(group.runs)),
-            *(spread_cell(group.score(m.key, split), m.decimals) for m in metrics for split in TEST_SPLITS),
-        )
-        for group in groups
-    ]
-    return Grid(
-        title=f"{scene.title}: perceptual scores",
-        columns=(
-            Column(group="run", is_number=False),
-            Column(group="seeds"),
-            *(Column(group=metric.title, split=split) for metric in metrics for split in TEST_SPLITS),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "FLIP: Andersson et al. 2020, at 67 pixels per degree, mean over pixels; needs the package flip-evaluator. "
-            "LPIPS: Zhang et al. 2018, version 0.1 with AlexNet; needs the packages lpips and torchvision, and its "
-            "weights in PyTorch's cache, since nothing is downloaded.",
-            data_note(scene),
-        ),
-    )
-
-
-def _by_flip(group: SeedGroup) -> float:
-    mean = group.score("flip", TEST_SPLITS[0]).mean
-    return 2.0 if mean is None else mean
-
-
-PERCEPTUAL = Table(
-    shows=lambda _: True, grids=lambda scenes, _: [perceptual_grid(scene) for scene in scenes], is_swept=False
 )

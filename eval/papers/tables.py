@@ -3,7 +3,7 @@
 import dataclasses
 
 from datagen.data.geometries import NO_GEOMETRY
-from eval.papers.comparisons import Comparison, Contrast, Line, ablation_table, comparison_table
+from eval.papers.comparisons import Comparison, Contrast, Line, comparison_table
 from eval.tables.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
@@ -84,19 +84,3 @@ ZERO_LAYER = dataclasses.replace(
     ),
     needs_more=True,
 )
-HEADLINE = comparison_table(
-    Comparison(
-        title="light-path against the paper",
-        lines=(Line(title="light-path", method="light-path", flags={}), BEST, OURS),
-        contrasts=(
-            Contrast(first="light-path", second="paper-best"),
-            Contrast(first="light-path", second="paper"),
-            Contrast(first="paper-best", second="paper"),
-        ),
-        notes=(BEST_NOTE,),
-    )
-)
-
-ABLATION = ablation_table(Line(title="light-path", method="light-path", geometry=None))
-VARIANTS = ablation_table(Line(title="paper", method="paper", geometry=None))
-"""What each choice of a method is worth."""

@@ -1,4 +1,4 @@
-"""Tests of seeds, the paper's tables, the proxy ladder and the claims, on errors of known size."""
+"""Tests of seeds, the paper's tables and the claims, on errors of known size."""
 
 import dataclasses
 import json
@@ -14,7 +14,6 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.images import png_bytes
 from datagen.data.metadata import Imported
 from datagen.data.paths import TRUTH
@@ -277,13 +276,10 @@ def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_publishe
     less = dataclasses.replace(BEST, net=dataclasses.replace(BEST.net, render_samples=1))
     write_run(dataset, tmp_path, "paper-best-1-render-rays", less, 90, 90)
     write_run(dataset, tmp_path, "light-path", LIGHT, 5, 6)
-    tables(dataset, tmp_path, "headline", "table2", "square", "claims")
+    tables(dataset, tmp_path, "table2", "square", "claims")
     text = capsys.readouterr().out
     rows = [row for row in rows_of(text) if len(row) == 11]
     assert [[row[0], row[2], row[3][:5], row[4][:5]] for row in rows if row[1].startswith(("paper", "light"))] == [
-        ["light-path", "1", f"{decibels(5):.2f}", f"{decibels(6):.2f}"],
-        ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
-        ["paper", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
         ["paper", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
         ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
         ["per pixel, all layers (paper)", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
@@ -294,90 +290,6 @@ def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_publishe
     tables(dataset, tmp_path, "claims")
     drops = [row for row in rows_of(capsys.readouterr().out) if row[2] == "paper-best0 against unet"]
     assert [row[-1] for row in drops] == ["confirmed"]
-
-
-def test_the_ladder_goes_from_the_truth_to_the_farthest_proxy(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    copy = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=8, train_views=1)
-    meshes = read_meshes(copy, TRUTH)
-    levels = {"truth": 4, "box": 20, "hull": 8, "noise-0.01": 6}
-    for geometry, distance in {"box": 0.3, "hull": 0.02, "noise-0.01": 0.001}.items():
-        numbers = [
-            ProxyStatistics(volume_ratio=1, mean_distance=distance * k, max_distance=distance * k) for k in (1, 3)
-        ]
-        write_proxies(copy, geometry, meshes, tuple(numbers))
-    for geometry, level in levels.items():
-        write_run(copy, tmp_path / "runs", f"paper-{geometry}", paper(geometry=geometry), level, 2 * level)
-        net = default_light_path((32 if geometry == "truth" else 64, 64), is_proxy=geometry != "truth")
-        light = dataclasses.replace(LIGHT, geometry=geometry, net=net)
-        write_run(copy, tmp_path / "runs", f"light-path-{geometry}", light, level - 2, level)
-        # What leaves out a part is an ablation, and no rung.
-        less = dataclasses.replace(light, net=dataclasses.replace(net, relief=False, stack_hidden=0))
-        write_run(copy, tmp_path / "runs", f"light-path-{geometry}-less", less, level, level)
-        best = dataclasses.replace(BEST, geometry=geometry)
-        write_run(copy, tmp_path / "runs", f"paper-best-{geometry}", best, level - 1, level)
-    write_proxies(copy, "fitted", meshes, (None, None), assignment=("fitted", "truth"))
-    write_run(copy, tmp_path / "runs", "fitted", dataclasses.replace(LIGHT, geometry="fitted"), 4, 4)
-    tables(copy, tmp_path / "runs", "proxies")
-    rows = rows_of(capsys.readouterr().out)[1:]
-    order, methods = ["truth", "noise-0.01", "hull", "box"], ("light-path", "paper-best", "paper")
-    assert [row[:2] for row in rows] == [[method, kind] for method in methods for kind in order]
-    assert [row[3:6] for row in rows[8:]] == [
-        [mean, largest, f"{decibels(levels[kind]):.2f}"]
-        for kind, mean, largest in zip(order, ("0.00", "2.00", "40.00", "600.00"), ("0.0", "3.0", "60.0", "900.0"))
-    ]
-    path = tmp_path / "runs/report/proxies_synthetic.png"
-    with Image.open(path) as picture:
-        assert picture.size == (1500, 620) and np.asarray(picture.convert("L")).std() > 5
-    before = path.read_bytes()
-    tables(copy, tmp_path / "runs", "proxies")
-    assert path.read_bytes() == before
-
-
-def test_the_ablation_starts_from_the_run_with_most_neighbours_and_names_what_changed(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(dataset, tmp_path, "light-path", LIGHT, 4, 5)
-    for name, net in {"b2": {"branches": 2}, "sky": {"environment_size": 1}, "stack": {"compositing": "stack"}}.items():
-        config = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, **net))
-        write_run(dataset, tmp_path, f"light-path-{name}", config, 8, 5)
-    rays = dataclasses.replace(LIGHT, batch=1024, net=dataclasses.replace(LIGHT.net, train_samples=1))
-    write_run(dataset, tmp_path, "rays", rays, 4, 10)
-    tables(dataset, tmp_path, "ablation")
-    rows = {row[1]: row for row in rows_of(capsys.readouterr().out)}
-    assert rows["light-path"][0] == "the base"
-    assert rows["light-path-b2"][0] == "branches: 12 → 2"
-    assert rows["light-path-stack"][0] == "compositing: physics → stack"
-    assert rows["light-path-sky"][-2:] == [f"{decibels(8) - decibels(4):+.2f}", "+0.00"]
-    assert rows["rays"][0] == "train_samples: 4 → 1" and rows["rays"][-1] == f"{decibels(10) - decibels(5):+.2f}"
-    write_run(
-        dataset,
-        tmp_path,
-        "harm",
-        dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, texture_levels=1)),
-        5,
-        6,
-    )
-    tables(dataset, tmp_path, "ablation")
-    text = capsys.readouterr().out
-    assert f"Worse on both: texture_levels: {LIGHT.net.texture_levels} → 1 (" in text and "Better" not in text
-    assert "Neither: branches: 12 → 2 (" in text
-
-
-def test_the_variants_of_paper_stand_apart_from_its_other_tables(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
-    write_run(dataset, tmp_path, "paper-bf16", paper(precision="bf16"), 10, 12)
-    losses = LossConfig(vgg_weights="random", adversarial=0.01)
-    write_run(dataset, tmp_path, "paper-losses", dataclasses.replace(paper(), loss=losses), 10, 13)
-    tables(dataset, tmp_path, "variants", "table2")
-    variants, table2 = capsys.readouterr().out.split("synthetic: Table 2")
-    rows = {row[1]: row for row in rows_of(variants)}
-    assert rows["paper-bf16"][0] == "precision: fp32 → bf16" and rows["paper"][0] == "the base"
-    assert rows["paper-losses"][0] == "vgg_weights: none → random; adversarial: 0.0 → 0.01"
-    assert "paper-losses" not in table2 and "paper-bf16" not in table2
 
 
 def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(

@@ -121,7 +121,7 @@ def test_a_preset_fills_names_and_gives_flags_to_its_blocks(tmp_path: Path) -> N
     with pytest.raises(HyalineError, match="no preset 'huge'; choose from demo, tiny"):
         read_experiment(path, preset="huge")
     with pytest.raises(HyalineError, match="has no presets; leave out --preset"):
-        read_experiment("headline", preset="tiny")
+        read_experiment("random", preset="tiny")
 
 
 def test_a_preset_may_leave_methods_out_and_give_each_flags_of_its_own(tmp_path: Path) -> None:
@@ -222,7 +222,7 @@ def test_a_command_before_that_fails_stops_the_sweep(
 def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="no experiment 'tabel1'; did you mean 'table1'"):
         read_experiment("tabel1")
-    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are ablation, bench, b"):
+    with pytest.raises(HyalineError, match="the file is missing; built-in experiments are bench, b"):
         read_experiment(str(tmp_path / "mine.toml"))
 
 
