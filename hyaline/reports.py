@@ -84,7 +84,7 @@ def report(
     """
     from eval.analyses.fits import read_fits
     from eval.page.report import score_runs, write_page
-    from eval.page.report_folder import check_report_folder, kept_in
+    from eval.page.report_folder import check_report_folder
     from eval.score.runs import has_predictions, list_run_folders, open_run
 
     if not 1 <= views <= MAX_VIEWS:
@@ -104,15 +104,15 @@ def report(
     beside = Path(root) if runs is None else folders[0].parent.parent
     place = Path(out) if out is not None else beside / "report"
     check_report_folder(place)
-    kept, errors = kept_in(place), []
+    errors = []
     opened = [open_run(folder, Path(data), dataset) for folder, dataset in zip(folders, datasets, strict=True)]
     fits = read_fits(Path(root), errors, besides=place) if runs is None else []
-    scored = score_runs(opened, errors, kept, fits, made_by={"command": "hyaline.report"})
+    scored = score_runs(opened, errors, fits, made_by={"command": "hyaline.report"})
     for error in errors[:-1] if scored is None else errors:
         say(f"error: {error}")
     if scored is None:
         raise errors[-1]
-    page = write_page(scored, place, kept, most_views=views, are_all=runs is None)
+    page = write_page(scored, place, most_views=views)
     return Report(page=page, scored=scored)
 
 

@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.data.config import Split
-from datagen.disk.records import Json
 from eval.analyses.coverage import PixelCoverage
-from eval.score.kept import number_from_json, number_json
 from eval.score.metrics import decibels
 from eval.score.runs import Run, read_prediction
 from eval.score.scores import RunScores, Truth
@@ -129,44 +127,6 @@ def slope_db_per_10deg(by_angle: tuple[Bin, ...]) -> float | None:
     n, x, y = np.array([(part.pixels, part.mean, part.psnr_db) for part in bins]).T
     x_mean, y_mean = np.average(x, weights=n), np.average(y, weights=n)
     return float(10 * np.sum(n * (x - x_mean) * (y - y_mean)) / np.sum(n * (x - x_mean) ** 2))
-
-
-def curve_json(curve: Curve) -> Json:
-    """All that a curve is, for `curve_from_json`."""
-    unseen = curve.unseen
-    return {
-        "by_angle": [_bin_json(part) for part in curve.by_angle],
-        "by_views": [_bin_json(part) for part in curve.by_views],
-        "unseen": None if unseen is None else _bin_json(unseen),
-    }
-
-
-def curve_from_json(data: Json) -> Curve:
-    """The inverse of `curve_json`."""
-    assert isinstance(data, dict)
-    by_angle = _bins_from_json(data["by_angle"])
-    unseen = data["unseen"]
-    return Curve(
-        by_angle=by_angle,
-        by_views=_bins_from_json(data["by_views"]),
-        unseen=None if unseen is None else _bins_from_json([unseen])[0],
-        db_per_10deg=slope_db_per_10deg(by_angle),
-    )
-
-
-def _bin_json(part: Bin) -> Json:
-    return [number_json(value) for value in (part.low, part.high, part.mean, part.pixels, part.mse)]
-
-
-def _bins_from_json(data: Json) -> tuple[Bin, ...]:
-    assert isinstance(data, list)
-    bins = []
-    for item in data:
-        assert isinstance(item, list)
-        low, high, mean, pixels, mse = (number_from_json(value) for value in item)
-        assert low is not None and high is not None and mean is not None and mse is not None and pixels is not None
-        bins.append(Bin(low=low, high=high, mean=mean, pixels=int(pixels), mse=mse))
-    return tuple(bins)
 
 
 def curve_grid(title: str, curves: dict[str, Curve]) -> Grid:

@@ -10,11 +10,10 @@ from jaxtyping import Bool, UInt8
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
-from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, edit_mask_files, read_edit_mask
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, to_json
+from datagen.disk.records import Json
 from eval.analyses.variants import VariantScores, variant_json
-from eval.score.kept import Kept, number_from_json, number_json, picture_digests
 from eval.score.metrics import masked_psnr, mean_of, psnr
 from eval.score.runs import Run, has_split, read_prediction
 from eval.score.scores import RunScores, SceneScores
@@ -72,14 +71,14 @@ class EditScores:
 
 
 def score_edits(
-    scene: SceneScores, variants: Sequence[VariantScores], errors: list[HyalineError], kept: Kept
+    scene: SceneScores, variants: Sequence[VariantScores], errors: list[HyalineError]
 ) -> tuple[EditScores, ...]:
     """The scores of every edit among these variants by region; failures are added to `errors`."""
     found = []
     for scored in variants:
         if scored.variant.edit is not None:
             try:
-                found.append(_score_edit(scene, scored, kept))
+                found.append(_score_edit(scene, scored))
             except HyalineError as error:
                 errors.append(error)
     return tuple(found)
@@ -99,37 +98,14 @@ def object_psnr(drawn: tuple[EditScores, ...]) -> dict[str, dict[str, dict[Split
     return scores
 
 
-def _score_edit(scene: SceneScores, scored: VariantScores, kept: Kept) -> EditScores:
-    drew = [scores for scores in scene.runs if scores.run.name in scored.runs]
-    before = {split: picture_digests(scene.dataset, split) for split in TEST_SPLITS}
-    about: Json = to_json(
-        {
-            "masks": edit_mask_files(scored.variant),
-            "before": before,
-            "after": {split: truth.digest for split, truth in scored.truths.items()},
-            "runs": [[s.run.name, s.digests, scored.runs[s.run.name].digests] for s in drew],
-        }
-    )
-    data = kept.get("edit", about, lambda: _edit_json(*_compare_edit(scene, scored, drew)))
-    shares, rows = _edit_from_json(data)
-    return EditScores(scored=scored, shares=shares, rows=rows)
-
-
-EditShares = dict[tuple[str, Split], float]
-
-
-def _compare_edit(
-    scene: SceneScores, scored: VariantScores, drew: Sequence[RunScores]
-) -> tuple[EditShares, tuple[EditRow, ...]]:
+def _score_edit(scene: SceneScores, scored: VariantScores) -> EditScores:
     """The shares of the regions, and the scores of the runs that drew the edit and of the truth before it."""
     edited = scored.variant
     masks: dict[Split, list[Masks]] = {split: _masks(edited, split) for split in TEST_SPLITS}
-    before: dict[Split, list[Image]] = {
-        split: [view.image for view in scene.dataset.views(split)] for split in TEST_SPLITS
-    }
-    after: dict[Split, list[Image]] = {split: list(scored.truths[split].images) for split in TEST_SPLITS}
+    before: dict[Split, Sequence[Image]] = {split: scene.truths[split].images for split in TEST_SPLITS}
+    after: dict[Split, Sequence[Image]] = {split: scored.truths[split].images for split in TEST_SPLITS}
     rows = []
-    for run in (scores.run for scores in drew):
+    for run in (scores.run for scores in scene.runs if scores.run.name in scored.runs):
         drawn = _score_regions(scored.runs[run.name].run, after, masks)
         rows.append(EditRow(run=run.name, scene="edited", psnr_db=drawn))
         rows.append(EditRow(run=run.name, scene="unedited", psnr_db=_score_regions(run, before, masks)))
@@ -138,47 +114,13 @@ def _compare_edit(
         values = _psnr_by_region(zip(before[split], after[split], strict=True), masks[split])
         ignored |= {(region, split): value for region, value in values.items()}
     rows.append(EditRow(run=IGNORED, scene="edited", psnr_db=ignored))
-    shares: EditShares = {
+    shares: dict[tuple[str, Split], float] = {
         (region, split): _mean_share(masks[split], region) for region in REGIONS for split in TEST_SPLITS
     }
-    return shares, tuple(rows)
+    return EditScores(scored=scored, shares=shares, rows=tuple(rows))
 
 
-def _edit_json(shares: EditShares, rows: Sequence[EditRow]) -> Json:
-    """All of it for `_edit_from_json`; regions in the order of REGIONS, splits in that of TEST_SPLITS."""
-
-    def values(of: Mapping[tuple[str, Split], float | None]) -> list[Json]:
-        """For each region and split a list of its value, empty if the run did not predict the split."""
-        return [[number_json(of[region, split])] if (region, split) in of else [] for region, split in _places()]
-
-    return [values(shares), [[row.run, row.scene, values(row.psnr_db)] for row in rows]]
-
-
-def _edit_from_json(data: Json) -> tuple[EditShares, tuple[EditRow, ...]]:
-    """The inverse of `_edit_json`."""
-
-    def values(of: Json) -> RegionScores:
-        assert isinstance(of, list)
-        scores: RegionScores = {}
-        for place, value in zip(_places(), of, strict=True):
-            assert isinstance(value, list)
-            if value:
-                scores[place] = number_from_json(value[0])
-        return scores
-
-    assert isinstance(data, list) and isinstance(data[1], list)
-    rows = []
-    for row in data[1]:
-        assert isinstance(row, list) and isinstance(row[0], str)
-        rows.append(EditRow(run=row[0], scene="edited" if row[1] == "edited" else "unedited", psnr_db=values(row[2])))
-    return {place: value or 0.0 for place, value in values(data[0]).items()}, tuple(rows)
-
-
-def _places() -> list[tuple[str, Split]]:
-    return [(region, split) for region in REGIONS for split in TEST_SPLITS]
-
-
-def _score_regions(run: Run, targets: dict[Split, list[Image]], masks: dict[Split, list[Masks]]) -> RegionScores:
+def _score_regions(run: Run, targets: dict[Split, Sequence[Image]], masks: dict[Split, list[Masks]]) -> RegionScores:
     """PSNR of a run's predictions in regions, on the splits that it predicted."""
     scores: RegionScores = {}
     for split in TEST_SPLITS:

@@ -11,16 +11,15 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import geometry_digest, list_geometries, read_meshes
+from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.meshes import Mesh, is_there, points_on, signed_volume, vertex_normals
 from datagen.data.paths import TRUTH
 from datagen.data.shape_errors import ShapeErrors, compare_surfaces, shape_errors
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import load_sealed, sha256_file
+from datagen.disk.storage import load_sealed
 from datagen.scene.folder import load_scene
-from eval.score.kept import Kept
 from eval.score.runs import is_number, list_run_folders
 
 FIT, FIT_VERSION = "fit.json", 1
@@ -61,8 +60,6 @@ class Fit:
     geometry: str
     objects: tuple[FitObject, ...]
     pictures: tuple[str, ...]
-    digest: tuple[str, ...]
-    """Digests of the files that a page shows."""
 
 
 def read_fits(root: Path, errors: list[HyalineError], *, besides: Path) -> list[Fit]:
@@ -88,14 +85,12 @@ def _fit(folder: Path, content: dict[str, Json]) -> Fit:
         raise HyalineError(f"{where}: format version {shown(content.get('version'))}; this program reads {FIT_VERSION}")
     listed: list[Json] = [path.name for path in sorted(folder.glob("*.png"))]
     pictures = from_json(tuple[str, ...], content.get("pictures", listed), where=f"{where}: pictures")
-    files = (FIT, *(check_name(name, where=f"{where}: pictures") for name in pictures))
     return Fit(
         folder=folder,
         dataset=from_json(str, content.get("dataset"), where=f"{where}: dataset"),
         geometry=from_json(str, content.get("geometry"), where=f"{where}: geometry"),
         objects=from_json(tuple[FitObject, ...], _shown(content["objects"]), where=f"{where}: objects"),
-        pictures=pictures,
-        digest=tuple(sha256_file(folder / name) for name in files),
+        pictures=tuple(check_name(name, where=f"{where}: pictures") for name in pictures),
     )
 
 
@@ -125,26 +120,10 @@ class Measured:
     """Numbers of the true object by their names in `FitObject.numbers`."""
 
 
-def measure_fit(dataset: Dataset, fit: Fit, kept: Kept) -> tuple[Measured, ...]:
+def measure_fit(dataset: Dataset, fit: Fit) -> tuple[Measured, ...]:
     """How each object of a fit compares with the truth."""
     if not knows_truth(dataset):
         return (Measured(errors=None, hull_errors=None, true={}),) * len(fit.objects)
-    about: Json = [to_json(fit.digest), dataset.seal, digest_of_meshes(dataset, fit)]
-    data = kept.get("fit", about, lambda: to_json(_measure(dataset, fit)))
-    return from_json(tuple[Measured, ...], data, where="a kept fit")
-
-
-def knows_truth(dataset: Dataset) -> bool:
-    """True if the scene's meshes are what was seen."""
-    return dataset.imported is None or (bool(dataset.objects) and dataset.imported.layout != CAPTURE)
-
-
-def digest_of_meshes(dataset: Dataset, fit: Fit) -> str | None:
-    """None without the fit's geometry."""
-    return geometry_digest(dataset, fit.geometry) if fit.geometry in list_geometries(dataset) else None
-
-
-def _measure(dataset: Dataset, fit: Fit) -> tuple[Measured, ...]:
     truths, meshes = meshes_by_name(dataset, TRUTH), fitted_meshes(dataset, fit)
     materials = {item.name: item.material for item in load_scene(dataset.root / "scene", is_sealed=True).objects}
     measured = []
@@ -162,6 +141,11 @@ def _measure(dataset: Dataset, fit: Fit) -> tuple[Measured, ...]:
             true |= true_floor(truth, frame_of(item, truth))
         measured.append(Measured(errors=pairs[0], hull_errors=pairs[1], true=true))
     return tuple(measured)
+
+
+def knows_truth(dataset: Dataset) -> bool:
+    """True if the scene's meshes are what was seen."""
+    return dataset.imported is None or (bool(dataset.objects) and dataset.imported.layout != CAPTURE)
 
 
 def true_floor(truth: Mesh, frame: "Frame") -> dict[str, float]:
@@ -182,7 +166,7 @@ def meshes_by_name(dataset: Dataset, geometry: str) -> dict[str, Mesh]:
 
 def fitted_meshes(dataset: Dataset, fit: Fit) -> dict[str, tuple[Mesh | None, Mesh | None]]:
     """Each object as it was found, and its first outside, by name."""
-    found = meshes_by_name(dataset, fit.geometry) if digest_of_meshes(dataset, fit) is not None else {}
+    found = meshes_by_name(dataset, fit.geometry) if fit.geometry in list_geometries(dataset) else {}
     return {item.name: (found.get(item.name), hull_mesh(item)) for item in fit.objects}
 
 

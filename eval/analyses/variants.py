@@ -17,7 +17,6 @@ from datagen.data.variants import list_variants, open_variant, parent_views, var
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.terminal.command import track
-from eval.score.kept import Kept, picture_digests
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, has_split, read_prediction, within
 from eval.score.scores import (
@@ -28,8 +27,6 @@ from eval.score.scores import (
     read_truth,
     score_picture,
     score_run,
-    scores_from_json,
-    scores_json,
 )
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
 
@@ -52,7 +49,7 @@ class VariantScores:
 
 
 def score_variants(
-    scene: SceneScores, errors: list[HyalineError], kept: Kept, *, of: Callable[[Dataset], bool] = lambda _: True
+    scene: SceneScores, errors: list[HyalineError], *, of: Callable[[Dataset], bool] = lambda _: True
 ) -> list[VariantScores]:
     """The scores of each variant that a run has predicted; problems of pictures or truth are added to `errors`.
 
@@ -67,7 +64,7 @@ def score_variants(
             variant = open_variant(scene.dataset, name)
             if not of(variant):
                 continue
-            if (found := _score(scene, variant, errors, kept)).runs:
+            if (found := _score(scene, variant, errors)).runs:
                 scored.append(found)
         except HyalineError as error:
             errors.append(error)
@@ -103,13 +100,13 @@ def splits_json(splits: dict[Split, SplitScores | None]) -> Json:
     }
 
 
-def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError], kept: Kept) -> VariantScores:
+def _score(scene: SceneScores, variant: Dataset, errors: list[HyalineError]) -> VariantScores:
     truths: dict[Split, Truth] = {split: read_truth(variant, split) for split in variant.splits}
     runs = {}
     for scores in track(scene.runs, label=f"scoring {variant.root}", total=len(scene.runs)):
         try:
             if (found := run_of_variant(scores.run, variant)) is not None:
-                runs[found.name] = score_run(found, truths, kept)
+                runs[found.name] = score_run(found, truths)
         except HyalineError as error:
             errors.append(error)
     return VariantScores(variant=variant, truths=truths, runs=runs)
@@ -155,12 +152,12 @@ Enlarged = dict[str, dict[Split, SplitScores | None]]
 """Scores of enlarged pictures by the run's name; `TRUTH_ENLARGED` for the true ones."""
 
 
-def score_enlarged(scene: SceneScores, scored: VariantScores, kept: Kept) -> Enlarged:
+def score_enlarged(scene: SceneScores, scored: VariantScores) -> Enlarged:
     """The scores of the enlarged small pictures of each run that predicted a larger variant."""
     runs = [scores for scores in scene.runs if scores.run.name in scored.runs]
     return {
-        TRUTH_ENLARGED: _enlarged(scene.dataset, scored, None, kept),
-        **{scores.run.name: _enlarged(scene.dataset, scored, scores, kept) for scores in runs},
+        TRUTH_ENLARGED: _enlarged(scene.dataset, scored, None),
+        **{scores.run.name: _enlarged(scene.dataset, scored, scores) for scores in runs},
     }
 
 
@@ -216,20 +213,12 @@ def super_resolution_json(scored: VariantScores, enlarged: Enlarged) -> dict[str
     }
 
 
-def _enlarged(
-    dataset: Dataset, scored: VariantScores, scores: RunScores | None, kept: Kept
-) -> dict[Split, SplitScores | None]:
+def _enlarged(dataset: Dataset, scored: VariantScores, scores: RunScores | None) -> dict[Split, SplitScores | None]:
     """The scores of enlarged predictions; without a run, of the enlarged truth."""
-    splits: dict[Split, SplitScores | None] = {}
-    for split, truth in scored.truths.items():
-        if scores is not None and scores.splits[split] is None:
-            splits[split] = None
-            continue
-        small: Json = list(picture_digests(dataset, split) if scores is None else scores.digests[split])
-        about: Json = [truth.digest, small, list(parent_views(scored.variant, split))]
-        data = kept.get("enlarged", about, lambda truth=truth: scores_json(_score_enlarged(dataset, truth, scores)))
-        splits[split] = scores_from_json(data)
-    return splits
+    return {
+        split: _score_enlarged(dataset, truth, scores) if scores is None or scores.splits[split] is not None else None
+        for split, truth in scored.truths.items()
+    }
 
 
 def _score_enlarged(dataset: Dataset, truth: Truth, scores: RunScores | None) -> SplitScores:

@@ -123,7 +123,7 @@ def leaderboard(
     from eval.bench.protocol import load_protocol
     from eval.bench.score import read_scores
     from eval.page.page import PAGE
-    from eval.page.report_folder import Drawing, write_report
+    from eval.page.report_folder import write_report
 
     protocol = load_protocol()
     protocol.size(preset)
@@ -137,7 +137,7 @@ def leaderboard(
         sys.stdout.write(track_page(track, found, protocol))
         return
     place = out or BENCH / found[0].preset / "leaderboard"
-    for path in write_report(place, {PAGE: Drawing(draw=lambda: leaderboard_page(found, protocol))}):
+    for path in write_report(place, {PAGE: lambda: leaderboard_page(found, protocol)}):
         say(f"wrote {path}: {len(found)} submissions")
     tell(str(place / PAGE))
 

@@ -21,7 +21,6 @@ from datagen.terminal.command import track as progress
 from datagen.terminal.signals import replacing_at_the_end
 from eval.bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, left_out, load_protocol
 from eval.bench.submission import list_predictions
-from eval.score.kept import Kept
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, prediction_digests, prediction_path, read_costs
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
@@ -143,7 +142,8 @@ def score_runs(
     asked = [part for of_scene in parts.values() for part in of_scene]
     pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
     submission = sha256(b"".join(pictures))
-    truths = sha256(b"".join(dump_json([run.dataset.seal, split, truth.digest]) for run, split, truth in asked))
+    arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
+    truths = sha256(b"".join(array.tobytes() for array in arrays))
     if out.is_file() and not overwrite:
         before = read_scored(out)
         same = before.submission == submission and before.truths == truths and before.track == track
@@ -217,7 +217,7 @@ def _parts(run: Run, protocol: Protocol) -> list[Part]:
 def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
     splits: dict[str, SplitResult] = {}
     for part, split, truth in parts:
-        scores = score_run(part, {split: truth}, Kept()).splits[split]
+        scores = score_run(part, {split: truth}).splits[split]
         assert scores is not None, "list_predictions lists splits that are there"
         home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
         splits[f"{home}{split}"] = _result(part, split, truth, scores)

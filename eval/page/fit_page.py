@@ -275,7 +275,7 @@ def _sheet(
     """Pictures with their names, as far as they fit."""
     figures = []
     for name, read in pictures.items():
-        key = anchor("fit", *fit.digest, name)
+        key = anchor("fit", fit.folder.as_posix(), name)
         if gallery.add(key, read):
             figures.append(tag("figure", gallery.show(key, label=name), tag("figcaption", name)))
     return tag("div", *figures, class_=class_)

@@ -6,18 +6,18 @@ matplotlib is imported only when a picture is drawn.
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.paths import TRUTH
-from datagen.data.variants import ANGLES, edit_mask_files, is_larger
+from datagen.data.variants import ANGLES, is_larger
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
-from eval.analyses.curve import Curve, curve_from_json, curve_grid, curve_json, make_curve, pool_seeds
-from eval.analyses.edits import EditScores, edit_grids, edit_json, score_edits
+from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
+from eval.analyses.edits import EditScores, edit_grids, edit_json, edit_sheet, score_edits
 from eval.analyses.fits import Fit, Measured, fit_data, measure_fit
 from eval.analyses.variants import (
     VariantScores,
@@ -28,8 +28,7 @@ from eval.analyses.variants import (
     super_resolution_json,
     variant_json,
 )
-from eval.page.report_folder import Drawing
-from eval.score.kept import Kept, layers_digest
+from eval.page.report_folder import Draw
 from eval.score.runs import Run
 from eval.score.scores import RunScores, SceneScores, Truth
 from eval.tables.grids import Grid
@@ -44,7 +43,7 @@ class Further:
     grids: tuple[Grid, ...]
     data: dict[str, Json]
     """For results.json."""
-    figures: dict[str, Drawing]
+    figures: dict[str, Draw]
     """By the name of their file."""
     curves: dict[str, Curve]
     """By the run's name, over seeds where there are several."""
@@ -54,44 +53,45 @@ class Further:
     """What `model fit` found, and how its objects compare with the truth."""
 
 
-def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Sequence[Fit] = ()) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], fits: Sequence[Fit] = ()) -> Further:
     """All analyses of a scored scene.
 
     Args:
-        kept: cache of results.
         errors: problems of runs are added here; the other runs are analysed.
         fits: of any scene.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
-    figures: dict[str, Drawing] = {}
+    figures: dict[str, Draw] = {}
     name = file_name(scene.title)
 
-    variants = score_variants(scene, errors, kept)
+    variants = score_variants(scene, errors)
     by_name: dict[str, Json] = {}
     by_angle = next((scored for scored in variants if scored.variant.name == ANGLES), None)
     if by_angle is not None:
         grids.append(angle_grid(scene, by_angle))
         by_name[ANGLES] = variant_json(by_angle)
     pooled: dict[str, Curve] = {}
-    if curves := _curves(scene, by_angle, kept):
+    if curves := _curves(scene, by_angle):
         pooled = pool_seeds(scene.runs, curves)
         grids.append(curve_grid(scene.title, pooled))
         data["curves"] = to_json(curves)
-        figures[f"curve_{name}.svg"] = _curve_figure(scene.title, pooled)
-    if larger := [(scored, score_enlarged(scene, scored, kept)) for scored in variants if is_larger(scored.variant)]:
+        figures[f"curve_{name}.svg"] = partial(_curve_figure, scene.title, pooled)
+    if larger := [(scored, score_enlarged(scene, scored)) for scored in variants if is_larger(scored.variant)]:
         grids.append(super_resolution_grid(scene, larger))
         by_name |= {scored.variant.name: super_resolution_json(scored, enlarged) for scored, enlarged in larger}
-    if edits := score_edits(scene, variants, errors, kept):
+    if edits := score_edits(scene, variants, errors):
         grids += edit_grids(scene.title, edits, scene.runs)
         by_name |= {edit.edited.name: edit_json(edit) for edit in edits}
-        figures |= {f"edit_{name}_{file_name(edit.edited.name)}.png": _edit_sheet(scene, edit) for edit in edits}
+        figures |= {
+            f"edit_{name}_{file_name(edit.edited.name)}.png": partial(edit_sheet, scene, edit) for edit in edits
+        }
     if by_name:
         data["variants"] = by_name
     measured = []
     for fit in (fit for fit in fits if fit.dataset == scene.dataset.seal):
         try:
-            measured.append((fit, measure_fit(scene.dataset, fit, kept)))
+            measured.append((fit, measure_fit(scene.dataset, fit)))
         except HyalineError as error:
             errors.append(error)
     if measured:
@@ -108,35 +108,12 @@ def analyse(scene: SceneScores, errors: list[HyalineError], kept: Kept, fits: Se
     )
 
 
-def _curve_figure(title: str, curves: dict[str, Curve]) -> Drawing:
-    def draw() -> bytes:
-        from eval.analyses.plots import curve_figure
-
-        return curve_figure(title, curves)
-
-    return Drawing(draw=draw, about=["curves", title, [[name, curve_json(curve)] for name, curve in curves.items()]])
-
-
-def _edit_sheet(scene: SceneScores, edit: EditScores) -> Drawing:
-    def draw() -> bytes:
-        from eval.analyses.edits import edit_sheet
-
-        return edit_sheet(scene, edit)
-
-    before = {split: truth.digest for split, truth in scene.truths.items()}
-    after = {split: truth.digest for split, truth in edit.scored.truths.items()}
-    runs = [[name, scores.digests] for name, scores in edit.scored.runs.items()]
-    about = [scene.title, edit.edited.name, before, after, edit_mask_files(edit.edited), runs]
-    return Drawing(draw=draw, about=["edit", to_json(about)])
-
-
-def _curves(scene: SceneScores, by_angle: VariantScores | None, kept: Kept) -> dict[str, Curve]:
+def _curves(scene: SceneScores, by_angle: VariantScores | None) -> dict[str, Curve]:
     """The extrapolation curves by the run's name; none without straight layers."""
     if not scene.has_glass_mask:
         return {}
     truths = scene.truths | ({} if by_angle is None else by_angle.truths)
     covered = _Covered(scene, by_angle)
-    training = layers_digest(scene.dataset, TRUTH, ["train"])
     curves = {}
     for scores in track(scene.runs, label=f"curves of {scene.title}", total=len(scene.runs)):
         drawn = [scores]
@@ -146,10 +123,7 @@ def _curves(scene: SceneScores, by_angle: VariantScores | None, kept: Kept) -> d
             split: found for found in drawn for split, values in found.splits.items() if values is not None
         }
         if runs:
-            about: list[Json] = [scene.dataset.seal, training]
-            about += [[truths[split].digest, list(found.digests[split])] for split, found in runs.items()]
-            data = kept.get("curve", about, lambda runs=runs: curve_json(_make_curve(runs, truths, covered)))
-            curves[scores.run.name] = curve_from_json(data)
+            curves[scores.run.name] = _make_curve(runs, truths, covered)
     return curves
 
 
@@ -160,7 +134,7 @@ def _make_curve(runs: dict[Split, RunScores], truths: dict[Split, Truth], covere
 
 
 class _Covered:
-    """The training coverage of the test views: read once, and only if a run is new."""
+    """The training coverage of the test views, each read once."""
 
     def __init__(self, scene: SceneScores, by_angle: VariantScores | None) -> None:
         self._scene, self._by_angle = scene, by_angle
@@ -184,56 +158,24 @@ def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> D
     return by_angle.variant if by_angle is not None and split in by_angle.truths else scene.dataset
 
 
-def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Drawing]:
+def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Draw]:
     """By file name: a sheet per run, a comparison and the cameras per scene, then the analyses' figures."""
-    figures: dict[str, Drawing] = {}
+    from eval.figures import cameras_figure, comparison_sheet, contact_sheet
+
+    figures: dict[str, Draw] = {}
     for scene in scenes:
         name = file_name(scene.title)
         for scores in scene.runs:
-            figures[f"{name}_{file_name(scores.run.name)}.png"] = _contact_sheet(scene, scores)
+            figures[f"{name}_{file_name(scores.run.name)}.png"] = partial(contact_sheet, scene, scores)
         if len(scene.runs) > 1:
-            figures[f"comparison_{name}.png"] = _comparison_sheet(scene)
-        figures[f"cameras_{name}.png"] = _cameras(scene)
+            figures[f"comparison_{name}.png"] = partial(comparison_sheet, scene, "all runs")
+        figures[f"cameras_{name}.png"] = partial(cameras_figure, scene.dataset, scene.title)
     for analyses in further:
         figures |= analyses.figures
     return figures
 
 
-def shown_of_run(scores: RunScores) -> Json:
-    """Everything that a picture of a run depends on, except the truth."""
-    run = scores.run
-    about = {"name": run.name, "method": run.method, "geometry": run.geometry, "label": run.label, "seed": run.seed}
-    return to_json({**about, "config": run.config, "flags": run.flags, "pictures": scores.digests})
+def _curve_figure(title: str, curves: dict[str, Curve]) -> bytes:
+    from eval.analyses.plots import curve_figure
 
-
-def shown_of_scene(scene: SceneScores) -> Json:
-    """Everything that a picture of a scene's truth depends on."""
-    truths = {split: truth.digest for split, truth in scene.truths.items()}
-    return to_json({"title": scene.title, "dataset": scene.dataset.seal, "truths": truths})
-
-
-def _contact_sheet(scene: SceneScores, scores: RunScores) -> Drawing:
-    def draw() -> bytes:
-        from eval.figures import contact_sheet
-
-        return contact_sheet(scene, scores)
-
-    return Drawing(draw=draw, about=["sheet", shown_of_scene(scene), shown_of_run(scores)])
-
-
-def _comparison_sheet(scene: SceneScores) -> Drawing:
-    def draw() -> bytes:
-        from eval.figures import comparison_sheet
-
-        return comparison_sheet(scene, "all runs")
-
-    return Drawing(draw=draw, about=["comparison", shown_of_scene(scene), *map(shown_of_run, scene.runs)])
-
-
-def _cameras(scene: SceneScores) -> Drawing:
-    def draw() -> bytes:
-        from eval.figures import cameras_figure
-
-        return cameras_figure(scene.dataset, scene.title)
-
-    return Drawing(draw=draw, about=["cameras", scene.title, scene.dataset.seal])
+    return curve_figure(title, curves)

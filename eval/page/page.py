@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -10,19 +9,15 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.data.variants import OBJECT, read_edit_mask
-from datagen.disk.records import Json, to_json
 from datagen.pages.html import Markup, Part, anchor, document, join, prose, section, tag
 from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
-from eval.analyses.fits import digest_of_meshes
 from eval.page.fit_page import fit_anchor, fit_page
-from eval.page.further import Further, shown_of_run, shown_of_scene
-from eval.page.report_folder import Drawing
+from eval.page.further import Further
 from eval.page.run_page import (
     Compared,
     ShownView,
     prediction_panel,
-    read_training,
     run_anchor,
     run_page,
     store_truth,
@@ -134,24 +129,6 @@ def _draw_page(
         left_out,
         navigation=_navigation(parts),
     )
-
-
-def page_drawing(scenes: list[SceneScores], further: list[Further], results: str, *, most_views: int) -> Drawing:
-    """The page as a file of the report, drawn again only if something in it has changed.
-
-    Args:
-        results: a hash of all scores.
-    """
-    runs = [
-        [shown_of_run(scores), read_training(scores.run.folder).digest] for scene in scenes for scores in scene.runs
-    ]
-    fits = [
-        [fit.digest, digest_of_meshes(scene.dataset, fit)]
-        for scene, more in zip(scenes, further)
-        for fit, _ in more.fits
-    ]
-    about: Json = [results, list(map(shown_of_scene, scenes)), to_json(runs), to_json(fits), most_views]
-    return Drawing(draw=partial(report_page, scenes, further, most_views=most_views), about=["page", about])
 
 
 def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:

@@ -15,16 +15,14 @@ from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
-from datagen.disk.storage import sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
 from eval.analyses.fits import FIT, Fit, read_fits
 from eval.analyses.variants import score_variants
 from eval.page.further import Further, analyse, figures_of
-from eval.page.page import PAGE, USUAL_VIEWS, page_drawing
-from eval.page.report_folder import Drawing, check_report_folder, keep, kept_in, write_report
-from eval.score.kept import Kept
+from eval.page.page import PAGE, USUAL_VIEWS, report_page
+from eval.page.report_folder import check_report_folder, write_report
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
 from eval.tables.grids import TABLE_WIDTH
@@ -68,11 +66,10 @@ def make_report(
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     say(f"{out}: reporting on {len(runs)} runs")
-    kept = kept_in(out)
     fits = read_fits(runs_root, errors, besides=out)
-    if found := score_runs(runs, errors, kept, fits, made_by=_made_by(only)):
+    if found := score_runs(runs, errors, fits, made_by=_made_by(only)):
         _print_scores(found, output_format, is_full=is_full, is_published=is_published)
-        write_page(found, out, kept, most_views=most_views, are_all=only is None)
+        write_page(found, out, most_views=most_views)
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -91,41 +88,37 @@ class Scored:
 
 
 def score_runs(
-    runs: list[Run], errors: list[HyalineError], kept: Kept, fits: Sequence[Fit] = (), *, made_by: dict[str, Json]
+    runs: list[Run], errors: list[HyalineError], fits: Sequence[Fit] = (), *, made_by: dict[str, Json]
 ) -> Scored | None:
     """Scores and analyses runs; None if no run can be scored.
 
     Args:
         errors: takes why a run could not be scored or analysed.
-        kept: results of earlier reports.
         fits: what `model fit` found; those of the runs' datasets are analysed, too.
         made_by: the command that asked for it, for results.json.
     """
-    scenes = _score_scenes(runs, errors, kept)
+    scenes = _score_scenes(runs, errors)
     if not scenes:
         return None
-    further = [analyse(scene, errors, kept, fits) for scene in scenes]
+    further = [analyse(scene, errors, fits) for scene in scenes]
     more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
     results = results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
     return Scored(scenes=scenes, further=further, results=results)
 
 
-def write_page(found: Scored, out: Path, kept: Kept, *, most_views: int, are_all: bool) -> Path:
+def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
     """Writes results.json, the page and the pictures of a report into `out`; returns the page's path.
 
     Args:
-        kept: results that the next report need not compute again.
         most_views: views that the page shows of each split and run.
-        are_all: every run of a folder was scored, so that older results can go.
     """
     files = {
-        "results.json": Drawing(draw=lambda: found.results, about=sha256(found.results)),
-        PAGE: page_drawing(found.scenes, found.further, sha256(found.results), most_views=most_views),
+        "results.json": lambda: found.results,
+        PAGE: partial(report_page, found.scenes, found.further, most_views=most_views),
         **figures_of(found.scenes, found.further),
     }
     for path in write_report(out, files):
         say(f"wrote {path}")
-    keep(out, kept, are_all=are_all)
     say(f"open {out / PAGE} in a browser")
     return out / PAGE
 
@@ -143,8 +136,7 @@ def make_tables(
     check_report_folder(out)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     wanted = [run for run in runs if any(table.shows(run) for table in asked.values())]
-    kept = kept_in(out)
-    scenes = _score_scenes(wanted, errors, kept)
+    scenes = _score_scenes(wanted, errors)
     if not scenes:
         datasets = list_datasets(data_root) if only is None else [only]
         hint = (
@@ -153,9 +145,7 @@ def make_tables(
             else ""
         )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
-    grids = {
-        name: table.grids(scenes, lambda scene: _object_psnr(scene, errors, kept)) for name, table in asked.items()
-    }
+    grids = {name: table.grids(scenes, lambda scene: _object_psnr(scene, errors)) for name, table in asked.items()}
     if output_format == "json":
         made_by: Json = {
             "command": shlex.join(["report", *(word for name in tables for word in ("--table", name))]),
@@ -169,9 +159,8 @@ def make_tables(
     sys.stdout.flush()
     pictures = {(name, scene.title): table.picture(scene) for name, table in asked.items() for scene in scenes}
     files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
-    for path in write_report(out, {n: Drawing(draw=partial(bytes, png)) for n, png in files.items()}) if files else ():
+    for path in write_report(out, {name: partial(bytes, png) for name, png in files.items()}) if files else ():
         say(f"wrote {path}")
-    keep(out, kept, are_all=False)
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -182,10 +171,10 @@ def _sweep_command(table: str, datasets: Sequence[Path]) -> str:
     return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
 
 
-def _object_psnr(scene: SceneScores, errors: list[HyalineError], kept: Kept) -> EditedPsnr:
+def _object_psnr(scene: SceneScores, errors: list[HyalineError]) -> EditedPsnr:
     """PSNR where edited objects are or were."""
-    edits = score_variants(scene, errors, kept, of=lambda variant: variant.edit is not None)
-    return object_psnr(score_edits(scene, edits, errors, kept))
+    edits = score_variants(scene, errors, of=lambda variant: variant.edit is not None)
+    return object_psnr(score_edits(scene, edits, errors))
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
@@ -209,7 +198,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
     return runs, errors
 
 
-def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> list[SceneScores]:
+def _score_scenes(runs: list[Run], errors: list[HyalineError]) -> list[SceneScores]:
     """The scores by dataset, sorted by name; problems of a run's pictures are added to `errors`."""
     datasets: dict[str, Dataset] = {}
     for run in runs:
@@ -222,7 +211,7 @@ def _score_scenes(runs: list[Run], errors: list[HyalineError], kept: Kept) -> li
         # Two datasets with the same name (an old and a new one) are distinguished by their folders.
         title = dataset.name if names.count(dataset.name) == 1 else dataset.root.as_posix()
         try:
-            if scored := _score_scene(dataset, title, here, errors, kept):
+            if scored := _score_scene(dataset, title, here, errors):
                 scenes.append(scored)
         except HyalineError as error:
             errors.append(error)
@@ -238,9 +227,7 @@ def _with_own_names(runs: list[Run]) -> list[Run]:
     ]
 
 
-def _score_scene(
-    dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError], kept: Kept
-) -> SceneScores | None:
+def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[HyalineError]) -> SceneScores | None:
     truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
     if not has_glass_mask(dataset):
         say(
@@ -250,7 +237,7 @@ def _score_scene(
     scored: list[RunScores] = []
     for run in track(runs, label=f"scoring {title}", total=len(runs)):
         try:
-            scored.append(score_run(run, truths, kept))
+            scored.append(score_run(run, truths))
         except HyalineError as error:
             errors.append(error)
     if not scored:

@@ -12,7 +12,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
-from datagen.disk.storage import sha256
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
@@ -284,8 +283,6 @@ class Training:
     curves: dict[str, Points]
     costs: Mapping[str, float] = field(default_factory=dict)
     """Seconds and bytes by their name in the file."""
-    digest: str = ""
-    """SHA-256 of both files."""
     is_damaged: bool = False
     """True if a line could not be read; the others were."""
 
@@ -295,9 +292,8 @@ def read_training(folder: Path) -> Training:
     path = folder / "metrics.jsonl"
     curves: dict[str, list[tuple[float, float]]] = {}
     costs = read_costs(folder)
-    costs_data = json.dumps(costs, sort_keys=True).encode() if costs else b""
     if not path.is_file():
-        return Training(curves={}, costs=costs, digest=sha256(costs_data) if costs else "")
+        return Training(curves={}, costs=costs)
     is_damaged = False
     try:
         data = read_regular(path, at_most=MAX_JSON_BYTES)
@@ -317,7 +313,6 @@ def read_training(folder: Path) -> Training:
     return Training(
         curves={key: _thinned(points) for key, points in curves.items()},
         costs=costs,
-        digest=sha256(data + costs_data),
         is_damaged=is_damaged,
     )
 

@@ -14,7 +14,6 @@ from datagen.data.variants import is_larger
 from datagen.disk.errors import HyalineError
 from eval.analyses.variants import Enlarged, VariantScores, score_enlarged, score_variants, super_resolution_grid
 from eval.papers.comparisons import NOT_RUN, WRAPPED_NOTE, Line, data_note, spread_cell
-from eval.score.kept import Kept
 from eval.score.metrics import psnr, psnr_uint8_wrap
 from eval.score.scores import SceneScores
 from eval.score.seeds import group_seeds
@@ -92,7 +91,7 @@ DEEP_VOXELS_TABLE = Table(
 
 def larger_grid(scene: SceneScores) -> Grid:
     """What runs draw at larger sizes than they were trained at, beside their small pictures enlarged."""
-    scaled = [(scored, score_enlarged(scene, scored, Kept(None))) for scored in _score_larger(scene)]
+    scaled = [(scored, score_enlarged(scene, scored)) for scored in _score_larger(scene)]
     grid = super_resolution_grid(scene, scaled)
     note = (
         "The paper expects larger pictures to be at least as good as the small ones, and found severe artifacts. Drawn "
@@ -106,7 +105,7 @@ def larger_grid(scene: SceneScores) -> Grid:
 def _score_larger(scene: SceneScores) -> list[VariantScores]:
     """The scores of larger pictures, which a scene's table and its sheet share."""
     errors: list[HyalineError] = []
-    found = score_variants(scene, errors, Kept(None), of=is_larger)
+    found = score_variants(scene, errors, of=is_larger)
     if errors:
         raise errors[0]
     return found

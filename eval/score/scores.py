@@ -1,6 +1,5 @@
 """The scores of runs: every metric of every predicted picture, and what the truth itself allows."""
 
-import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,11 +8,8 @@ import numpy as np
 from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, has_glass_mask, has_layers, takes_imported_masks
-from datagen.data.paths import TRUTH
+from datagen.data.dataset import Dataset, has_glass_mask
 from datagen.disk.errors import NumericsError
-from datagen.disk.records import Json
-from eval.score.kept import Kept, layers_digest, number_from_json, number_json, picture_digests
 from eval.score.metrics import (
     SSIM_WINDOW,
     delta_e_2000,
@@ -21,7 +17,6 @@ from eval.score.metrics import (
     lpips,
     masked_psnr,
     mean_of,
-    perceptual_metrics,
     psnr,
     psnr_uint8_wrap,
     ssim,
@@ -96,26 +91,15 @@ def metric_notes(*, is_wrapped: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Truth:
-    """The ground truth of one split: verified when it is created, decoded when it is used."""
+    """The ground truth of one split."""
 
     dataset: Dataset
     split: Split
-    digest: Json
-    """Hashes of its pictures, and of the layers for the glass mask."""
+    images: tuple[UInt8[np.ndarray, "h w 3"], ...]
+    glass: tuple[Bool[np.ndarray, "h w"], ...] | None
+    """Pixels that see glass; None without layers of the true geometry and imported masks."""
     ceiling_db: float | None
     """PSNR of the pictures' noise in dB; None if it is unknown."""
-
-    @functools.cached_property
-    def images(self) -> tuple[UInt8[np.ndarray, "h w 3"], ...]:
-        """Every picture."""
-        return tuple(view.image for view in self.dataset.views(self.split))
-
-    @functools.cached_property
-    def glass(self) -> tuple[Bool[np.ndarray, "h w"], ...] | None:
-        """Pixels that see glass; None without layers of the true geometry and imported masks."""
-        if not has_glass_mask(self.dataset):
-            return None
-        return tuple(view.mask("glass") for view in self.dataset.views(self.split))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,25 +168,22 @@ class SceneScores:
 
 
 def read_truth(dataset: Dataset, split: Split) -> Truth:
-    """Pictures, glass masks and noise ceiling of a split."""
-    digest: list[Json] = [*picture_digests(dataset, split)]
-    digest.append(layers_digest(dataset, TRUTH, [split]) if has_layers(dataset) else None)
-    if takes_imported_masks(dataset):
-        digest += [view.mask_sha256 for view in dataset.views(split)]
+    """Pictures, glass masks and noise ceiling of a split, every byte verified."""
+    views = list(dataset.views(split))
     return Truth(
         dataset=dataset,
         split=split,
-        digest=digest,
+        images=tuple(view.image for view in views),
+        glass=tuple(view.mask("glass") for view in views) if has_glass_mask(dataset) else None,
         ceiling_db=dataset.noise_ceiling_db(split),
     )
 
 
-def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:
+def score_run(run: Run, truths: dict[Split, Truth]) -> RunScores:
     """Every metric of every picture that the run predicted.
 
     Args:
         truths: the truth of each test split, all in the run's dataset.
-        kept: cache of results.
 
     Raises:
         NumericsError: a score is not a number.
@@ -211,10 +192,7 @@ def score_run(run: Run, truths: dict[Split, Truth], kept: Kept) -> RunScores:
     digests: dict[Split, list[str]] = {split: prediction_digests(run, split) for split in predicted}
     splits: dict[Split, SplitScores | None] = dict.fromkeys(truths)
     for split in predicted:
-        truth = truths[split]
-        about: Json = [truth.digest, list(digests[split]), list(perceptual_metrics())]
-        data = kept.get("scores", about, lambda truth=truth: scores_json(_score_split(run, truth)))
-        splits[split] = scores_from_json(data)
+        splits[split] = _score_split(run, truths[split])
     return RunScores(run=run, splits=splits, digests=digests)
 
 
@@ -229,21 +207,6 @@ def _score_split(run: Run, truth: Truth) -> SplitScores:
             )
         rows.append(row)
     return SplitScores(images={key: tuple(row[key] for row in rows) for key in rows[0]})
-
-
-def scores_json(scores: SplitScores) -> Json:
-    """Every value by metric and picture."""
-    return {key: [number_json(value) for value in values] for key, values in scores.images.items()}
-
-
-def scores_from_json(data: Json) -> SplitScores:
-    """The inverse of `scores_json`."""
-    assert isinstance(data, dict)
-    images: dict[str, tuple[float | None, ...]] = {}
-    for key, values in data.items():
-        assert isinstance(values, list)
-        images[key] = tuple(number_from_json(value) for value in values)
-    return SplitScores(images=images)
 
 
 def score_picture(

@@ -226,7 +226,7 @@ def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, drawn: Pa
         "synthetic_perfect",
     ]
     assert sorted(path.name for path in drawn.iterdir()) == sorted(
-        [*(f"{n}.png" for n in names), "curve_synthetic.svg", "index.html", "kept", "report.json", "results.json"]
+        [*(f"{n}.png" for n in names), "curve_synthetic.svg", "index.html", "report.json", "results.json"]
     )
     for path in (path for path in drawn.rglob("*") if path.is_file()):
         assert path.read_bytes() == (tmp_path / path.relative_to(drawn)).read_bytes()

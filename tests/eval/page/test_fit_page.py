@@ -123,22 +123,6 @@ def test_the_report_has_a_page_of_each_fit(root: Path, capsys: pytest.CaptureFix
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_page_is_drawn_again_when_its_fit_changes_and_not_before(root: Path) -> None:
-    report(root)
-    path, fit = root / "out" / "index.html", root / "runs" / "synthetic" / "fit-fitted"
-    before = path.stat().st_mtime_ns
-    report(root)
-    assert path.stat().st_mtime_ns == before
-    (fit / "search.png").write_bytes(png_bytes(np.zeros((8, 8, 3), np.uint8)))
-    report(root)
-    assert path.stat().st_mtime_ns != before
-    content = load_sealed(fit / "fit.json")
-    del content["objects"]
-    commit_sealed(fit / "fit.json", content)  # As it is until the fit has ended.
-    assert "What was found" not in report(root).source
-
-
-@pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -139,7 +139,7 @@ def test_a_page_is_no_larger_than_it_may_be_and_says_how_many_pictures_found_no_
     root: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     most = len(write_page(root, tmp_path / "whole", monkeypatch, most_views=100)) - 8_000
-    monkeypatch.setattr("eval.page.page.report_page", lambda *a, **k: report_page(*a, **k | {"most_bytes": most}))
+    monkeypatch.setattr("eval.page.report.report_page", lambda *a, **k: report_page(*a, **k | {"most_bytes": most}))
     data = write_page(root, tmp_path / "small", monkeypatch, most_views=100)
     assert most - 8_000 < len(data) <= most
     page = read_page(data)
@@ -190,7 +190,6 @@ def test_the_page_of_a_run_says_what_training_took(tmp_path: Path) -> None:
     assert "1,235 MB" in str(training_charts(training))
     path.write_text('{"seconds": 76}')
     assert describe_costs(read_training(tmp_path)) == [("time", "1 min 16 s")]
-    assert read_training(tmp_path).digest != training.digest
     for damaged in ("{", "[1]", '{"seconds": -1}', '{"seconds": NaN}', '{"seconds": true}'):
         path.write_text(damaged)
         assert describe_costs(read_training(tmp_path)) == []
