@@ -129,10 +129,10 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
         assert train("parts", *flags) == 128 + number
     way_on = "the same command without --overwrite" if flags else "the same command"
     said = capsys.readouterr().err.splitlines()
-    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 4 of 6; {way_on} resumes it"
-    assert load_state(tmp_path / "parts/checkpoint.pt")["step"] == 4
+    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 3 of 6; {way_on} resumes it"
+    assert load_state(tmp_path / "parts/checkpoint.pt")["step"] == 3
     assert train("parts") == 0
-    assert f"{tmp_path / 'parts'}: resuming after step 4 of 6\n" in capsys.readouterr().err
+    assert f"{tmp_path / 'parts'}: resuming after step 3 of 6\n" in capsys.readouterr().err
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
 
 

@@ -86,7 +86,7 @@ def test_a_few_layers_are_the_nearest_ones(dataset: Dataset, tmp_path: Path) -> 
     assert part.object_id.shape[1] == 2
     assert torch.equal(part.object_id, whole.object_id[:, :2])
     assert torch.equal(part.uv, whole.uv[:, :2])
-    assert predict_pixels(renderer, part).shape == (256, 3)
+    assert predict_pixels(renderer, part).shape == (1024, 3)
 
 
 @pytest.mark.parametrize("layers", ["0", "5"])
