@@ -206,8 +206,8 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     """One predicted picture."""
     path = prediction_path(run, split, view)
     data = _read_bytes(run, split, view)
-    check_png(data, where=str(path))
     picture = decode_png(data, where=str(path), size=run.dataset.config.resolution)
+    check_png(data, where=str(path))
     if picture.mode not in ("RGB", "RGBA", "L", "LA", "P"):
         raise HyalineError(f"{path}: its pixels are {picture.mode!r}; expected 8-bit sRGB")
     if picture.has_transparency_data and picture.convert("RGBA").getchannel("A").getextrema() != (255, 255):
