@@ -17,8 +17,6 @@ from torch import Tensor
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
-from datagen.terminal.command import say
-from model.run.run_folder import CHECKPOINT, PREVIOUS_CHECKPOINT
 from model.settings.state import State
 
 CHECKPOINT_VERSION = 1
@@ -58,52 +56,6 @@ def load_state(path: Path) -> dict[str, State]:
             f"{path}: another format version; this program reads {CHECKPOINT_VERSION}; train again with --overwrite"
         )
     return content
-
-
-def save_checkpoint(out: Path, state: dict[str, State]) -> None:
-    """Commits the newest checkpoint and keeps the one before.
-
-    Raises:
-        NumericsError: a number in it is not finite; the newest checkpoint is left as it was.
-    """
-    check_numbers(state, where=str(out / CHECKPOINT))
-    if (out / CHECKPOINT).is_file():
-        (out / CHECKPOINT).replace(out / PREVIOUS_CHECKPOINT)
-    save_state(out / CHECKPOINT, state)
-
-
-def load_checkpoint(out: Path) -> dict[str, State] | None:
-    """The newest checkpoint that verifies; None if there are none.
-
-    A damaged newest one is deleted, with a message: otherwise the next save would overwrite the intact one with it.
-    """
-    damaged: list[Path] = []
-    for path in (out / CHECKPOINT, out / PREVIOUS_CHECKPOINT):
-        if not path.is_file():
-            continue
-        try:
-            state = load_state(path)
-        except DamagedError as error:
-            say(str(error))
-            damaged.append(path)
-            continue
-        for other in damaged:
-            say(f"{other}: deleted; resuming from the checkpoint before it")
-            other.unlink()
-        return state
-    if damaged:
-        raise HyalineError(f"{out}: none of its checkpoints is intact; start over with --overwrite")
-    return None
-
-
-def has_checkpoint(out: Path) -> bool:
-    """True if a run has a checkpoint, intact or not."""
-    return any((out / name).is_file() for name in (CHECKPOINT, PREVIOUS_CHECKPOINT))
-
-
-def delete_checkpoints(out: Path) -> None:
-    for name in (CHECKPOINT, PREVIOUS_CHECKPOINT):
-        (out / name).unlink(missing_ok=True)
 
 
 def check_numbers(state: State, *, where: str) -> None:

@@ -9,10 +9,10 @@ from datagen.data.dataset import Dataset
 from datagen.disk.ownership import holding, is_ours
 from datagen.disk.records import check_text
 from datagen.terminal.command import say
-from model.run.checkpoint import delete_checkpoints, has_checkpoint
 from model.run.logs import LogChoices, add_frames
 from model.run.predict import render_predictions
 from model.run.run_folder import (
+    CHECKPOINT,
     FOLDER,
     WEIGHTS,
     TrainConfig,
@@ -54,7 +54,7 @@ def complete_run(
         if overwrite or not (out / WEIGHTS).is_file():
             train(config, dataset, out, label=label, device=device, overwrite=overwrite, logs=logs)
         else:
-            delete_checkpoints(out)
+            (out / CHECKPOINT).unlink(missing_ok=True)
             say(f"{out}: is trained; continuing with its predictions")
         start, missing = time.monotonic(), [v for v in drawn_along(dataset) if not is_drawn(out, v)]
         render_predictions(out, config, dataset, device=device)
@@ -71,6 +71,6 @@ def _is_finished(config: TrainConfig, dataset: Dataset, out: Path) -> bool:
     if is_all_drawn(out, dataset):
         say(told_finished(out))
         return True
-    if not (out / WEIGHTS).is_file() and not has_checkpoint(out):
+    if not (out / WEIGHTS).is_file() and not (out / CHECKPOINT).is_file():
         say(f"{out}: was stopped before its first checkpoint; starting at step 0")
     return False

@@ -7,9 +7,8 @@
     RUN/tensorboard/...             with --tensorboard: event files (run/logs.py)
     RUN/costs.json                  with --costs: the time and memory that training took (run/logs.py)
     RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
-    RUN/checkpoint.previous.pt      the one before
     RUN/weights.pt                  after training: only the renderer, with the configuration and the digests of its
-                                    data; the checkpoints are deleted then
+                                    data; the checkpoint is deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
     RUN/predictions.json            with checksum, written last: SHA-256 of each prediction, and the digests of the
                                     dataset and of run.json; it marks a finished run
@@ -52,8 +51,7 @@ OPEN: dict[str, Json] = {}
 """Placeholder for a method's record while the rest of a configuration is read."""
 
 RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
-CHECKPOINT, PREVIOUS_CHECKPOINT = "checkpoint.pt", "checkpoint.previous.pt"
-NEXT_RUN = "run.next.json"
+CHECKPOINT, NEXT_RUN = "checkpoint.pt", "run.next.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,7 +205,7 @@ def read_run(out: Path) -> RunRecord:
 
 def _is_foreign(out: Path) -> bool:
     """True for a folder with a foreign method's pictures, with or without a run.json of its own."""
-    if any((out / name).exists() for name in (WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT)):
+    if any((out / name).exists() for name in (WEIGHTS, CHECKPOINT)):
         return False
     if not os.path.lexists(out / RUN):
         return (out / "predictions").is_dir() or any(out.glob("*.png"))
@@ -333,7 +331,7 @@ def read_prediction_hashes(out: Path) -> dict[str, str]:
 
 def clear_run(out: Path) -> None:
     """Deletes only the files that a run has made; its record is kept until the next one replaces it."""
-    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT, METRICS, COSTS, *_pictures(out)])
+    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, METRICS, COSTS, *_pictures(out)])
     config = read_run(out).config
     remove_files(out, list_snapshots(out, evaluate_every=config.evaluate_every, steps=config.steps))
     remove_files(out, list_events(out))

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError, NumericsError
+from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, say_all, track
 from datagen.terminal.signals import Stopped, hold_signals
@@ -25,7 +25,7 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
-from model.run.checkpoint import check_numbers, delete_checkpoints, load_checkpoint, save_checkpoint, save_state
+from model.run.checkpoint import check_numbers, load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import LogChoices, Logs
 from model.run.optimizer import Optimizer, make_optimizer
@@ -55,7 +55,7 @@ def train(
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
-    """Trains until `out` contains weights.pt; resumes from the newest intact checkpoint if there is one.
+    """Trains until `out` contains weights.pt; resumes from its checkpoint if there is one.
 
     SIGINT and SIGTERM end it after the current step, with a checkpoint.
 
@@ -171,13 +171,16 @@ def make_losses(
 
 
 def resume(run: Run) -> Progress:
-    """Loads the newest intact checkpoint, if there is one, into the run, and returns its progress."""
-    progress = Progress()
-    checkpoint = load_checkpoint(run.out)
-    if checkpoint is not None:
+    """Loads the checkpoint, if there is one, into the run, and returns its progress."""
+    progress, path = Progress(), run.out / CHECKPOINT
+    if path.is_file():
+        try:
+            checkpoint = load_state(path)
+        except DamagedError as error:
+            raise HyalineError(f"{error}; start over with --overwrite") from error
         if "metrics" not in checkpoint:
-            raise HyalineError(f"{run.out / CHECKPOINT}: is not a checkpoint; start over with --overwrite")
-        check_state_of(checkpoint, run.config, run.inputs, path=run.out / CHECKPOINT)
+            raise HyalineError(f"{path}: is not a checkpoint; start over with --overwrite")
+        check_state_of(checkpoint, run.config, run.inputs, path=path)
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         run.losses.load_state(checkpoint.get("losses"))
@@ -303,11 +306,12 @@ def save_progress(run: Run, progress: Progress) -> None:
         "losses": run.losses.state(),
         "metrics": cast(State, progress.metrics),
     }
-    save_checkpoint(run.out, state)
+    check_numbers(state, where=str(run.out / CHECKPOINT))
+    save_state(run.out / CHECKPOINT, state)
 
 
 def save_weights(run: Run) -> None:
-    """Saves the result and deletes the checkpoints."""
+    """Saves the result and deletes the checkpoint."""
     weights: dict[str, State] = {
         "config": cast(State, to_json(run.config)),
         **data_seals(run.inputs),
@@ -316,7 +320,7 @@ def save_weights(run: Run) -> None:
     }
     check_numbers(weights, where=str(run.out / WEIGHTS))
     save_state(run.out / WEIGHTS, weights)
-    delete_checkpoints(run.out)
+    (run.out / CHECKPOINT).unlink(missing_ok=True)
 
 
 def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:

@@ -17,7 +17,6 @@ from model.run.checkpoint import load_state
 from model.run.predict import check_draws_cameras, check_parameters, load_renderer, predict_pixels
 from model.run.run_folder import (
     CHECKPOINT,
-    PREVIOUS_CHECKPOINT,
     WEIGHTS,
     TrainConfig,
     check_state_of,
@@ -95,7 +94,7 @@ class LiveRun:
             return predict_pixels(self._renderer, pixels.to(self.device)).reshape(camera.height, camera.width, 3)
 
     def _newest(self) -> tuple[tuple[str, int, int], Path] | None:
-        for name in (WEIGHTS, CHECKPOINT, PREVIOUS_CHECKPOINT):
+        for name in (WEIGHTS, CHECKPOINT):
             with contextlib.suppress(FileNotFoundError):
                 found = (self.folder / name).stat()
                 return (name, found.st_size, found.st_mtime_ns), self.folder / name

@@ -1,8 +1,8 @@
 """Tests that training which was interrupted, in whatever way and however often, ends as if it had not been."""
 
-import errno
 import inspect
 import os
+import re
 import shutil
 import signal
 import sys
@@ -14,11 +14,11 @@ import torch
 from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import DamagedError, HyalineError
 from datagen.terminal.signals import Stopped, hold_signals, signal_within
 from model import cli
 from model.run import train as train_module
-from model.run.checkpoint import load_checkpoint, load_state, save_checkpoint
+from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
@@ -163,8 +163,8 @@ def test_checkpoints_by_the_clock_change_no_byte(
 ) -> None:
     assert train("whole") == 0
     saved: list[object] = []
-    save = train_module.save_checkpoint
-    monkeypatch.setattr(train_module, "save_checkpoint", lambda *given: (saved.append(given[1]["step"]), save(*given)))
+    save = train_module.save_progress
+    monkeypatch.setattr(train_module, "save_progress", lambda *given: (saved.append(given[1].step), save(*given)))
     monkeypatch.setattr(train_module, "CHECKPOINT_EVERY_S", 0.0)
     assert train("often") == 0
     assert saved == [1, 2, 3, 4, 5]
@@ -187,38 +187,25 @@ def test_overwriting_that_is_killed_while_data_loads_leaves_a_run_that_any_comma
 
 
 @pytest.fixture(scope="module")
-def two_checkpoints(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("checkpoints")
-    for step in (1, 2):
-        save_checkpoint(folder, {"step": step, "net": {"a": torch.arange(50_000.0)}, "more": {0: [1, 2.5, None, "b"]}})
-    return folder
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("checkpoint") / "checkpoint.pt"
+    save_state(path, {"step": 2, "net": {"a": torch.arange(50_000.0)}, "more": {0: [1, 2.5, None, "b"]}})
+    return path
 
 
 NUM_LENGTHS = 301
 
 
-def test_a_newest_checkpoint_of_any_shorter_length_falls_back_to_the_one_before_and_says_so(
-    two_checkpoints: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    newest, before = ((two_checkpoints / name).read_bytes() for name in ("checkpoint.pt", "checkpoint.previous.pt"))
-    (tmp_path / "checkpoint.previous.pt").write_bytes(before)
+def test_a_checkpoint_of_any_shorter_length_is_noticed(checkpoint: Path, tmp_path: Path) -> None:
+    data, path = checkpoint.read_bytes(), tmp_path / "checkpoint.pt"
     for place in range(NUM_LENGTHS):
-        path = tmp_path / "checkpoint.pt"
-        path.write_bytes(newest[: len(newest) * place // NUM_LENGTHS])
-        state = load_checkpoint(tmp_path)
-        assert state is not None and state["step"] == 1
-        said = capsys.readouterr().err.splitlines()
-        assert len(said) == 2 and said[0].startswith(f"{path}: damaged, torch cannot read it (")
-        assert said[1] == f"{path}: deleted; resuming from the checkpoint before it"
-        assert not path.exists() and (tmp_path / "checkpoint.previous.pt").read_bytes() == before
+        path.write_bytes(data[: len(data) * place // NUM_LENGTHS])
+        with pytest.raises(DamagedError, match=r"checkpoint\.pt: damaged, torch cannot read it \("):
+            load_state(path)
 
 
-def test_every_flipped_bit_of_a_checkpoint_is_noticed_or_changes_no_value(
-    two_checkpoints: Path, tmp_path: Path
-) -> None:
-    path = tmp_path / "checkpoint.pt"
-    data = (two_checkpoints / "checkpoint.pt").read_bytes()
-    intact = load_state(two_checkpoints / "checkpoint.pt")
+def test_every_flipped_bit_of_a_checkpoint_is_noticed_or_changes_no_value(checkpoint: Path, tmp_path: Path) -> None:
+    path, data, intact = tmp_path / "checkpoint.pt", checkpoint.read_bytes(), load_state(checkpoint)
     noticed = 0
     for place in range(0, len(data), len(data) // 400):
         broken = bytearray(data)
@@ -233,40 +220,26 @@ def test_every_flipped_bit_of_a_checkpoint_is_noticed_or_changes_no_value(
     assert noticed > 390
 
 
-def test_two_damaged_checkpoints_are_refused_and_kept(two_checkpoints: Path, tmp_path: Path) -> None:
-    for path in two_checkpoints.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(HyalineError, match="none of its checkpoints is intact; start over with --overwrite"):
-        load_checkpoint(tmp_path)
-    assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_checkpoint_that_cannot_be_read_is_no_damaged_one_and_is_kept(
-    two_checkpoints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
+    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(two_checkpoints, tmp_path, dirs_exist_ok=True)
-    before, true_open = run_bytes(tmp_path), os.open
-
-    def refuse(path: Path, *arguments: int) -> int:  # Permissions mean nothing to root, whom tests may run as.
-        if path == tmp_path / "checkpoint.pt":
-            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
-        return true_open(path, *arguments)
-
-    monkeypatch.setattr(os, "open", refuse)
-    with pytest.raises(HyalineError, match=r"checkpoint\.pt: permission denied; change the permissions there"):
-        load_checkpoint(tmp_path)
-    monkeypatch.undo()
-    assert run_bytes(tmp_path) == before
+    path = tmp_path / "run" / "checkpoint.pt"
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(train_module, "add_metrics", lambda *_: (_ for _ in ()).throw(Killed))
+        train("run")
+    broken = path.read_bytes()[:-1000]
+    path.write_bytes(broken)
+    assert train("run") == 1
+    assert re.search(r"checkpoint\.pt: damaged, .*; start over with --overwrite", capsys.readouterr().err)
+    assert path.read_bytes() == broken
+    assert train("run", "--overwrite") == train("whole") == 0
+    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "whole")
 
 
-def test_a_checkpoint_of_another_version_is_refused_and_kept(
-    two_checkpoints: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shutil.copytree(two_checkpoints, tmp_path, dirs_exist_ok=True)
+def test_a_checkpoint_of_another_version_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("model.run.checkpoint.CHECKPOINT_VERSION", 2)
     with pytest.raises(HyalineError, match="another format version; this program reads 2"):
-        load_checkpoint(tmp_path)
-    assert (tmp_path / "checkpoint.pt").is_file()
+        load_state(checkpoint)
 
 
 # Signals

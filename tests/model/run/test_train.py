@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from support.commands import Answer, call
-from support.training import SMALL, quick, run_bytes, stop_at
+from support.training import SMALL, quick, run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
@@ -19,7 +19,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
-from model.run.checkpoint import fingerprint, load_checkpoint, load_state
+from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import render_predictions
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
@@ -44,27 +44,6 @@ def test_training_learns_the_pane_and_the_floor(dataset: Dataset, tmp_path: Path
     # The mean colour of the training images scores 14 dB, flipped uv 17 dB.
     assert np.mean(scores) > 27
     assert is_finished(tmp_path / "run")
-
-
-@pytest.mark.parametrize("damage", ["flip", "delete"])
-def test_a_damaged_newest_checkpoint_falls_back_to_the_one_before(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], damage: str
-) -> None:
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 11)
-        train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
-    path = tmp_path / "run/checkpoint.pt"
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 4
-    path.write_bytes(data)
-    if damage == "delete":
-        path.unlink()
-    state = load_checkpoint(tmp_path / "run")
-    assert state is not None and state["step"] == 4
-    assert ("checkpoint.pt: damaged" in capsys.readouterr().err) == (damage != "delete")
-    train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
-    train(SMALL, dataset, tmp_path / "whole", label="paper", device=CPU)
-    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "whole")
 
 
 def test_a_fingerprint_depends_on_values_and_not_on_the_order_of_keys() -> None:
