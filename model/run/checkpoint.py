@@ -6,15 +6,13 @@ because torch itself does not notice a flipped bit.
 
 import hashlib
 import io
-import math
-from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
 import torch
 from torch import Tensor
 
-from datagen.disk.errors import DamagedError, HyalineError, NumericsError
+from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
 from model.settings.state import State
@@ -56,33 +54,6 @@ def load_state(path: Path) -> dict[str, State]:
             f"{path}: another format version; this program reads {CHECKPOINT_VERSION}; train again with --overwrite"
         )
     return content
-
-
-def check_numbers(state: State, *, where: str) -> None:
-    """Raises a NumericsError that names the first value of a nested state that is not finite.
-
-    A sum is not finite if one of its terms is not; it takes a tenth of the time of `isfinite`.
-    """
-    for name, value in _numbers(state, ""):
-        total = float(value.sum()) if isinstance(value, Tensor) else value
-        # A sum of finite numbers may overflow.
-        if not math.isfinite(total) and not (isinstance(value, Tensor) and bool(value.isfinite().all())):
-            raise NumericsError(
-                f"{where}: not written, because {name} is not finite; the checkpoint before it is kept, "
-                "start over with --overwrite and a lower --lr"
-            )
-
-
-def _numbers(state: State, name: str) -> Iterator[tuple[str, Tensor | float]]:
-    """All tensors of floats and all floats in a nested state with their names."""
-    if isinstance(state, dict):
-        for key, value in state.items():
-            yield from _numbers(value, f"{name}.{key}" if name else str(key))
-    elif isinstance(state, (list, tuple)):
-        for place, value in enumerate(state):
-            yield from _numbers(value, f"{name}[{place}]")
-    elif isinstance(state, float) or (isinstance(state, Tensor) and state.is_floating_point()):
-        yield name, state
 
 
 def fingerprint(state: State) -> str:

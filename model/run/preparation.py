@@ -1,30 +1,20 @@
-"""What a run needs before its first step: settings of the process, renderer, record, training views, optimiser, a
-warning about textures."""
+"""What a run needs before its first step: settings of the process, its renderer, its record."""
 
 import contextlib
 import dataclasses
-import math
 
-import numpy as np
 import torch
-from jaxtyping import Float
-from torch import nn
 
-from datagen.data.cameras import Cameras
 from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY, read_materials
-from datagen.data.meshes import face_areas, is_there
 from datagen.data.paths import TRUTH, is_fitted
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import SceneObject
-from datagen.scene.folder import load_scene, load_scene_as
+from datagen.scene.folder import load_scene_as
 from datagen.scene.materials import Diffuse
-from datagen.scene.textures import SolidTexture
 from datagen.terminal.parsing import flag_words
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.texture import NeuralTextures
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
 from model.settings.losses import LEAST_PATCH
 from model.settings.optimisation import PixelOptimisation
@@ -143,59 +133,3 @@ def _completed_beside(net: MethodConfig, usual: MethodConfig, inputs: Inputs) ->
     with contextlib.suppress(HyalineError):
         return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
     return completed  # A usual value may not fit beside one that followed from an unusual one.
-
-
-TEXELS = 2.0
-"""Least texels per period that can show a pattern (Nyquist)."""
-PIXELS = 2.0
-"""Least pixels per period for a pattern to be visible in pictures."""
-MAX_NAMES = 6
-
-
-def told_fine_patterns(dataset: Dataset, geometry: str, renderer: nn.Module) -> list[str]:
-    """A warning that names the visible patterns that the renderer's textures are too coarse for, if any."""
-    if geometry != TRUTH or dataset.imported is not None:
-        return []
-    widths = finest_widths(renderer, len(dataset.objects))
-    if not widths:
-        return []
-    scene, cameras = load_scene(dataset.root / "scene", is_sealed=True), dataset.cameras("train")
-    blurred, enough = [], 0
-    for item, width in zip(scene.objects, widths, strict=True):
-        if (texels := texels_of_period(item, width, cameras)) < TEXELS:
-            blurred.append(f"{item.name} ({texels:.2g} texels)")
-            enough = max(enough, math.ceil(width * TEXELS / texels))
-    if not blurred:
-        return []
-    shown = ", ".join(blurred[:MAX_NAMES]) + (f" and {len(blurred) - MAX_NAMES} more" if blurred[MAX_NAMES:] else "")
-    coarse = f"textures are too coarse for patterns with less than two texels per period: {shown}"
-    return [f"{coarse}; {enough} texels across resolve them all"]
-
-
-def finest_widths(renderer: nn.Module, num_objects: int) -> list[int]:
-    """Texels across each object's widest texture; empty if the renderer has no textures per object."""
-    found = []
-    for module in renderer.modules():
-        sizes = module.layout.sizes if isinstance(module, NeuralTextures) else ()
-        # Some have textures for several copies of each object, stored one after the other and equally large.
-        if sizes and len(sizes) % num_objects == 0:
-            found.append(sizes[:: len(sizes) // num_objects])
-    return np.max(found, axis=0).tolist() if found else []
-
-
-def texels_of_period(item: SceneObject, width: int, cameras: Cameras) -> float:
-    """Texels per period of an object's pattern in a texture of this width; infinite if no pattern is visible."""
-    pattern = next((value for value in vars(item.material).values() if isinstance(value, SolidTexture)), None)
-    if pattern is None or not is_there(item.mesh):
-        return math.inf
-    places = cameras.world_from_camera[:, :3, 3]
-    distance = np.median([np.linalg.norm(item.mesh.vertices - place, axis=-1).min() for place in places])
-    if pattern.scale * cameras.focal < PIXELS * distance:
-        return math.inf
-    across = float(np.sqrt(_uv_areas(item).sum() / face_areas(item.mesh).sum()))  # Share of the atlas per metre.
-    return pattern.scale * width * across or math.inf
-
-
-def _uv_areas(item: SceneObject) -> Float[np.ndarray, " face"]:
-    a, b, c = np.moveaxis(item.mesh.uv[item.mesh.faces].astype(np.float64), 1, 0)
-    return 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1)))

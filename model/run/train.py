@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
-from datagen.terminal.command import say, say_all, track
+from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
@@ -25,7 +25,7 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
-from model.run.checkpoint import check_numbers, load_state, save_state
+from model.run.checkpoint import load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import LogChoices, Logs
 from model.run.optimizer import Optimizer, make_optimizer
@@ -35,7 +35,6 @@ from model.run.preparation import (
     count_parameters,
     describe_run,
     prepare_processor,
-    told_fine_patterns,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings.optimisation import decay
@@ -67,7 +66,7 @@ def train(
         logs: logs to write for people to read.
 
     Raises:
-        NumericsError: the loss, a gradient or a weight is not finite.
+        NumericsError: the loss or a gradient is not finite.
         Stopped: a signal has arrived; the message names the step.
     """
     prepare_processor(config, device)
@@ -110,7 +109,6 @@ def train(
         f"{layers} layer{'s' * (layers != 1)}, "
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
-    say_all(told_fine_patterns(dataset, config.geometry, renderer))
     take_steps(run, progress, overwrite=overwrite)
 
 
@@ -197,7 +195,7 @@ def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
     """Takes the remaining steps and saves the weights.
 
     Raises:
-        NumericsError: a loss, a gradient or a weight is not finite.
+        NumericsError: a loss or a gradient is not finite.
         Stopped: a signal has arrived; a checkpoint is saved.
     """
     config = run.config
@@ -306,7 +304,6 @@ def save_progress(run: Run, progress: Progress) -> None:
         "losses": run.losses.state(),
         "metrics": cast(State, progress.metrics),
     }
-    check_numbers(state, where=str(run.out / CHECKPOINT))
     save_state(run.out / CHECKPOINT, state)
 
 
@@ -318,7 +315,6 @@ def save_weights(run: Run) -> None:
         "step": run.config.steps,
         "renderer": cast(State, dict(run.renderer.state_dict())),
     }
-    check_numbers(weights, where=str(run.out / WEIGHTS))
     save_state(run.out / WEIGHTS, weights)
     (run.out / CHECKPOINT).unlink(missing_ok=True)
 
@@ -345,7 +341,7 @@ def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> f
         names = [name for name, each in renderer.named_parameters() if any(each is other for other in bad)]
         what = f"the loss is {value}" if not math.isfinite(value) else f"the gradient of {names[0]} is not finite"
         raise NumericsError(
-            f"{out}: {what} at step {step}, so training stopped; the last good checkpoint is kept, "
+            f"{out}: {what} at step {step}, so training stopped; the checkpoint is kept, "
             f"start over with --overwrite and a lower --lr"
         )
     return value

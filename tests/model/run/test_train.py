@@ -70,7 +70,7 @@ def test_a_loss_or_gradient_that_is_no_number_stops_before_the_step(
 
     monkeypatch.setattr(train_module, "read_finite", poison)
     what = "the gradient of textures.table is not finite" if site == "gradient" else "the loss is nan"
-    with pytest.raises(HyalineError, match=f"{what} at step 9, so training stopped; the last good checkpoint is kept"):
+    with pytest.raises(HyalineError, match=f"{what} at step 9, so training stopped; the checkpoint is kept"):
         train(SMALL, dataset, tmp_path / "run", label="paper", device=CPU)
     state = load_state(tmp_path / "run/checkpoint.pt")
     assert state["step"] == 8
