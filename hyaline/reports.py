@@ -52,10 +52,10 @@ class Report:
         return results_csv(self.scored.scenes)
 
     def _repr_html_(self) -> str:
-        from eval.tables.grids import scene_grids
         from eval.tables.looks import html_table
+        from eval.tables.scenes import scene_grids
 
-        return "".join(html_table(grid) for scene in self.scored.scenes for grid in scene_grids(scene)[:-1])
+        return "".join(html_table(grid) for scene in self.scored.results["scenes"] for grid in scene_grids(scene)[:1])
 
 
 def report(

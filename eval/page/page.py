@@ -28,8 +28,9 @@ from eval.page.run_page import (
 )
 from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
-from eval.tables.grids import Column, Grid, format_number, scene_grids
+from eval.tables.grids import Column, Grid, format_number
 from eval.tables.looks import html_table
+from eval.tables.scenes import Stored, scene_grids
 
 PAGE = "index.html"
 MOST_BYTES = 20_000_000
@@ -44,6 +45,8 @@ class _ScenePart:
 
     scene: SceneScores
     further: Further
+    stored: Stored
+    """In results.json."""
     views: dict[str, dict[Compared, list[ShownView]]]
     """By `run_anchor`."""
     side_by_side: Markup
@@ -53,6 +56,7 @@ class _ScenePart:
 def report_page(
     scenes: Sequence[SceneScores],
     further: Sequence[Further],
+    stored: Sequence[Stored],
     *,
     most_views: int = USUAL_VIEWS,
     most_bytes: int = MOST_BYTES,
@@ -61,6 +65,7 @@ def report_page(
 
     Args:
         further: the analyses of each scene.
+        stored: the scenes of results.json.
         most_views: views shown of each split and run.
         most_bytes: pictures that do not fit into this size are left out, with a note on the page.
     """
@@ -68,7 +73,7 @@ def report_page(
     room = most_bytes
     while True:
         gallery = Gallery(room, encoded)
-        page = _draw_page(scenes, further, gallery, most_views=most_views)
+        page = _draw_page(scenes, further, stored, gallery, most_views=most_views)
         if len(page) <= most_bytes or not gallery.used:
             return page
         room = max(0, gallery.used - (len(page) - most_bytes))  # The rest of the page has to fit as well.
@@ -77,6 +82,7 @@ def report_page(
 def _draw_page(
     scenes: Sequence[SceneScores],
     further: Sequence[Further],
+    stored: Sequence[Stored],
     gallery: Gallery,
     *,
     most_views: int,
@@ -96,16 +102,17 @@ def _draw_page(
     ]
     store_views(gallery, every, min(most_views, USUAL_VIEWS))
     edits = {scene.title: [draw_edit(gallery, scene, edit) for edit in more.edits] for scene, more in pairs}
-    stored = store_views(gallery, every, most_views)
+    shown = store_views(gallery, every, most_views)
     parts = [
         _ScenePart(
             scene=scene,
             further=more,
-            views={run: {item: stored[item] for item in items} for run, items in compared[scene.title].items()},
+            stored=of_scene,
+            views={run: {item: shown[item] for item in items} for run, items in compared[scene.title].items()},
             side_by_side=overviews[scene.title],
             edits=edits[scene.title],
         )
-        for scene, more in pairs
+        for scene, more, of_scene in zip(scenes, further, stored, strict=True)
     ]
     overview = _overview(parts)
     analyses = [_scene_page(part) for part in parts]
@@ -196,7 +203,7 @@ def _overview(parts: Sequence[_ScenePart]) -> Markup:
     if len(scenes) > 1:
         content.append(html_table(scenes_grid(scenes)))
     for part in parts:
-        scores, *_ = scene_grids(part.scene)
+        scores, _ = scene_grids(part.stored)
         content += [tag("h2", part.scene.title), html_table(scores, _links(part.scene)), part.side_by_side]
     content += [tag("p", prose(note), class_="note") for note in metric_notes(is_wrapped=False)]
     return tag("div", *content, class_="page", id="overview-page")
@@ -217,7 +224,7 @@ def _side_by_side(scene: SceneScores, compared: dict[str, list[Compared]], galle
 
 def _scene_page(part: _ScenePart) -> Markup:
     scene, place, links = part.scene, _scene_anchor(part.scene), _links(part.scene)
-    _, *rest = scene_grids(scene)
+    _, described = scene_grids(part.stored)
     config = scene.dataset.config
     about = f"{config.resolution} pixels, dataset {scene.dataset.seal[:12]}"
     content: list[Part] = [tag("p", about, class_="note")]
@@ -228,7 +235,7 @@ def _scene_page(part: _ScenePart) -> Markup:
             tag("h3", "Error against what training saw"),
             tag("div", *curve_charts(part.further.curves), class_="charts"),
         ]
-    content += [html_table(grid, links) for grid in (*rest, *part.further.grids)]
+    content += [html_table(grid, links) for grid in (described, *part.further.grids)]
     content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
 

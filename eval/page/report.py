@@ -15,6 +15,7 @@ from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json
+from datagen.disk.storage import dump_json
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
@@ -29,7 +30,8 @@ from eval.tables.grids import TABLE_WIDTH
 from eval.tables.looks import grid_text, tables_text
 from eval.tables.named import TABLES, EditedPsnr
 from eval.tables.published import published_grid, published_json
-from eval.tables.results import grid_json, results_csv, results_json
+from eval.tables.results import grid_json, results_csv, results_data
+from eval.tables.scenes import Stored
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
 TABLE_FORMATS = ("table", "markdown", "latex", "json")
@@ -83,7 +85,7 @@ class Scored:
     scenes: list[SceneScores]
     further: list[Further]
     """The analyses of each scene, in the same order."""
-    results: bytes
+    results: Stored
     """The content of results.json."""
 
 
@@ -102,7 +104,7 @@ def score_runs(
         return None
     further = [analyse(scene, errors, fits) for scene in scenes]
     more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
-    results = results_json(scenes, {analyses.title: analyses.data for analyses in further}, more)
+    results = results_data(scenes, {analyses.title: analyses.data for analyses in further}, more)
     return Scored(scenes=scenes, further=further, results=results)
 
 
@@ -113,8 +115,8 @@ def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
         most_views: views that the page shows of each split and run.
     """
     files = {
-        "results.json": lambda: found.results,
-        PAGE: partial(report_page, found.scenes, found.further, most_views=most_views),
+        "results.json": lambda: dump_json(found.results),
+        PAGE: partial(report_page, found.scenes, found.further, found.results["scenes"], most_views=most_views),
         **figures_of(found.scenes, found.further),
     }
     for path in write_report(out, files):
@@ -152,7 +154,7 @@ def make_tables(
             "code": code_version(),
         }
         stored: Json = {name: [grid_json(grid) for grid in found] for name, found in grids.items()}
-        sys.stdout.write(results_json(scenes, more={"made_by": made_by, "tables": stored}).decode())
+        sys.stdout.write(dump_json(results_data(scenes, more={"made_by": made_by, "tables": stored})).decode())
     else:
         for grid in (grid for found in grids.values() for grid in found):
             sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
@@ -259,13 +261,13 @@ def _made_by(only: Path | None) -> dict[str, Json]:
 
 def _print_scores(found: Scored, output_format: str, *, is_full: bool, is_published: bool) -> None:
     if output_format == "json":
-        text = found.results.decode()
+        text = dump_json(found.results).decode()
     elif output_format == "csv":
         text = results_csv(found.scenes)
     else:
         grids = [grid for analyses in found.further for grid in analyses.grids]
         text = tables_text(
-            found.scenes,
+            found.results["scenes"],
             output_format,
             width=_output_width(),
             color=sys.stdout.isatty(),

@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING
 
 from datagen.disk.names import printable
 from datagen.pages.html import Markup, Part, join, prose, tag
-from eval.score.scores import SceneScores, metric_notes
-from eval.tables.grids import MISSING, SHORT_SPLITS, TABLE_WIDTH, Column, Grid, scene_grids
+from eval.score.scores import metric_notes
+from eval.tables.grids import MISSING, SHORT_SPLITS, TABLE_WIDTH, Column, Grid
+from eval.tables.scenes import Stored, scene_grids
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 
-CONTINUED = "±"
-"""Begins a row that belongs to the one above; such a table is not sortable."""
 LONGEST_LINE = 32
 """Row names up to this number of characters stay on one line."""
 
 
 def tables_text(
-    scenes: list[SceneScores],
+    scenes: Sequence[Stored],
     output_format: str,
     *,
     width: int,
@@ -33,6 +32,7 @@ def tables_text(
     """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
 
     Args:
+        scenes: the scenes of results.json.
         more: further tables, after those of the scenes.
         is_full: include detailed tables.
         is_wrapped: include the metric of the paper's authors' script.
@@ -94,10 +94,10 @@ def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
     for column in grid.columns:
         header = column.group if column.split is None else f"{column.group} {SHORT_SPLITS[column.split]}"
         lines = header.replace(" ", "\n").replace("\n↑", " ↑").replace("\n↓", " ↓") if column.is_number else header
-        table.add_column(
-            Text(lines), justify="right" if column.is_number else "left", vertical="top", no_wrap=column.is_number
-        )
+        table.add_column(Text(lines), justify="right" if column.is_number else "left", vertical="top")
         table.columns[-1].overflow = "fold"
+    # Scores over several seeds break after their ± before a name breaks.
+    table.columns[0].no_wrap = all(len(row[0]) <= LONGEST_LINE for row in grid.rows)
     marked = {column for _, column in grid.best} if is_marked else set()
     for place, row in enumerate(grid.rows):
         cells = []
@@ -202,14 +202,13 @@ def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:
     body = grid.rows[:-1] if grid.last_row_apart else grid.rows
     foot = grid.rows[len(body) :]
     rows = [_row(grid, number, row, links) for number, row in enumerate(body)]
-    is_sortable = len(body) > 1 and not any(row[0].strip() == CONTINUED for row in body)
     table = tag(
         "table",
         tag("caption", grid.title),
         tag("thead", tag("tr", *map(_head, grid.columns))),
         tag("tbody", *rows),
         tag("tfoot", *(_row(grid, len(body), row, {}) for row in foot)) if foot else None,
-        class_="sortable" if is_sortable else None,
+        class_="sortable" if len(body) > 1 else None,
     )
     notes = [tag("p", prose(note), class_="note") for note in grid.notes]
     # With a tab index, a wide table can be scrolled by keyboard.

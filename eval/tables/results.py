@@ -7,38 +7,35 @@ import math
 from collections.abc import Mapping
 from typing import cast
 
-from datagen.data.config import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
 from eval.score.runs import read_costs
 from eval.score.scores import METRICS, RunScores, SceneScores, metric_notes
 from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
-from eval.tables.grids import CEILING, Grid, left_out_notes
+from eval.tables.grids import CEILING, Grid
 
 RESULTS_VERSION = 1
 
 Cell = str | int | None
 
 
-def results_json(
+def results_data(
     scenes: list[SceneScores],
     analyses: Mapping[str, dict[str, Json]] | None = None,
     more: Mapping[str, Json] | None = None,
-) -> bytes:
-    """The bytes of results.json. Infinite values are the string "inf", because JSON has no such number.
+) -> dict[str, Json]:
+    """The content of results.json. Infinite values are the string "inf", because JSON has no such number.
 
     Args:
         analyses: results of the analyses, by the scene's title.
         more: further top-level entries.
     """
-    return dump_json(
-        {
-            "version": RESULTS_VERSION,
-            "notes": list(metric_notes(is_wrapped=True)),
-            "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
-            **(more or {}),
-        }
-    )
+    return {
+        "version": RESULTS_VERSION,
+        "notes": list(metric_notes(is_wrapped=True)),
+        "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
+        **(more or {}),
+    }
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
@@ -93,11 +90,42 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
         "resolution": dataclasses.asdict(scene.dataset.config.resolution),
         "splits": {split: dataclasses.asdict(scene.dataset.config.split(split)) for split in scene.dataset.splits},
         "noise_ceiling_db": {split: scene.ceilings_db[split] for split in TEST_SPLITS},
-        "notes": list(left_out_notes(scene)),
+        "notes": _left_out_notes(scene),
         "runs": [_run_json(scores) for scores in scene.runs],
         "seeds": [_group_json(group) for group in group_seeds(scene.runs) if len(group.runs) > 1],
         "analyses": _finite(analyses),
     }
+
+
+def _left_out_notes(scene: SceneScores) -> list[Json]:
+    """Which means do not cover all pictures, and why."""
+    notes: list[Json] = []
+    if not scene.has_glass_mask:
+        notes.append("PSNR glass: needs layers of the true geometry to find glass pixels.")
+    for scores in scene.runs:
+        for split, values in scores.splits.items():
+            if values is None:
+                notes.append(f"{scores.run.name}: has no predictions for the {split} split.")
+                continue
+            total = len(values.images["psnr_db"])
+            for metric in METRICS:
+                if count := values.identical(metric.key):
+                    title = metric.title.removesuffix(" ↑")
+                    notes.append(
+                        f"{scores.run.name}, {split}: {title} is infinite in {count} of {total} pictures, left out."
+                    )
+    for split, count in _without_glass(scene).items():
+        notes.append(f"{split}: {count} of the pictures show no glass and are left out of PSNR glass.")
+    return notes
+
+
+def _without_glass(scene: SceneScores) -> dict[Split, int]:
+    counts: dict[Split, int] = {}
+    for scores in scene.runs:
+        for split, values in scores.splits.items():
+            if scene.has_glass_mask and values is not None and (count := values.undefined("glass_psnr_db")):
+                counts[split] = count
+    return counts
 
 
 def _group_json(group: SeedGroup) -> Json:

@@ -145,11 +145,11 @@ def test_the_report_averages_runs_that_differ_in_their_seed_alone(
     write_run(dataset, tmp_path, "again", paper(seed=1, steps=100), 31, 31)  # The same seed: no spread to be had.
     make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="markdown", is_full=True)
     text = capsys.readouterr().out
-    (start,) = [place for place, line in enumerate(text.splitlines()) if "over seeds" in line and line.startswith("#")]
-    mean, deviation = rows_of("\n".join(text.splitlines()[start + 3 : start + 6]))[:2]
+    rows = {row[0]: row[1:] for row in rows_of(text.partition(": the runs")[0])}
     expected = [decibels(level) for level in (5, 7, 10)]
-    assert mean[:3] == ["paper", "3", f"{statistics.fmean(expected):.2f}"]
-    assert deviation[:4] == ["±", "", f"{statistics.stdev(expected):.2f}", "0.00"]
+    mean = f"**{statistics.fmean(expected):.2f} ± {statistics.stdev(expected):.2f}**"
+    assert rows["paper"][:3] == ["3", mean, f"**{decibels(20):.2f} ± 0.00**"]
+    assert rows["again"][:2] == ["1", f"{decibels(31):.2f}"] and "paper-seed1" not in rows
     assert f"Data: dataset {dataset.seal[:12]}" in text and "100-steps (" not in text
 
     make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="json")

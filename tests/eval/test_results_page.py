@@ -159,7 +159,7 @@ def test_processor_minutes_are_a_column_where_they_were_counted(tmp_path: Path) 
         (results(version=2), "demo.json: format version 2; this program reads 1, as `eval report` writes it"),
         (
             results(scenes=[{"scene": "x"}]),
-            "demo.json: lacks 'seeds'; expected a results.json of `eval report`",
+            "demo.json: lacks 'runs'; expected a results.json of `eval report`",
         ),
         ({"version": 1}, "demo.json: lacks 'scenes'"),
     ],

@@ -1,0 +1,287 @@
+"""Tables of scores from the content of results.json: of a scene's runs, variants and fits."""
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import numpy as np
+
+from datagen.build.presets import PRESETS
+from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
+from eval.score.scores import METRICS, Metric
+from eval.score.seeds import Spread, spread
+from eval.tables.grids import CEILING, MISSING, Column, Grid, ceiling_text, format_number
+
+COVERED = 0.9
+"""Share of the intervals that should hold the truth."""
+
+Stored = dict[str, Any]
+"""A part of results.json."""
+
+
+def scene_grids(scene: Stored, *, is_wrapped: bool = False) -> tuple[Grid, Grid]:
+    """The scores of a scene's runs above the noise ceiling, and a description of the runs.
+
+    Args:
+        is_wrapped: include the metric of the paper's authors' script.
+    """
+    return _score_grid(scene, {}, notes=tuple(scene["notes"]), is_wrapped=is_wrapped), _run_grid(scene)
+
+
+def page_grids(scene: Stored) -> list[Grid]:
+    """The scores of a scene with what its runs know, then of each variant that they predicted, and of fits."""
+    runs = {run["run"]: run for run in scene["runs"]}
+    texts: dict[str, Callable[[str], str]] = {
+        "knows": lambda name: runs[name]["knowledge"] or MISSING,
+        "parameters": lambda name: _count(runs[name]["num_parameters"]),
+    }
+    grids = [_score_grid(scene, texts, notes=(f"Data: dataset seal {scene['dataset_seal'][:12]}.",))]
+    analyses, groups = scene["analyses"], _groups(scene)
+    for name, variant in analyses.get("variants", {}).items():
+        known = [drawn for group in groups if (drawn := [run for run in group if run in variant["runs"]])]
+        splits = tuple(cast(Sequence[Split], variant["noise_ceiling_db"]))
+        metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
+        title = f"{scene['scene']}: variant {name}"
+        grids.append(_grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {}))
+    if fits := analyses.get("fits"):
+        grids.append(_fits_grid(f"{scene['scene']}: glass found from masks and pictures", fits))
+    return grids
+
+
+def _score_grid(
+    scene: Stored, texts: dict[str, Callable[[str], str]], *, notes: tuple[str, ...], is_wrapped: bool = False
+) -> Grid:
+    runs = {run["run"]: run for run in scene["runs"]}
+    slopes = {name: curve["db_per_10deg"] for name, curve in scene["analyses"].get("curves", {}).items()}
+    minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
+    return _grid(
+        f"{scene['scene']}{_size(scene)}",
+        _groups(scene),
+        {name: run["splits"] for name, run in runs.items()},
+        TEST_SPLITS,
+        scene["noise_ceiling_db"],
+        tuple(metric for metric in METRICS if metric.is_printed or (is_wrapped and metric.is_wrapped)),
+        texts,
+        {
+            "drop dB ↓": {name: run["drop_db"] for name, run in runs.items()},
+            "dB per 10°": slopes,
+            **({"CPU min": minutes} if minutes else {}),
+        },
+        notes=notes,
+    )
+
+
+def _run_grid(scene: Stored) -> Grid:
+    texts = ("run", "method", "label", "geometry", "knowledge")
+    return Grid(
+        title=f"{scene['scene']}: the runs",
+        columns=(
+            *(Column(group=text, is_number=False) for text in texts),
+            Column(group="parameters"),
+            Column(group="seed"),
+        ),
+        rows=tuple(
+            (*(run[text] or MISSING for text in texts), _count(run["num_parameters"]), _count(run["seed"]))
+            for run in scene["runs"]
+        ),
+        notes=(f"Data: dataset {scene['dataset_seal'][:12]}.",),
+        is_detail=True,
+    )
+
+
+def _size(scene: Stored) -> str:
+    """The size of a scene's dataset, with the preset's name only if the size is the preset's.
+
+    Files of earlier versions do not record training views and samples; there, the scored pictures count.
+    """
+    resolution, preset = Resolution(**scene["resolution"]), PRESETS.get(scene.get("preset", ""))
+    if "splits" in scene:
+        splits = {split: SplitConfig(**values) for split, values in scene["splits"].items()}
+        is_own = preset is not None and all(config == getattr(preset, split) for split, config in splits.items())
+        spps = " + ".join("unknown" if config.spp is None else str(config.spp) for config in splits.values())
+        views = f"{' + '.join(str(config.views) for config in splits.values())} views, {spps} samples per pixel"
+    else:
+        scored = [run["splits"].get(split) for run in scene["runs"] for split in TEST_SPLITS]
+        counts = {len(scores[METRICS[0].key]["pictures"]) for scores in scored if scores}
+        is_own = preset is not None and counts <= {preset.interpolating.views}
+        views = f"{' or '.join(map(str, sorted(counts)))} views of each test split"
+    if is_own and preset is not None and resolution == preset.resolution:
+        return f", preset {scene['preset']}: {resolution} pixels"
+    return f": {resolution} pixels, {views}"
+
+
+def _fits_grid(title: str, fits: Stored) -> Grid:
+    """What `model fit` found of each object, beside the truth in brackets."""
+    texts = ("fit", "object", "kind")
+    columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
+    return Grid(
+        title=title,
+        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
+        rows=tuple(
+            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
+            for fit, objects in fits.items()
+            for name, item in objects.items()
+        ),
+        notes=(
+            "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
+            "the mean of both directions. Normals: median error. Wall: median thickness.",
+        ),
+    )
+
+
+def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
+    """Surface, normals, wall, index, absorption and roughness of one object."""
+    errors, true = measured["errors"] or {}, measured["true"]
+
+    def found(key: str, decimals: int) -> str:
+        if numbers.get(key) is None:
+            return MISSING
+        value = format_number(numbers[key]["value"], decimals)
+        return value if true.get(key) is None else f"{value} ({format_number(true[key], decimals)})"
+
+    def millimetres(key: str) -> str:
+        return format_number(None if errors.get(key) is None else 1000 * errors[key], 2)
+
+    has_wall = numbers.get("wall") is not None
+    tints = [found(f"absorption_{channel}", 1) for channel in ("red", "green", "blue")]
+    return (
+        millimetres("chamfer"),
+        format_number(_number(errors.get("normal_deg")), 1),
+        f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
+        found("ior", 3),
+        MISSING if MISSING in tints else ", ".join(tints),
+        found("roughness", 2),
+    )
+
+
+def coverage_grids(scenes: list[Stored]) -> list[Grid]:
+    """How many intervals of fits hold the truth, by dataset and kind of number; nothing where no truth is known."""
+    misses: dict[str, dict[str, list[float]]] = {}
+    for scene in scenes:
+        for objects in scene["analyses"].get("fits", {}).values():
+            for item in objects.values():
+                for key, found in item["numbers"].items():
+                    if (true := item["measured"]["true"].get(key)) is not None:
+                        of_scene = misses.setdefault(scene["scene"], {})
+                        of_scene.setdefault(key.split("_")[0], []).append(_miss(found, true))
+    if not misses:
+        return []
+    keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
+    pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
+    rows = [(scene, *(_held(of_scene.get(key, [])) for key in keys)) for scene, of_scene in misses.items()]
+    rows.append(("all", *(_held(pooled[key]) for key in keys)))
+    wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
+    rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
+    return [
+        Grid(
+            title="intervals of fits that contain the true value",
+            columns=(
+                Column(group="dataset", is_number=False),
+                *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
+            ),
+            rows=tuple(rows),
+            notes=(
+                "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
+                f"{100 * COVERED:.0f} % of all to contain the true value.",
+            ),
+        )
+    ]
+
+
+def _miss(found: Stored, true: float) -> float:
+    """Distance of the truth from a value, relative to the interval's width on that side; 1 at its end."""
+    value = found["value"]
+    side = found["high"] - value if true > value else value - found["low"]
+    return abs(true - value) / side if side > 0 else (0.0 if true == value else math.inf)
+
+
+def _held(misses: list[float]) -> str:
+    return f"{sum(miss <= 1 for miss in misses)} of {len(misses)}" if misses else MISSING
+
+
+def _groups(scene: Stored) -> list[list[str]]:
+    """The names of runs, grouped if they only differ in their seed."""
+    together: list[list[str]] = [group["runs"] for group in scene["seeds"]]
+    grouped = {name for group in together for name in group}
+    return together + [[run["run"]] for run in scene["runs"] if run["run"] not in grouped]
+
+
+def _grid(
+    title: str,
+    groups: list[list[str]],
+    runs: Stored,
+    splits: Sequence[Split],
+    ceilings: Stored,
+    metrics: tuple[Metric, ...],
+    texts: dict[str, Callable[[str], str]],
+    numbers: dict[str, Stored],
+    notes: tuple[str, ...] = (),
+) -> Grid:
+    """One table, the best run first, by its PSNR on the first split.
+
+    Args:
+        runs: splits with their metrics and means, by the run's name.
+        texts: further columns before the scores.
+        numbers: further columns after them, with one number per run.
+    """
+
+    def scores(group: list[str], metric: Metric, split: Split) -> Spread:
+        return spread([_mean(runs[name].get(split), metric.key) for name in group])
+
+    groups = sorted(groups, key=lambda group: -_comparable(scores(group, metrics[0], splits[0])))
+    columns = [Column(group="run", is_number=False), *(Column(group=text, is_number=False) for text in texts)]
+    columns += [
+        Column(group="seeds"),
+        *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+    ]
+    columns += [Column(group=number) for number in numbers]
+    rows, best = [], set()
+    first = len(texts) + 2
+    for group in groups:
+        row = [_group_name(group), *(text(group[0]) for text in texts.values()), str(len(group))]
+        row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
+        row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
+        rows.append(tuple(row))
+    places: list[tuple[Metric, Split]] = [(metric, split) for metric in metrics for split in splits]
+    for place, (metric, split) in enumerate(places):
+        values = [scores(group, metric, split).mean for group in groups]
+        known = [metric.sign * value for value in values if value is not None]
+        if metric.sign and len(known) > 1:
+            best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
+    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
+    rest = len(columns) - first - len(ceiling)
+    rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
+    return Grid(
+        title=title,
+        columns=tuple(columns),
+        rows=tuple(rows),
+        last_row_apart=True,
+        best=frozenset(best),
+        notes=notes,
+    )
+
+
+def _group_name(group: list[str]) -> str:
+    return re.sub(r"-seed\d+", "", group[0]) if len(group) > 1 else group[0]
+
+
+def _mean(metrics: Stored | None, key: str) -> float | None:
+    return None if metrics is None else _number(metrics[key]["mean"])
+
+
+def _number(value: float | str | None) -> float | None:
+    return math.inf if value == "inf" else cast(float | None, value)
+
+
+def _comparable(value: Spread) -> float:
+    return -math.inf if value.mean is None else value.mean
+
+
+def _cell(value: Spread, decimals: int) -> str:
+    mean = format_number(value.mean, decimals)
+    return mean if value.deviation is None else f"{mean} ± {format_number(value.deviation, decimals)}"
+
+
+def _count(number: int | None) -> str:
+    return MISSING if number is None else f"{number:,}"
