@@ -129,21 +129,10 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     lamps: list[RectangleLight] = []
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        emission = (0.0, 0.0, 0.0)
-        if chosen is None and isinstance(part.material, ForeignMaterial):
-            emission = part.material.emission
-        if max(emission) >= LEAST_GLOW:
-            lamps += glowing(_mesh(name, part, linear, offset), emission)
-            remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
+        if chosen is None and (shining := _lamps(name, part, linear, offset, remarks)):
+            lamps += shining
             continue
-        if max(emission) > 0:
-            remarks.approximate(name, "glows a little, which is ignored")
         item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
-        if item.material.medium is not None and (count := open_edges(item.mesh)):
-            raise HyalineError(
-                f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
-                f"'{name}=thin-glass' draws it as a thin pane"
-            )
         objects += parted(item, remarks)
         if not (has_uv := _has_uv(part)):
             without_uv.add(name)
@@ -281,6 +270,11 @@ def scene_object(
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
+    if material.medium is not None and (count := open_edges(mesh)):
+        raise HyalineError(
+            f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
+            f"'{name}=thin-glass' draws it as a thin pane"
+        )
     if choices.crease is not None:
         mesh = with_new_normals(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
@@ -290,6 +284,19 @@ def scene_object(
             "lens; --crease 30 shades them as edges",
         )
     return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _lamps(
+    name: str, part: ForeignObject, linear: np.ndarray, offset: np.ndarray, remarks: Remarks
+) -> tuple[RectangleLight, ...]:
+    """The lights of a surface that emits light; none if it is not bright."""
+    emission = part.material.emission if isinstance(part.material, ForeignMaterial) else (0.0, 0.0, 0.0)
+    if max(emission) < LEAST_GLOW:
+        if max(emission) > 0:
+            remarks.approximate(name, "glows a little, which is ignored")
+        return ()
+    remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
+    return glowing(_mesh(name, part, linear, offset), emission)
 
 
 def _mesh(name: str, part: ForeignObject, linear: np.ndarray, offset: np.ndarray) -> Mesh:
