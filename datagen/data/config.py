@@ -143,8 +143,8 @@ class DatasetConfig:
             raise HyalineError(f"max_depth: is {self.max_depth}; expected 2 to {MAX_DEPTH} (12 or more for glass)")
         if not 0 <= self.seed < 2**63:
             raise HyalineError(f"seed: is {self.seed}; expected 0 or more, and at most 63 bits")
-        if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 80:
-            raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 80 dB")
+        if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 50:
+            raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 50 dB")
 
     def split(self, split: Split) -> SplitConfig:
         """The size of a split; splits by angle have the size of `extrapolating`."""

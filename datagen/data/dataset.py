@@ -187,14 +187,12 @@ class Dataset:
         return 1 + names.index(name)
 
     def noise_ceiling_db(self, split: Split) -> float | None:
-        """The mean PSNR in dB that the truth's own noise would allow a perfect method on this split.
+        """The mean PSNR in dB that the truth's noise and 8 bits would allow a perfect method on this split.
 
         None for imported pictures, whose noise is unknown, and for those that a verifier keeps.
         """
-        if split in self.withheld:
-            return None
-        ceilings = [view.record.ceiling_db for view in self.views(split)]
-        known = [ceiling for ceiling in ceilings if ceiling is not None]
+        views = () if split in self.withheld else self.views(split)
+        known = [ceiling for view in views if (ceiling := view.record.ceiling_db) is not None]
         return float(np.mean(known)) if known else None
 
 

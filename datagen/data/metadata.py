@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.data.config import Split
+from datagen.data.images import ROUNDING_MSE
 from datagen.disk.names import check_name
 from datagen.disk.records import Json, from_json
 
@@ -30,8 +31,8 @@ class ViewRecord:
 
     @property
     def ceiling_db(self) -> float | None:
-        """The PSNR in dB that a perfect method would reach in spite of the view's noise; None if unknown."""
-        return None if self.noise_mse is None else -10 * math.log10(max(self.noise_mse, 1e-12))
+        """The PSNR in dB that noise and 8 bits would leave a perfect method; None if unknown."""
+        return None if self.noise_mse is None else -10 * math.log10(self.noise_mse + ROUNDING_MSE)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +72,7 @@ def variant_of(head: Mapping[str, Json], path: Path) -> Variant | None:
 class Imported:
     """Where the pictures come from if they were not rendered here.
 
-    Their noise and radiance are unknown, as is the light of the scene. The scene has the meshes that were imported;
-    without meshes, there is no scene.
+    Their noise, radiance and light are unknown. Without imported meshes, there is no scene.
     """
 
     layout: str

@@ -13,7 +13,7 @@ from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
+from datagen.data.images import ROUNDING_MSE, encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
@@ -163,7 +163,7 @@ def render_view(
             drawn += 2 * real
             passes += 1
         truth = _truth(halves[0] * (2 / drawn), halves[1] * (2 / drawn), drawn)
-        reached = -10 * math.log10(max(truth.noise_mse, 1e-12))
+        reached = -10 * math.log10(truth.noise_mse + ROUNDING_MSE)
         if ceiling_db is None or reached >= ceiling_db:
             return truth
         if drawn >= MAX_SPP:

@@ -76,7 +76,7 @@ METRIC_NOTES = (
     "out. SSIM: Wang et al. 2004, Gaussian window, sigma 1.5. ΔE2000: CIE DE2000 under D65, mean over pixels (p95: "
     "the pixels' 95th percentile).",
     "Drop: PSNR interpolating minus extrapolating. Noise ceiling: the PSNR that a perfect method would get "
-    "against these noisy pictures.",
+    "against these noisy pictures, both rounded to 8 bits.",
 )
 WRAPPED_NOTE = (
     "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
