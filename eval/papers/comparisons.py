@@ -1,13 +1,12 @@
 """Comparisons: runs found by their records, not by their names, and the tables that they are printed in."""
 
 import dataclasses
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import cast
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
@@ -15,7 +14,7 @@ from datagen.disk.storage import dump_json
 from eval.score.runs import Run, read_costs
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
-from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid, format_number
+from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.named import Table
 from eval.tables.published import PublishedRow
 
@@ -46,32 +45,17 @@ class Line:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Contrast:
-    """Two lines whose difference a comparison is about; a verdict compares it with the paper's."""
-
-    first: str
-    """Title of a line."""
-    second: str
-    is_better: bool | None = None
-    """The paper states in words that the first is better, or worse; None: it does not, or gives numbers."""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Comparison:
     """One of the paper's tables, or one that it should have had."""
 
     title: str
     lines: tuple[Line, ...]
-    contrasts: tuple[Contrast, ...] = ()
     varied: str | None = None
     """The only flag in which runs of one comparison may differ; None: they may differ in all, as methods do."""
     notes: tuple[str, ...] = ()
 
 
-CONFIRMED, SIGN_ALONE, WITHIN_SPREAD = "confirmed", "the paper's sign, another size", "within the spread of seeds"
-CONTRADICTED, MEASURED, NOT_RUN = "contradicted", "measured, the paper states none", "not run"
-VERDICTS = (CONFIRMED, SIGN_ALONE, WITHIN_SPREAD, CONTRADICTED, MEASURED, NOT_RUN)
-MANY_SEEDS = 3
+NOT_RUN = "not run"
 
 WRAPPED_NOTE = (
     "Wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
@@ -162,70 +146,8 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]
     empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
     rows += [(line.title, NOT_RUN, *[MISSING] * 7, *_published(line.published)) for line in empty]
-    notes = (*verdicts(comparison, parts), *comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE)
+    notes = (*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE)
     return _grid(scene, comparison.title, rows, first="", last="published (the paper)", notes=notes)
-
-
-def verdicts(comparison: Comparison, parts: Sequence[Sequence[Entry]]) -> tuple[str, ...]:
-    """A sentence that sorts the differences between lines by what they say about the paper's; none without contrasts.
-
-    A difference has the size of the paper's if it is within half of that, or within twice its standard error.
-    """
-    found: dict[str, list[str]] = {}
-    groups: dict[str, SeedGroup] = {}
-    # Of several in a line, the one with the fewest flags.
-    for entry in sorted(parts[0] if parts else (), key=lambda entry: len(entry.group.first.flags or ())):
-        groups.setdefault(entry.line.title, entry.group)
-    published = {line.title: line.published for line in comparison.lines}
-    for contrast in comparison.contrasts:
-        name = f"{contrast.first} against {contrast.second}"
-        if not {contrast.first, contrast.second} <= set(groups):
-            found.setdefault(NOT_RUN, []).append(name)
-            continue
-        one, other = groups[contrast.first], groups[contrast.second]
-        for split in TEST_SPLITS:
-            ours, error = difference(one.score("psnr_db", split), other.score("psnr_db", split))
-            wrapped, _ = difference(one.score("psnr_uint8_wrap_db", split), other.score("psnr_uint8_wrap_db", split))
-            if ours is None or wrapped is None:
-                continue
-            text = f"{name}, {SHORT_SPLITS[split]}, {ours:+.2f} (wrapped {wrapped:+.2f}"
-            theirs = _published_difference(published[contrast.first], published[contrast.second], split)
-            text += ")" if theirs is None else f", published {theirs:+.2f})"
-            found.setdefault(judge(ours, error, theirs, is_better=contrast.is_better), []).append(text)
-    if not found:
-        return ()
-    is_few = any(len(group.runs) < MANY_SEEDS for group in groups.values()) and len(groups) > 1
-    few = " Some rows have fewer than three seeds, so their spread is not known." if is_few else ""
-    listed = " ".join(
-        f"{verdict.capitalize()}: {'; '.join(found[verdict])}." for verdict in VERDICTS if verdict in found
-    )
-    return (f"Differences in dB. {listed}{few}",)
-
-
-def difference(one: Spread, other: Spread) -> tuple[float | None, float]:
-    """The difference of two means and its standard error, which is 0 if neither has several seeds."""
-    error = math.sqrt(sum((value.deviation or 0.0) ** 2 / value.count for value in (one, other)))
-    if one.mean is None or other.mean is None or not math.isfinite(one.mean - other.mean):
-        return None, error
-    return one.mean - other.mean, error
-
-
-def judge(ours: float, error: float, theirs: float | None, *, is_better: bool | None) -> str:
-    """What a difference says about the paper's: in numbers, or that there is one in words."""
-    if theirs is None and is_better is None:
-        return MEASURED
-    if abs(ours) < 2 * error:
-        return WITHIN_SPREAD
-    should_be_positive = theirs > 0 if theirs is not None else is_better
-    if (ours > 0) is not should_be_positive:
-        return CONTRADICTED
-    return CONFIRMED if theirs is None or abs(ours - theirs) <= max(abs(theirs) / 2, 2 * error) else SIGN_ALONE
-
-
-def _published_difference(one: PublishedRow | None, other: PublishedRow | None, split: Split) -> float | None:
-    if one is None or other is None:
-        return None
-    return one.value_db(split) - other.value_db(split)
 
 
 def _sheet(comparison: Comparison, scene: SceneScores) -> bytes | None:

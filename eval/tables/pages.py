@@ -7,7 +7,6 @@ from typing import cast
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
-from eval.score.scores import metric_notes
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.named import TABLES
@@ -21,8 +20,8 @@ HEAD = """# Results
 
 Every table is in one of the pages below, each made from a `results.json` that `eval report` wrote, or, for the tracks \
 of [hyaline-bench](docs/bench.md), from the files of `hyaline-bench score`. To add one, copy it to \
-[docs/results](docs/results) and run `make results`, which writes the pages and this list. Measurements of \
-earlier versions, and what was tried, are in the notes: [history](docs/notes/history.md), [speed](docs/notes/speed.md).
+[docs/results](docs/results) and run `make results`, which writes the pages and this list. [Claims](docs/claims.md) \
+says what we conclude from them, and what speaks against it; the [history](docs/notes/history.md) has older results.
 """
 
 NOTES = (
@@ -42,10 +41,10 @@ def results_page(path: Path) -> str:
     command, code = _made_by(data)
     about = f"[{path.name}]({path.name}); hyaline {code}."
     has_tables = "tables" in data
-    notes = [*metric_notes(is_wrapped=has_tables), *(() if has_tables else NOTES)]
+    tables, grids = [], _page_grids(path, data)
+    notes = [*data["notes"]] if has_tables else [*data["notes"][:-1], *NOTES]  # The last is about the wrapped metric.
     said = "".join(f"\n{markdown_escaped(note)}\n" for note in notes)
-    tables = []
-    for grid in _page_grids(path, data):
+    for grid in grids:
         tables.append(grid_text(_without(grid, notes), "markdown", width=TABLE_WIDTH))
         notes += grid.notes
     return "\n".join([f"# {path.stem}\n", f"```\n{command}\n```\n", f"{about}\n{said}", *tables])

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-import re
 import statistics
 from pathlib import Path
 
@@ -12,7 +11,7 @@ import pytest
 from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.metadata import Imported
@@ -22,10 +21,10 @@ from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.papers import claims
-from eval.papers.comparisons import difference, judge
 from eval.papers.known import known_to
 from eval.score.runs import open_run
-from eval.score.seeds import Spread, spread
+from eval.score.scores import SceneScores, Truth, read_truth, score_run
+from eval.score.seeds import spread
 from eval.tables.grids import MISSING
 from eval.tables.named import TABLES
 from eval.tables.pages import results_page
@@ -199,31 +198,6 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
     ]
     assert rows["no extrinsics"][0] == "not run" and rows["no extrinsics"][-2:] == ["33.09", "32.96"]
     assert len(rows) == 3
-    gains = [decibels(18) - statistics.fmean(near), decibels(30) - decibels(25)]
-    name = "spherical harmonics against view vector"
-    assert abs(gains[0]) < 2 * statistics.stdev(near) / math.sqrt(2)
-    assert re.search(
-        rf"Within the spread of seeds: {name}, inter, \{gains[0]:+.2f} \(wrapped .*, published \+0.61\)", text
-    )
-    assert re.search(rf"The paper's sign, another size: {name}, extra, {gains[1]:+.2f} .* published -0.47", text)
-    assert "Not run: no extrinsics against view vector. Some rows have fewer than three seeds" in text
-
-
-def test_a_difference_is_judged_by_its_sign_its_size_and_the_spread() -> None:
-    def judged(
-        first: float, second: float, theirs: float | None, *, deviation: float = 0.0, words: bool | None = None
-    ) -> str:
-        one = Spread(mean=first, deviation=deviation, count=3)
-        ours, error = difference(one, dataclasses.replace(one, mean=second))
-        assert error == pytest.approx(deviation * math.sqrt(2 / 3))
-        return judge(ours, error, theirs, is_better=words)
-
-    assert judged(30, 29.0, 0.7) == judged(30, 29.0, None, words=True) == "confirmed"
-    assert judged(30, 29.0, 0.5) == "the paper's sign, another size"
-    assert judged(30, 29.0, 0.5, deviation=0.4) == "confirmed", "the sizes differ by no more than the seeds"
-    assert judged(30, 29.0, 0.5, deviation=0.7) == "within the spread of seeds"
-    assert judged(29, 30.0, 0.5) == judged(30, 29.0, None, words=False) == "contradicted"
-    assert judged(29, 30.0, None) == "measured, the paper states none"
 
 
 def test_methods_are_told_by_their_records_whoever_made_them(
@@ -247,23 +221,10 @@ def test_methods_are_told_by_their_records_whoever_made_them(
         ["DeepVoxels, small", "voxels"],
         ["paper-best", "not run"],
         ["DNR, as the paper ran it", "not run"],
-        ["paper, as its code runs", "not run"],
+        ["the network of its code", "not run"],
         ["DeepVoxels", "not run"],
     ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
-
-
-def test_verdicts_are_about_the_run_with_the_fewest_flags(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(dataset, tmp_path, "dnr", "dnr", 5, 40)
-    write_run(dataset, tmp_path, "paper", paper(), 10, 12)
-    write_run(dataset, tmp_path, "quick", paper(steps=100), 90, 90)
-    tables(dataset, tmp_path, "table2")
-    text = capsys.readouterr().out
-    assert [row[1] for row in rows_of(text) if row[0] == "paper"] == ["paper", "quick"]
-    for split, ours in (("inter", decibels(5) - decibels(10)), ("extra", decibels(40) - decibels(12))):
-        assert f"DNR against paper, {split}, {ours:+.2f} " in text
 
 
 def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_published(
@@ -276,7 +237,7 @@ def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_publishe
     less = dataclasses.replace(BEST, net=dataclasses.replace(BEST.net, render_samples=1))
     write_run(dataset, tmp_path, "paper-best-1-render-rays", less, 90, 90)
     write_run(dataset, tmp_path, "light-path", LIGHT, 5, 6)
-    tables(dataset, tmp_path, "table2", "square", "claims")
+    tables(dataset, tmp_path, "table2", "square")
     text = capsys.readouterr().out
     rows = [row for row in rows_of(text) if len(row) == 11]
     assert [[row[0], row[2], row[3][:5], row[4][:5]] for row in rows if row[1].startswith(("paper", "light"))] == [
@@ -286,10 +247,6 @@ def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_publishe
         ["per pixel, all layers (paper-best)", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
     ]
     assert "paper-best-1-render-rays" not in text
-    write_run(dataset, tmp_path, "unet", "dnr", 9, 20)
-    tables(dataset, tmp_path, "claims")
-    drops = [row for row in rows_of(capsys.readouterr().out) if row[2] == "paper-best0 against unet"]
-    assert [row[-1] for row in drops] == ["confirmed"]
 
 
 def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
@@ -339,53 +296,97 @@ def verdicts(text: str) -> dict[str, list[str]]:
     return found
 
 
-def test_claims_are_judged_by_the_runs_and_not_run_without_them(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_claims_are_decided_by_intervals_of_enough_pictures_and_not_run_without_runs(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
     tables(dataset, tmp_path, "claims")
-    assert verdicts(capsys.readouterr().out) == {
-        "1": [MISSING, "not run"],
-        "2": [MISSING, "not run"],
-        "3": ["not run"],
-        "4": ["not run"],
-    }
-    write_run(dataset, tmp_path, "unet", "dnr", 9, 20)
+    found = verdicts(capsys.readouterr().out)
+    assert found["1"] == [MISSING, "not run"] and {word for number in "23678" for word in found[number]} == {"not run"}
+    write_run(dataset, tmp_path, "unet", "dnr", 12, 20)
     write_run(dataset, tmp_path, "unet-layers", "dnr-layers", 9, 9)
     write_run(dataset, tmp_path, "sh", paper(extrinsics="sh", width=72), 9, 12)
     for seed, levels in enumerate(((20, 22), (21, 20))):
         write_run(dataset, tmp_path, f"ellipsoid{seed}", paper(seed=seed, geometry="ellipsoid"), levels[0], 20)
         write_run(dataset, tmp_path, f"box{seed}", paper(seed=seed, geometry="box"), levels[1], 40)
     tables(dataset, tmp_path, "claims")
+    assert verdicts(capsys.readouterr().out)["1"] == [MISSING, "not decided"]
+    monkeypatch.setattr(claims, "LEAST", 2)
+    tables(dataset, tmp_path, "claims")
     text = capsys.readouterr().out
     assert verdicts(text) == {
-        "1": [MISSING, "confirmed", "contradicted"],
-        "2": [MISSING, "confirmed"],
-        "3": ["confirmed, within the spread"],
-        "4": ["not run"],
+        "1": [MISSING, "confirmed"],
+        "2": ["confirmed"],
+        "3": ["contradicted"],
+        "4": [MISSING, "confirmed", "contradicted"],
+        "5": [MISSING, "confirmed"],
+        "6": ["not decided"],
+        "7": ["not run"],
+        "8": ["not run"],
     }
-    assert f"drop {decibels(10) - decibels(11):.2f} against {decibels(9) - decibels(20):.2f}" in text
-    assert "inter 33.80 against 33.19; extra 32.52 against 32.99" in text and "drop 0.20 against 2.66" in text
-    assert "than the U-Net: confirmed (1); contradicted (1). 2. Spherical" in text and "possible: not run." in text
+    near, far = decibels(10) - decibels(12), decibels(11) - decibels(20)
+    assert f"inter {near:+.2f} ({near:+.2f} to {near:+.2f}); extra {far:+.2f} ({far:+.2f} to {far:+.2f})" in text
+    assert "inter +0.61; extra -0.47" in text and "spread" not in text.partition("The paper's claims")[2]
 
 
-def test_edited_scenes_decide_whether_zero_layers_help(
+def test_an_interval_has_its_nominal_width_over_pictures_and_over_seeds() -> None:
+    rng = np.random.default_rng(5)
+    one, other = rng.normal(31, 2, (1, 400)), np.full((1, 400), 30.0)
+    gap = claims.bootstrap([one, one], [other, other], claims.NEAR)
+    half = 1.96 * one.std() / 20
+    assert gap.mean == pytest.approx(one.mean() - 30)
+    assert (gap.low, gap.high) == pytest.approx((gap.mean - half, gap.mean + half), abs=0.02)
+    # Seeds that differ, on pictures that do not, and a drop in which every seed's offset cancels.
+    seeds = 31 + rng.normal(0, 1, (40, 1)) + np.zeros((40, 400))
+    gap = claims.bootstrap([seeds, seeds], [other, other], claims.FAR)
+    assert gap.high - gap.low == pytest.approx(2 * 1.96 * seeds.std() / 40**0.5, rel=0.05)
+    drop = claims.bootstrap([seeds, seeds - 2], [other, other], claims.DROP)
+    assert (drop.low, drop.high) == pytest.approx((2, 2))
+    # Scenes differ, but each loses as much.
+    drop = claims.bootstrap([one, one - 3], [other, other], claims.DROP, of_scenes=True)
+    assert (drop.low, drop.high) == pytest.approx((3, 3))
+
+
+def test_a_claim_that_enough_scenes_try_is_judged_over_scenes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claims, "LEAST", 2)
+    scenes = []
+    for place, level in enumerate((12, 9)):
+        folder = tmp_path / str(place)
+        write_run(dataset, folder, "view", paper(), 10, 10)
+        write_run(dataset, folder, "unet", "dnr", level, level)
+        truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
+        runs = tuple(score_run(open_run(folder / "synthetic" / name, folder), truths) for name in ("view", "unet"))
+        scenes.append(
+            SceneScores(dataset=dataset, title=f"scene {place}", has_glass_mask=True, truths=truths, runs=runs)
+        )
+    found = [finding for finding in claims.find_claims(scenes, {}) if finding.claim.startswith("1") and finding.verdict]
+    gaps = [decibels(10) - decibels(level) for level in (12, 9)]
+    assert [finding.data for finding in found] == ["published", "2 scenes"]
+    assert found[1].numbers.startswith(f"inter {statistics.fmean(gaps):+.2f} (") and found[1].verdict == "not decided"
+    assert [finding.data for finding in claims.find_claims(scenes[:1], {})][:2] == ["published", "scene 0"]
+
+
+def test_edited_scenes_decide_whether_zero_layers_help_edits(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_run(dataset, tmp_path, "without", paper(), 10, 11)
     write_run(dataset, tmp_path, "with", paper(zero_layer=True), 10, 11)
+    monkeypatch.setattr(claims, "LEAST", 2)
     make = claims.claims_grid
     easy = dict.fromkeys(TEST_SPLITS, 40.0)  # An edit that one of them alone has drawn.
-    for edited, verdict in ((24.0, "confirmed"), (22.0, "contradicted")):
+    for edited, edits, verdict in ((24.0, 2, "confirmed"), (22.0, 2, "contradicted"), (24.0, 1, "not decided")):
+        names = [f"remove-{place}" for place in range(edits)]
         scores = {
             "synthetic": {
-                "with": {"remove-ball": dict.fromkeys(TEST_SPLITS, edited)},
-                "without": {"remove-ball": dict.fromkeys(TEST_SPLITS, 23.0), "remove-pane": easy},
+                "with": {name: dict.fromkeys(TEST_SPLITS, edited) for name in names},
+                "without": {name: dict.fromkeys(TEST_SPLITS, 23.0) for name in names} | {"remove-pane": easy},
             }
         }
         monkeypatch.setattr("eval.papers.claims.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
         tables(dataset, tmp_path, "claims")
-        assert verdicts(capsys.readouterr().out)["4"] == [verdict]
+        assert verdicts(capsys.readouterr().out)["8"] == [verdict]
 
 
 # What is refused, and what the records must be

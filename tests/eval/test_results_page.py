@@ -42,7 +42,8 @@ def results(**change: Any) -> dict[str, Any]:
             "variants": {"angles": {"noise_ceiling_db": {"extrapolating-10deg": 45.0}, "runs": {"mine": angles}}},
         },
     }
-    return {"version": 1, "made_by": {"command": "make demo", "code": "0.1.0 (abc)"}, "scenes": [scene], **change}
+    made_by = {"command": "make demo", "code": "0.1.0 (abc)"}
+    return {"version": 1, "notes": ["As stored.", "Wrapped."], "made_by": made_by, "scenes": [scene], **change}
 
 
 def write(folder: Path, name: str, content: dict[str, Any]) -> Path:
@@ -98,6 +99,7 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
     lines = results_page(write(tmp_path, "demo.json", results())).splitlines()
     assert lines[:5] == ["# demo", "", "```", "make demo", "```"]
     assert lines[6] == "[demo.json](demo.json); hyaline 0.1.0 (abc)."
+    assert "As stored." in lines and "Wrapped." not in lines
     first = lines.index("### glass_table: 16 x 16 pixels, 1 views of each test split") + 4
     table = [line.replace(MISSING, "none") for line in lines[first:]]
     mean = "31.00 ± 1.41"
