@@ -1,22 +1,28 @@
-"""Fills the marked tables of README.md and docs/{index,paper}.md from docs/results/*.json; `make results` runs it.
+"""Fills the marked tables of README.md and docs/{index,paper,claims}.md from docs/results; `make results` runs it.
 
-A table lies between `<!-- table: NAME -->` and `<!-- end -->`, where NAME is a key of `TABLES`. Tests compare the
-tables, and the numbers in sentences, with the stored results.
+A table lies between `<!-- table: NAME -->` and `<!-- end -->`. In that of `claims`, NAME's rows are written by hand but
+for their last two columns; every other one is a key of `TABLES`. tests/docs/test_claims.py compares tables and the
+numbers of sentences with the stored results.
 """
 
 import json
 import re
-import statistics
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from eval.papers.claims import DROP, FAR, NEAR, Interval, bootstrap
+
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = (ROOT / "README.md", ROOT / "docs/index.md", ROOT / "docs/paper.md")
-TABLE = re.compile(r"(<!-- table: (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)
-NEAR, FAR = "interpolating", "extrapolating"
+RESULTS = ROOT / "docs/results"
+PAGES = (ROOT / "README.md", ROOT / "docs/index.md", ROOT / "docs/paper.md", ROOT / "docs/claims.md")
+TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
+ROW = re.compile(r"^\| (?P<claim>.+?) \| (?P<against>.+?) \| `(?P<cell>.+?)` \|.*\|$", re.MULTILINE)
+SPLITS = ("interpolating", "extrapolating")
 ANGLES = (10, 20, 40)
 DEMO = {
     "light-path": ("`light-path`", "truth", "materials"),
@@ -25,47 +31,204 @@ DEMO = {
     "paper-ellipsoid": ("`paper`", "ellipsoids", ""),
 }
 """Runs of the demo: method, geometry and what else they know."""
-HEADLINE = ("light-path", "paper-best", "paper")
 STANDARD = {"light-path-3500-steps": "light-path", "paper-best-7000-steps": "paper-best", "paper-5000-steps": "paper"}
 """Runs of `standard`, each with twice the usual steps, and their methods."""
+PAIRS = (
+    ("paper", "dnr"),
+    ("paper", "mlp-first"),
+    ("dnr-layers", "dnr"),
+    ("paper", "dnr-layers"),
+    ("mlp-first", "dnr"),
+    ("paper-best", "paper"),
+    ("light-path", "paper-best"),
+)
+"""Methods of the benchmark whose difference is printed."""
+FITS = (
+    ("fits",),
+    ("fits-unseen",),
+    ("fits-unseen-2", "fits-unseen-3", "fits-unseen-4"),
+    ("fits-unseen-5",),
+    ("fits-unseen-6",),
+)
+"""Files with fits of random scenes; the code of each differs, and so do the scenes."""
+
+Scores = list[np.ndarray]
+"""Scores of the interpolating, then of the extrapolating split, by seed and picture."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Results:
-    """One results.json of `eval report`."""
+class Found:
+    """Numbers of the stored results, and how sure they are."""
 
-    name: str
+    numbers: tuple[float, ...]
+    unit: str
+    intervals: tuple[Interval | None, ...] = ()
 
-    @property
-    def data(self) -> dict[str, Any]:
-        return _read(self.name)
+    def __add__(self, other: "Found") -> "Found":
+        units = dict.fromkeys(filter(None, (self.unit, other.unit)))
+        return Found(
+            numbers=self.numbers + other.numbers,
+            unit="; ".join(units),
+            intervals=self.intervals + other.intervals,
+        )
 
-    def scene(self, name: str) -> dict[str, Any]:
-        """The scores of one scene."""
-        return next(scene for scene in self.data["scenes"] if scene["scene"] == name)
 
-    def runs(self, scene: str, run: str) -> list[dict[str, Any]]:
-        """A run, and those that differ from it in the seed alone."""
-        return [each for each in self.scene(scene)["runs"] if re.sub(r"-seed\d+$", "", each["run"]) == run]
-
-    def values(self, scene: str, run: str, key: str, split: str) -> list[float]:
-        """A score of each seed."""
-        return [each["splits"][split][key]["mean"] for each in self.runs(scene, run)]
-
-    def mean(self, scene: str, run: str, split: str, key: str = "psnr_db") -> float:
-        """A score, averaged over seeds."""
-        return statistics.fmean(self.values(scene, run, key, split))
-
-    def at_angle(self, scene: str, run: str, degrees: int, key: str = "psnr_db") -> float:
-        """A score at test cameras this many degrees outside the training cameras, averaged over seeds."""
-        runs = self.scene(scene)["analyses"]["variants"]["angles"]["runs"]
-        split = f"extrapolating-{degrees}deg"
-        return statistics.fmean(runs[each["run"]][split][key]["mean"] for each in self.runs(scene, run))
+# Reading
 
 
 @cache
 def _read(name: str) -> dict[str, Any]:
-    return json.loads((ROOT / "docs/results" / f"{name}.json").read_text())
+    return json.loads((RESULTS / f"{name}.json").read_text())
+
+
+def _by_scene(file: str, run: str, scenes: str = "", key: str = "psnr_db") -> dict[str, Scores]:
+    """Scores of a run and of those that differ from it in the seed alone, by scene; `scenes`: how their names begin."""
+    if file == "bench":
+        (path,) = (path for path in RESULTS.glob("bench/*.json") if re.sub(r"-\d+-steps$", "", path.stem) == run)
+        stored = _read(f"bench/{path.stem}")["scenes"]
+        found = {
+            scene: [np.array([[about["splits"][split]["metrics"][key]]]) for split in SPLITS]
+            for scene, about in stored.items()
+        }
+    else:
+        found = {}
+        for scene in _read(file)["scenes"]:
+            runs = [each["splits"] for each in scene["runs"] if re.sub(r"-seed\d+$", "", each["run"]) == run]
+            if runs:
+                found[scene["scene"]] = [np.array([each[split][key]["pictures"] for each in runs]) for split in SPLITS]
+    return {scene: scores for scene, scores in found.items() if scene.startswith(tuple(scenes.split()) or "")}
+
+
+def _unit(scores: dict[str, Scores]) -> str:
+    seeds, near = next(iter(scores.values()))[0].shape
+    of_seeds = f"{seeds} seed{'s' * (seeds > 1)}"
+    if len(scores) > 1:
+        return f"{len(scores)} scenes, {of_seeds}"
+    (scene, (_, far)), *_ = scores.items()
+    return f"{scene}: {near} + {far.shape[1]} pictures, {of_seeds}" if near > 1 else f"{scene}, {of_seeds}"
+
+
+def _together(scores: dict[str, Scores]) -> Scores:
+    """The scores of the only scene, or the means of each of several."""
+    if len(scores) == 1:
+        return next(iter(scores.values()))
+    return [np.array([[each[split].mean() for each in scores.values()]]) for split in (0, 1)]
+
+
+# What cells of claims.md may call
+
+
+def score(file: str, run: str, scenes: str = "", key: str = "psnr_db") -> Found:
+    """A run's scores on both splits."""
+    scores = _by_scene(file, run, scenes, key)
+    return Found(numbers=tuple(float(split.mean()) for split in _together(scores)), unit=_unit(scores))
+
+
+def lead(file: str, run: str, rival: str, scenes: str = "", key: str = "psnr_db") -> Found:
+    """How far a run is ahead of another on both splits."""
+    return _difference(file, run, rival, scenes, key, (NEAR, FAR))
+
+
+def drop(file: str, run: str, rival: str, scenes: str = "") -> Found:
+    """How much more a run loses than another from the interpolating to the extrapolating split."""
+    return _difference(file, run, rival, scenes, "psnr_db", (DROP,))
+
+
+def _difference(
+    file: str, run: str, rival: str, scenes: str, key: str, weights: Sequence[tuple[float, float]]
+) -> Found:
+    one, other = _shared(file, run, rival, scenes, key)
+    gaps = tuple(bootstrap(_together(one), _together(other), weight, of_scenes=len(one) > 1) for weight in weights)
+    known = tuple(gap if np.isfinite(gap.low) else None for gap in gaps)
+    return Found(numbers=tuple(gap.mean for gap in gaps), unit=_unit(one), intervals=known)
+
+
+def _shared(file: str, run: str, rival: str, scenes: str, key: str) -> tuple[dict[str, Scores], dict[str, Scores]]:
+    one, other = (_by_scene(file, each, scenes, key) for each in (run, rival))
+    names = [scene for scene in one if scene in other]
+    return {scene: one[scene] for scene in names}, {scene: other[scene] for scene in names}
+
+
+def _gaps(file: str, run: str, rival: str, scenes: str, key: str) -> tuple[np.ndarray, str]:
+    """A run's lead, by split and scene."""
+    one, other = _shared(file, run, rival, scenes, key)
+    gaps = [[one[scene][split].mean() - other[scene][split].mean() for scene in one] for split in (0, 1)]
+    return np.array(gaps), _unit(one)
+
+
+def median(file: str, run: str, rival: str, scenes: str = "", key: str = "psnr_db") -> Found:
+    """The median over scenes of a run's lead, on both splits."""
+    gaps, unit = _gaps(file, run, rival, scenes, key)
+    return Found(numbers=tuple(np.median(gaps, axis=1).tolist()), unit=unit)
+
+
+def wins(file: str, run: str, rival: str, scenes: str = "", key: str = "psnr_db") -> Found:
+    """In how many scenes a run leads on either split, and the number of scenes."""
+    gaps, unit = _gaps(file, run, rival, scenes, key)
+    return Found(numbers=(*(gaps > 0).sum(axis=1).tolist(), gaps.shape[1]), unit=unit)
+
+
+def count(file: str, scenes: str = "", run: str = "paper") -> Found:
+    """The number of scenes."""
+    scores = _by_scene(file, run, scenes)
+    return Found(numbers=(float(len(scores)),), unit="")
+
+
+def size(file: str) -> Found:
+    """Width and height of the pictures of a file's first scene."""
+    resolution = _read(file)["scenes"][0]["resolution"]
+    return Found(numbers=(float(resolution["width"]), float(resolution["height"])), unit="")
+
+
+def at(file: str, run: str, rival: str | None = None) -> Found:
+    """Scores at cameras 10, 20 and 40 degrees outside the training cameras; of two runs, the first one's lead."""
+    (scene,) = _read(file)["scenes"]
+    stored = scene["analyses"]["variants"]["angles"]["runs"]
+
+    def means(run: str) -> np.ndarray:
+        runs = [splits for name, splits in stored.items() if re.sub(r"-seed\d+$", "", name) == run]
+        of_angle = [[each[f"extrapolating-{angle}deg"]["psnr_db"]["mean"] for each in runs] for angle in ANGLES]
+        return np.mean(of_angle, axis=1)
+
+    found = means(run) - (0 if rival is None else means(rival))
+    return Found(numbers=tuple(found.tolist()), unit=_unit(_by_scene(file, run)))
+
+
+def ceiling(file: str, *, rounded: bool) -> Found:
+    """The stored noise ceiling of both splits; rounded: with the rounding of two pictures to 8 bits."""
+    (scene,) = _read(file)["scenes"]
+    errors = np.array([10 ** (-scene["noise_ceiling_db"][split] / 10) for split in SPLITS])
+    found = -10 * np.log10(errors + rounded * 2 / 12 / 255**2)
+    return Found(numbers=tuple(found.tolist()), unit=scene["scene"])
+
+
+def larger(run: str, pictures: str = "at that size") -> Found:
+    """Scores of pictures four times as wide as those trained on."""
+    (grid,) = _read("larger")["tables"]["larger"]
+    (row,) = (row for row in grid["rows"] if row[:3] == ["512 x 512", run, pictures])
+    return Found(numbers=tuple(map(float, row[3:5])), unit="glass_table: 2 + 2 pictures, 1 seed")
+
+
+def published(split: str) -> Found:
+    """The lowest and the highest score in the paper's tables."""
+    found = [row[f"{split}_db"] for row in _read("paper")["published"]["rows"]]
+    return Found(numbers=(min(found), max(found)), unit="the paper's tables")
+
+
+def stated(*numbers: float, by: str) -> Found:
+    """Settings, and numbers that others state."""
+    return Found(numbers=tuple(map(float, numbers)), unit=by)
+
+
+CALLS = (score, lead, drop, median, wins, count, size, at, ceiling, larger, published, stated)
+
+
+def evaluated(cell: str) -> Found:
+    """What a cell of claims.md finds in the stored results."""
+    return eval(cell, {call.__name__: call for call in CALLS})  # Our own page.
+
+
+# Tables
 
 
 def table_of(columns: Sequence[str], rows: Sequence[Sequence[str]], *, texts: int) -> str:
@@ -74,189 +237,103 @@ def table_of(columns: Sequence[str], rows: Sequence[Sequence[str]], *, texts: in
     return "".join(f"| {' | '.join(cells)} |\n" for cells in (columns, rules, *rows))
 
 
+def _signed(value: float, decimals: int = 2) -> str:
+    return f"{round(value, decimals) + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def _both(found: Found, decimals: int = 2) -> str:
+    return " / ".join(_signed(number, decimals) for number in found.numbers)
+
+
 def demo_table() -> str:
     """The glass table of the demo: all runs, mean over seeds."""
-    found = Results(name="demo")
+    sizes = {run["run"]: f"{run['num_parameters']:,}" for run in _read("demo")["scenes"][0]["runs"]}
     rows = []
     for run, about in DEMO.items():
-        near, far, glass_near, glass_far, ssim_near, ssim_far, wrap_near, wrap_far = (
-            found.mean("glass_table", run, split, key)
-            for key in ("psnr_db", "glass_psnr_db", "ssim", "psnr_uint8_wrap_db")
-            for split in (NEAR, FAR)
-        )
-        size = f"{found.runs('glass_table', run)[0]['num_parameters']:,}"
-        bold = "**" if run == "light-path" else ""
-        rows.append(
-            (
-                *about,
-                size,
-                f"{bold}{near:.2f}{bold}",
-                f"{bold}{far:.2f}{bold}",
-                _signed(near - far),
-                f"{glass_near:.2f}",
-                f"{glass_far:.2f}",
-                f"{ssim_near:.3f} / {ssim_far:.3f}",
-                f"*{wrap_near:.2f} / {wrap_far:.2f}*",
-            )
-        )
-    ceiling = found.scene("glass_table")["noise_ceiling_db"]
-    rows.append(("noise ceiling", "", "", "", f"{ceiling[NEAR]:.2f}", f"{ceiling[FAR]:.2f}", *[""] * 5))
-    columns = (
-        "run",
-        "geometry",
-        "knows",
-        "parameters",
-        "PSNR inter.",
-        "PSNR extra.",
-        "drop",
-        "glass inter.",
-        "glass extra.",
-        "SSIM inter. / extra.",
-        "*wrapped* inter. / extra.",
-    )
+        near, far = score("demo", run).numbers
+        glass, ssim, wrapped = (score("demo", run, key=key) for key in ("glass_psnr_db", "ssim", "psnr_uint8_wrap_db"))
+        psnr = [f"**{value:.2f}**" if run == "light-path" else f"{value:.2f}" for value in (near, far)]
+        cells = (_signed(near - far), *_both(glass).split(" / "), _both(ssim, 3), f"*{_both(wrapped)}*")
+        rows.append((*about, sizes[run], *psnr, *cells))
+    stored = _both(ceiling("demo", rounded=False)).split(" / ")
+    rows.append(("noise ceiling, not rounded", "", "", "", *stored, *[""] * 5))
+    columns = ("run", "geometry", "knows", "parameters of networks", "PSNR inter.", "PSNR extra.", "drop")
+    columns += ("glass inter.", "glass extra.", "SSIM inter. / extra.", "*wrapped* inter. / extra.")
     return table_of(columns, rows, texts=3)
 
 
 def short_demo_table() -> str:
     """PSNR of the demo's runs, mean over seeds."""
-    found = Results(name="demo")
     rows = [
-        (
-            name if geometry == "truth" else f"{name} on {geometry}",
-            *(f"{found.mean('glass_table', run, split):.2f} dB" for split in (NEAR, FAR)),
-        )
+        (name if geometry == "truth" else f"{name} on {geometry}", *_both(score("demo", run)).split(" / "))
         for run, (name, geometry, _) in DEMO.items()
     ]
-    ceiling = found.scene("glass_table")["noise_ceiling_db"]
-    rows.append(("noise ceiling", *(f"{ceiling[split]:.2f} dB" for split in (NEAR, FAR))))
-    return table_of(("run", "PSNR interpolating", "PSNR extrapolating"), rows, texts=1)
-
-
-def _signed(value: float) -> str:
-    return f"{value:.2f}".replace("-", "\N{MINUS SIGN}")
+    rows.append(("noise ceiling, not rounded to 8 bits", *_both(ceiling("demo", rounded=False)).split(" / ")))
+    return table_of(("run", "PSNR interpolating, dB", "PSNR extrapolating, dB"), rows, texts=1)
 
 
 def angles_table() -> str:
     """PSNR of the demo's runs at test cameras outside the training cameras."""
-    found = Results(name="demo")
-    rows = [
-        (DEMO[run][0], *(f"{found.at_angle('glass_table', run, degrees):.1f}" for degrees in ANGLES))
-        for run in HEADLINE
-    ]
+    rows = [(DEMO[run][0], *_both(at("demo", run), 1).split(" / ")) for run in ("light-path", "paper-best", "paper")]
     return table_of(("run", *(f"{degrees}°" for degrees in ANGLES)), rows, texts=1)
-
-
-def standard_mean(run: str, split: str) -> float:
-    """PSNR averaged over the scenes of `standard`."""
-    found = Results(name="standard")
-    return statistics.fmean(found.mean(scene["scene"], run, split) for scene in found.data["scenes"])
 
 
 def standard_table() -> str:
     """PSNR on four scenes at 256 x 256."""
-    found = Results(name="standard")
-    scenes = [scene["scene"] for scene in found.data["scenes"]]
-    rows = [
-        (scene, *(f"{found.mean(scene, run, NEAR):.2f} / {found.mean(scene, run, FAR):.2f}" for run in STANDARD))
-        for scene in scenes
-    ]
-    rows.append(("mean", *(f"{standard_mean(run, NEAR):.2f} / {standard_mean(run, FAR):.2f}" for run in STANDARD)))
+    scenes = [scene["scene"] for scene in _read("standard")["scenes"]]
+    rows = [(scene, *(_both(score("standard", run, scene)) for run in STANDARD)) for scene in scenes]
+    rows.append(("mean", *(_both(score("standard", run)) for run in STANDARD)))
     return table_of(("scene", *(f"`{method}`" for method in STANDARD.values())), rows, texts=1)
 
 
-def lead_over(rival: str, run: str = "light-path", *, results: str = "demo", scene: str = "glass_table") -> str:
-    """How far a run leads another: `near / far` in dB."""
-    found = Results(name=results)
-    return " / ".join(f"{found.mean(scene, run, split) - found.mean(scene, rival, split):.1f}" for split in (NEAR, FAR))
+def pairs_table() -> str:
+    """Differences of methods over the benchmark's scenes, with their intervals."""
+    rows = []
+    for pair in PAIRS:
+        found, glass = lead("bench", *pair), lead("bench", *pair, key="glass_psnr_db")
+        gaps = [_interval(gap) for gap in found.intervals]
+        both = (_both(glass, 1), _both(median("bench", *pair, key="glass_psnr_db"), 1))
+        near, far, _ = wins("bench", *pair).numbers
+        rows.append((f"`{pair[0]}` over `{pair[1]}`", *gaps, *both, f"{near:.0f} / {far:.0f}"))
+    columns = ("gain in dB", "interpolating", "extrapolating", "in glass, mean", "median", "scenes with a gain")
+    return table_of(columns, rows, texts=1)
 
 
-def at_angles(run: str) -> str:
-    """PSNR of a run of the demo at 10, 20 and 40 degrees."""
-    return " / ".join(f"{Results(name='demo').at_angle('glass_table', run, degrees):.1f}" for degrees in ANGLES)
+def fits_table() -> str:
+    """What fitted glass costs on random scenes."""
+    rows = []
+    for files in FITS:
+        costs, inside = [], []
+        for file in files:
+            gaps, _ = _gaps(file, "light-path-600-steps", "light-path-fitted-600-steps", "", "psnr_db")
+            costs.append(gaps)
+            inside += [inside for scene in _read(file)["scenes"] for inside in _indices(scene)]
+        cost = np.concatenate(costs, axis=1)
+        texts = [" / ".join(_signed(value, 1) for value in of(cost, axis=1)) for of in (np.median, np.min, np.max)]
+        pages = ", ".join(f"[{file}](results/{file}.md)" for file in files)
+        rows.append((pages, str(cost.shape[1]), *texts, f"{sum(inside)} of {len(inside)}"))
+    return table_of(("fits", "scenes", "median", "least", "greatest", "indices in their interval"), rows, texts=1)
 
 
-def readme_claims() -> tuple[str, ...]:
-    """Sentences of README with numbers of stored results."""
-    means = {
-        method: f"{standard_mean(run, NEAR):.1f} / {standard_mean(run, FAR):.1f}" for run, method in STANDARD.items()
-    }
-    run, rival, _ = STANDARD
-    shelf = lead_over(rival, run, results="standard", scene="plant_shelf")
-    unet, per_pixel = layer_gains()
-    return (
-        f"`light-path` leads it by {lead_over('paper-best')} dB, and `paper` as published by {lead_over('paper')}",
-        f"outside the training views, `light-path` scores {at_angles('light-path')} dB and `paper-best` "
-        f"{at_angles('paper-best')}",
-        f"`light-path` averages {means['light-path']} dB over four scenes, and `paper-best` {means['paper-best']}",
-        f"`plant_shelf`, which shows the least glass ({shelf} dB)",
-        f"in the training pictures, and `light-path` scores {fitted_scores('light-path-fitted')} dB on the demo",
-        f"From pictures and masks alone, it scores {captured_scores()} dB",
-        f"{unet} dB (interpolating / extrapolating) with a U-Net, and {per_pixel} dB with the per-pixel network",
-        f"pixels that score {larger_scores('light-path')} dB; those of `paper` score {larger_scores('paper')}",
-        f"ground truth, upsampled, {larger_scores('truth', 'enlarged')}",
-    )
+def _indices(scene: dict[str, Any]) -> list[bool]:
+    """Of each fitted object's index of refraction: whether its interval contains the true one."""
+    objects = [item for fit in scene["analyses"]["fits"].values() for item in fit.values() if item.get("measured")]
+    return [
+        item["numbers"]["ior"]["low"] <= item["measured"]["true"]["ior"] <= item["numbers"]["ior"]["high"]
+        for item in objects
+    ]
 
 
-def larger_scores(run: str, pictures: str = "at that size") -> str:
-    """Scores of pictures four times as wide as those trained on, in dB."""
-    (grid,) = Results(name="larger").data["tables"]["larger"]
-    (row,) = (row for row in grid["rows"] if row[:3] == ["512 x 512", run, pictures])
-    return " / ".join(f"{float(cell):.1f}" for cell in row[3:5])
+def _interval(gap: Interval | None) -> str:
+    if gap is None:
+        return "too few"
+    return f"{_signed(gap.mean)} ({_signed(gap.low)} to {_signed(gap.high)})"
 
 
-def fitted_scores(run: str, *, results: str = "fits-demo", scene: str = "glass_table") -> str:
-    """Scores of a run beside those on fitted glass, in dB."""
-    found = Results(name=results)
-    return " / ".join(f"{found.mean(scene, run, split):.1f}" for split in (NEAR, FAR))
-
-
-def captured_scores() -> str:
-    """Scores of `light-path` on a dataset captured from pictures and masks alone, in dB."""
-    return fitted_scores("light-path-fitted-1000-steps", results="known-fitted", scene="shots")
-
-
-def layer_gains() -> tuple[str, ...]:
-    """What all layers gain over the first one, with a U-Net and with the per-pixel network: `near / far` in dB."""
-    pairs = (("dnr", "dnr-layers"), ("mlp-first", "paper"))
-    return tuple(lead_over(first, run, results="paper") for first, run in pairs)
-
-
-def fitted_cost() -> str:
-    """What fitted glass costs `light-path` on random scenes: the median of `near / far` in dB."""
-    found = Results(name="fits")
-    scenes = [scene["scene"] for scene in found.data["scenes"]]
-    runs = ("light-path-600-steps", "light-path-fitted-600-steps")
-    costs = {
-        split: statistics.median(
-            found.mean(scene, runs[0], split) - found.mean(scene, runs[1], split) for scene in scenes
-        )
-        for split in (NEAR, FAR)
-    }
-    return f"{len(scenes)} random scenes {costs[NEAR]:.1f} / {costs[FAR]:.1f} dB in the median"
-
-
-def paper_claims() -> tuple[str, ...]:
-    """Sentences of the paper page with numbers of stored results."""
-    found = Results(name="demo")
-    wrapped, true = (
-        " / ".join(f"{found.mean('glass_table', 'paper', split, key):.1f}" for split in (NEAR, FAR))
-        for key in ("psnr_uint8_wrap_db", "psnr_db")
-    )
-    fitted, told = map(fitted_scores, ("light-path-fitted", "light-path"))
-    hulls = fitted_scores("light-path-fitted-hull", results="known-fitted")
-    unet, per_pixel = layer_gains()
-    return (
-        f"Layers gain {unet} dB over a single layer with a U-Net, {per_pixel} with the per-pixel network",
-        f"gain {unet} dB for the U-Net and {per_pixel} for the per-pixel network",
-        f"outperform the best version of the paper's method by {lead_over('paper-best')} dB",
-        f"which gains {lead_over('paper', 'paper-best')} dB over the published form",
-        f"on {fitted_cost()}",
-        f"scores {fitted} dB on fitted glass, {told} on the true one, and {hulls} on hulls",
-        f"it reaches {captured_scores()}",
-        f"`light-path` 7.7 / 7.5 dB: it has {larger_scores('light-path')} dB, the upsampled ground truth "
-        f"{larger_scores('truth', 'enlarged')}",
-        f"the wrapped metric gives `paper` {wrapped} dB here, in the published range; its PSNR is {true} dB",
-    )
+def _claim_row(row: re.Match[str]) -> str:
+    found = evaluated(row["cell"])
+    intervals = "; ".join(_interval(gap) for gap in found.intervals) or "–"  # noqa: RUF001
+    return f"| {row['claim']} | {row['against']} | `{row['cell']}` | {found.unit or '–'} | {intervals} |"  # noqa: RUF001
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -264,19 +341,19 @@ TABLES: dict[str, Callable[[], str]] = {
     "short-demo": short_demo_table,
     "angles": angles_table,
     "standard": standard_table,
-}
-
-
-CLAIMS: dict[str, Callable[[], tuple[str, ...]]] = {
-    "README.md": readme_claims,
-    "index.md": tuple,  # Its numbers are all in the table.
-    "paper.md": paper_claims,
+    "pairs": pairs_table,
+    "fits": fits_table,
 }
 
 
 def filled(text: str) -> str:
     """A page whose tables are those of the stored results."""
-    return TABLE.sub(lambda found: f"{found[1]}{TABLES[found[2]]()}{found[3]}", text)
+
+    def table(found: re.Match[str]) -> str:
+        rows = ROW.sub(_claim_row, found[3]) if found[2] == "claims" else TABLES[found[2]]()
+        return f"{found[1]}{rows}{found[4]}"
+
+    return TABLE.sub(table, text)
 
 
 if __name__ == "__main__":
