@@ -1,4 +1,4 @@
-"""Configuration of the methods `paper` (as published), `paper-best` (the best of the same idea) and `mlp-first`."""
+"""Configuration of the methods `paper`, `paper-best` (the same idea, tuned) and `mlp-first`."""
 
 import dataclasses
 from dataclasses import dataclass
