@@ -22,7 +22,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.variants import variant_root
 from datagen.data.writing import write_head
 from datagen.scene.edits import CLEAR_GLASS, GREY, Edit, edit_scene, parse_edit
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
 from model.methods.light_path.config import LightPathConfig
@@ -167,7 +167,7 @@ def edited_dataset(base: Dataset, edits: tuple[Edit, ...], folder: Path, *, with
 
 def page_edits(base: Dataset, edits: tuple[Edit, ...], *, knows_materials: bool) -> dict[str, dict[str, object]]:
     """The same, as a page's `picture` takes them: copies come first, made of objects that no edit has changed yet."""
-    before = load_scene(base.root / "scene", is_sealed=True)
+    before = open_scene(base)
     edited = edit_scene(before, edits)
     old = {item.name: item for item in before.objects}
     known = {CLEAR_GLASS: "clear glass", GREY: "matt"}

@@ -143,7 +143,7 @@ def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: P
         if (data / name).is_file():
             assert (home / "again" / name).read_bytes() == (data / name).read_bytes()
     run(f"datagen add '{data}' --edit remove:pane")
-    edited = load_scene(data / "variants/remove-pane/scene", is_sealed=True)
+    edited = load_scene(data / "variants/remove-pane/scene", is_checked=True)
     assert isinstance(edited.cameras, CameraList) and len(edited.cameras.train) == 3
     moved = json.loads((home / "scene/transforms_train.json").read_text())
     moved["frames"][0]["transform_matrix"][2][3] += 0.01

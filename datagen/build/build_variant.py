@@ -25,7 +25,7 @@ from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.ownership import DATASET, PROXIES, holding, is_ours, refuse_taken
 from datagen.disk.storage import load_sealed, sha256
 from datagen.scene.edits import moved_mesh
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.terminal.command import say
 
 
@@ -146,7 +146,7 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
     if assignment is not None:
         kinds = {item.name: kind for item, kind in zip(base.objects, assignment, strict=True)}
         assignment = tuple(kinds[edited.copies.get(name, name)] for name in names)
-    base_scene = {item.name: item.material for item in load_scene(base.root / "scene", is_sealed=True).objects}
+    base_scene = {item.name: item.material for item in open_scene(base).objects}
     found_materials = read_materials(base, geometry)
     materials = {
         item.name: found_materials[original]

@@ -13,7 +13,7 @@ from datagen.data.film import Picture, check_film, film_key, write_film
 from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.camera_path import make_path
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.scene.soundness import check_cameras_outside
 from datagen.terminal.command import track
 
@@ -26,7 +26,7 @@ def plan_film(dataset: Dataset, choices: FilmChoices, out: Path) -> Cameras:
     """
     refuse_unlit(dataset, what="a film")
     cameras = make_path(dataset, choices.path, choices.frames, width=choices.width, height=choices.height)
-    check_cameras_outside(load_scene(dataset.root / "scene", is_sealed=True), cameras.world_from_camera[:, :3, 3])
+    check_cameras_outside(open_scene(dataset), cameras.world_from_camera[:, :3, 3])
     check_film(out, choices.fps, frames=choices.frames, overwrite=choices.overwrite)
     return cameras
 
@@ -47,7 +47,7 @@ def path_trace(dataset: Dataset, cameras: Cameras, first: int = 0, *, spp: int) 
     use_mitsuba()
     from datagen.render.truth import Renderer, derive_seed, render_view
 
-    renderer = Renderer(load_scene(dataset.root / "scene", is_sealed=True), max_depth=dataset.config.max_depth)
+    renderer = Renderer(open_scene(dataset), max_depth=dataset.config.max_depth)
     for view in track(range(first, len(cameras)), label="render", total=len(cameras), done=first):
         seed = derive_seed(dataset.config.seed, "film", view)
         truth = render_view(renderer, cameras, view, spp=spp, view_seed=seed, ceiling_db=None)

@@ -8,7 +8,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_writing import write_layers
 from datagen.data.writing import commit_view
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 
 Task = tuple[Split, int]
 
@@ -23,9 +23,7 @@ class RenderJob:
         self.variant = use_mitsuba(quiet=True, threads=threads)
         self.dataset = open_dataset(root)
         self.cameras = _all_cameras(self.dataset)
-        self.renderer = Renderer(
-            load_scene(self.dataset.home.root / "scene", is_sealed=True), max_depth=self.dataset.config.max_depth
-        )
+        self.renderer = Renderer(open_scene(self.dataset), max_depth=self.dataset.config.max_depth)
 
 
 def render_task(job: RenderJob, task: Task) -> None:

@@ -14,7 +14,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.variants import ANGLES, evenly, scale_name
 from datagen.disk.errors import HyalineError
 from datagen.scene.edits import Edit, EditedScene, describe_edit, edit_scene, edits_name, parse_edit
-from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.rig import cameras_within
 
 MAX_SCALE = 8
@@ -41,7 +41,7 @@ def plan_angles(base: Dataset) -> Plan:
         HyalineError: the scene has no place for such cameras.
     """
     _check_base(base)
-    scene = load_scene(base.root / "scene", is_sealed=True)
+    scene = open_scene(base)
     cameras = cameras_within(scene, make_angle_cameras(scene, base.config))
     return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
 
@@ -86,7 +86,7 @@ def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
     base.layer_store()
     # Verifies that the meshes are those that the dataset was rendered with.
     read_meshes(base, TRUTH)
-    before = load_scene(base.root / "scene", is_sealed=True)
+    before = open_scene(base)
     edited = edit_scene(before, edits)
     edit = SceneEdit(edits=tuple(map(describe_edit, edits)), changed=edited.changed(before), copies=edited.copies)
     return Plan(
@@ -109,4 +109,4 @@ def _check_base(base: Dataset) -> None:
 
 def edited_scene(base: Dataset, edit: SceneEdit) -> EditedScene:
     """The scene of a variant, with what the edit did to each object."""
-    return edit_scene(load_scene(base.root / "scene", is_sealed=True), tuple(map(parse_edit, edit.edits)))
+    return edit_scene(open_scene(base), tuple(map(parse_edit, edit.edits)))

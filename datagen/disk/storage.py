@@ -201,9 +201,7 @@ def way_out(path: Path) -> str:
 def check_files(root: Path, files: Mapping[str, str]) -> None:
     """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
-        if sha256_file(find_file(root, relative, where=str(root))) != promised:
-            path = root / relative
-            raise DamagedError(f"{path}: damaged (checksum differs); {way_out(path)}")
+        read_promised(root, relative, promised)
 
 
 def read_promised(root: Path, relative: str, promised: str) -> bytes:
@@ -218,7 +216,7 @@ def read_promised(root: Path, relative: str, promised: str) -> bytes:
     except DamagedError as error:
         raise DamagedError(f"{error}; {way_out(path)}") from None
     if sha256(data) != promised:
-        raise DamagedError(f"{path}: damaged (checksum differs); {way_out(path)}")
+        raise DamagedError(f"{path}: damaged or edited (checksum differs); {way_out(path)}")
     return data
 
 

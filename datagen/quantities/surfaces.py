@@ -14,7 +14,7 @@ from datagen.data.geometries import read_meshes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.scene.description import Scene, image_bytes
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.scene.images import linear_pixels, look_up
 from datagen.scene.materials import Conductor, Diffuse, Material, Plastic, RoughDielectric
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
@@ -196,6 +196,6 @@ def surfaces_of(dataset: Dataset) -> Surfaces:
     """The surfaces of an opened dataset, read once and verified."""
     if dataset not in _OPENED:
         meshes = read_meshes(dataset, TRUTH)
-        scene = load_scene(dataset.home.root / "scene", is_sealed=True)
+        scene = open_scene(dataset)
         _OPENED[dataset] = Surfaces(scene=scene, meshes=meshes)
     return _OPENED[dataset]

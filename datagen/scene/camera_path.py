@@ -7,13 +7,12 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.cameras import Cameras, Lens, look_at
-from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.transforms import read_transforms
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import CameraRig
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import listed_cameras, open_scene
 
 NAMES = ("orbit", "spline")
 MAX_FRAMES = 10_000
@@ -44,7 +43,8 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
             raise HyalineError(f"{name}: is {value}; expected 1 to 8192 pixels")
     center = lens.center
     if path == "orbit":
-        poses, center = _orbit(_rig_of(dataset), frames), None
+        rig = open_scene(dataset).cameras if dataset.objects else listed_cameras(dataset)  # Without meshes, no scene.
+        poses, center = _orbit(rig, frames), None
     elif path == "spline":
         poses = _curve(views.world_from_camera, frames)
     else:
@@ -55,13 +55,6 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
     if center is not None:
         center = (center[0] / lens.width * wide, center[1] / lens.height * high)
     return Cameras(world_from_camera=poses, fov_x=lens.fov_x, width=wide, height=high, center=center)
-
-
-def _rig_of(dataset: Dataset) -> CameraRig | CameraList:
-    """The cameras of a dataset; imported pictures without meshes have no scene."""
-    if dataset.objects:
-        return load_scene(dataset.root / "scene", is_sealed=True).cameras
-    return CameraList(**{split: dataset.cameras(split) for split in SPLITS})
 
 
 def _orbit(rig: CameraRig | CameraList, frames: int) -> Float[np.ndarray, "view 4 4"]:

@@ -3,7 +3,7 @@
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar, cast
@@ -11,15 +11,16 @@ from typing import TypeVar, cast
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_materials
 from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
-from datagen.data.paths import geometry_root
+from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import Json, from_json, load_json, read_regular, shown, to_json
-from datagen.disk.storage import commit, dump_json
+from datagen.disk.storage import check_files, commit, dump_json
 from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
 from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts
 from datagen.scene.description import (
@@ -160,11 +161,34 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     return {**files, "scene.json": dump_json(data)}
 
 
-def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
+def open_scene(dataset: Dataset, geometry: str = TRUTH) -> Scene:
+    """A dataset's scene, every file of it verified; objects have the materials that they have in a geometry.
+
+    Their meshes stay the scene's.
+    """
+    dataset = dataset.home
+    check_files(dataset.root, {file: promised for file, promised in dataset.files.items() if file.startswith("scene/")})
+    scene = load_scene(dataset.root / "scene", is_checked=True, cameras=lambda: listed_cameras(dataset))
+    where = f"{geometry_root(dataset.root, geometry) / 'proxies.json'}: materials"
+    materials = {
+        name: from_json(_OneMaterial, {"material": value}, where=f"{where}: {name}").material
+        for name, value in read_materials(dataset, geometry).items()
+    }
+    return with_materials(scene, materials)
+
+
+def listed_cameras(dataset: Dataset) -> CameraList:
+    """The cameras of a dataset, or of the one around a variant, one by one."""
+    owner = dataset.parent or dataset
+    return CameraList(**{split: owner.cameras(split) for split in SPLITS})
+
+
+def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], CameraList] | None = None) -> Scene:
     """The checked scene in a folder. Objects without an atlas get one; each repair prints a line.
 
     Args:
-        is_sealed: the folder belongs to a dataset, whose scene was repaired and checked before: read it unchanged.
+        is_checked: the scene was repaired and checked when it was saved: read it unchanged.
+        cameras: those of a scene that lists them; by default the ones in its folder, or in the dataset around it.
     """
     path = find_file(folder, "scene.json", where=str(folder))
     data = load_json(path)
@@ -173,7 +197,7 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     listed = data.get("objects")
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
-    if isinstance(cameras := data.get("cameras"), dict) and cameras.get("type") == "CameraList":
+    if isinstance(described := data.get("cameras"), dict) and described.get("type") == "CameraList":
         raise HyalineError(
             f"{path}: cameras: no CameraList is read any more; list them in transforms files instead (docs/scenes.md)"
         )
@@ -202,10 +226,10 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
         objects=tuple(objects),
         environment=file.environment,
         lights=file.lights,
-        cameras=file.cameras or read_camera_list(folder),
+        cameras=file.cameras or (read_camera_list(folder) if cameras is None else cameras()),
         folder=folder,
     )
-    if not is_sealed:
+    if not is_checked:
         if isinstance(scene.environment, EnvironmentMap):
             read_map(image_bytes(scene, scene.environment), where=f"{path}: {scene.environment.path}")
         check_names(scene)
@@ -214,20 +238,8 @@ def load_scene(folder: Path, *, is_sealed: bool = False) -> Scene:
     for item in scene.objects:
         if item.name in cuts and not is_there(item.mesh):
             raise HyalineError(f"{path}: object {item.name}: its cutout removes all of it; expected opaque texels")
-    check_scene(scene, is_sealed=is_sealed)
+    check_scene(scene, is_checked=is_checked)
     return scene
-
-
-def load_scene_as(dataset: Dataset, geometry: str) -> Scene:
-    """A dataset's scene, its objects with the materials that they have in a geometry; their meshes stay the scene's."""
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
-    found = read_materials(dataset, geometry)
-    where = f"{geometry_root(dataset.home.root, geometry) / 'proxies.json'}: materials"
-    materials = {
-        name: from_json(_OneMaterial, {"material": value}, where=f"{where}: {name}").material
-        for name, value in found.items()
-    }
-    return with_materials(scene, materials)
 
 
 def with_materials(scene: Scene, materials: Mapping[str, Material]) -> Scene:

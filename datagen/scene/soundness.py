@@ -49,11 +49,11 @@ LARGEST = 50.0
 """Largest size relative to the cameras' distance: objects modelled in millimetres are a thousand times too large."""
 
 
-def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
+def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
     """Rejects a scene that would crash a native library or silently render wrong.
 
     Args:
-        is_sealed: the scene was checked when its dataset was begun, so only single numbers are checked again.
+        is_checked: the scene was checked when it was saved, so only single numbers are checked again.
     """
     check_name(scene.name, where="scene name")
     check_names(scene)
@@ -67,7 +67,7 @@ def check_scene(scene: Scene, *, is_sealed: bool = False) -> None:
         if item.material.medium is not None:
             check_closed(item.mesh, where=where)
     _check_nesting(scene)
-    if not is_sealed:
+    if not is_checked:
         check_sound(scene)
 
 

@@ -19,7 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import load_sealed
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from eval.score.runs import is_number, list_run_folders
 
 FIT, FIT_VERSION = "fit.json", 1
@@ -125,7 +125,7 @@ def measure_fit(dataset: Dataset, fit: Fit) -> tuple[Measured, ...]:
     if not knows_truth(dataset):
         return (Measured(errors=None, hull_errors=None, true={}),) * len(fit.objects)
     truths, meshes = meshes_by_name(dataset, TRUTH), fitted_meshes(dataset, fit)
-    materials = {item.name: item.material for item in load_scene(dataset.root / "scene", is_sealed=True).objects}
+    materials = {item.name: item.material for item in open_scene(dataset).objects}
     measured = []
     for item in fit.objects:
         truth, true = truths.get(item.name), {}

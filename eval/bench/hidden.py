@@ -29,7 +29,7 @@ from datagen.disk.ownership import DATASET, holding
 from datagen.disk.records import read_regular
 from datagen.disk.storage import read_promised, sha256
 from datagen.scene.description import Scene, SoftEnvironment
-from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic
 from datagen.terminal.command import choose, say
 from eval.bench.protocol import Protocol, is_of_preset
@@ -89,7 +89,7 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     except HyalineError as error:
         reason = str(error).split("; ")[0]
         raise HyalineError(f"{reason}; `hyaline-bench secret` prints the commands that build it") from None
-    scene = load_scene(source.root / "scene", is_sealed=True)
+    scene = open_scene(source)
     files = scene_files(without_colours(scene, name))
     num_layers = source.layer_store().head.num_layers
     public, truth = (out / kind / f"{name}-{preset}" for kind in ("public", "truth"))

@@ -31,7 +31,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import PROXIES, holding
 from datagen.disk.records import Json
 from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene, material_json, with_materials
+from datagen.scene.folder import material_json, open_scene, with_materials
 from datagen.scene.materials import Diffuse
 from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
@@ -100,7 +100,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         HyalineError: an object has an unknown name or is not glass, or masks are missing.
     """
     check_has_meshes(dataset)
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    scene = open_scene(dataset)
     assumed = {item.name: MATT for item in scene.objects if choices.room == "matt" and not item.material.is_glass}
     unknown = find_unknown(dataset, scene, choices.unknown)
     meshes = read_meshes(dataset, TRUTH)

@@ -18,7 +18,7 @@ from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from model.batches.rays import PixelSource, RayBatch
 from model.batches.traced_layers import trace_layers
 from model.nets.texture import NeuralTextures, bilinear_taps
@@ -117,7 +117,7 @@ def patches_around(pixel: Int[Tensor, " patch"], size: int, resolution: Resoluti
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
     """Poses around the training cameras, but nearer, farther and lower; test cameras are not used."""
     cameras = dataset.cameras("train")
-    target = np.array(load_scene(dataset.root / "scene", is_sealed=True).cameras.target)
+    target = np.array(open_scene(dataset).cameras.target)
     offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target
     offset = offset * rng.uniform(*DISTANCES, (number, 1))
     offset[:, 2] *= rng.uniform(*HEIGHTS, number)

@@ -18,7 +18,7 @@ from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.terminal.signals import Stopped
 from model.batches.traced_layers import cameras_of
 from model.methods.protocol import Inputs
@@ -209,7 +209,7 @@ def _has_a_page(subject: Subject) -> str:
     if not net.page:
         return "it has no web page (page is empty)"
     renderer = load_renderer(subject.folder / "first", subject.config, subject.dataset)
-    page = net.draw_page(renderer, load_scene(subject.dataset.root / "scene", is_sealed=True))
+    page = net.draw_page(renderer, open_scene(subject.dataset))
     _expect(re.search(r"\bvec3\s+shade\s*\(", page.shader) is not None, "its shader has no function vec3 shade(...)")
     bad = [name for name in page.defines if not re.fullmatch("[A-Z][A-Z0-9_]*", name)]
     _expect(not bad, f"its define {', '.join(bad)} is not a name in capitals")

@@ -10,7 +10,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY, read_materials
 from datagen.data.paths import TRUTH, is_fitted
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import load_scene_as
+from datagen.scene.folder import open_scene
 from datagen.scene.materials import Diffuse
 from datagen.terminal.parsing import flag_words
 from model.methods.protocol import Inputs, MethodConfig
@@ -95,7 +95,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
 def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
     """Names of the objects of which a fitted geometry tells the method more than `model fit` found."""
     uses_materials = bool(config.net.knowledge)
-    materials = [item.material for item in load_scene_as(dataset, config.geometry).objects]
+    materials = [item.material for item in open_scene(dataset, config.geometry).objects]
     found = read_materials(dataset, config.geometry)
     return tuple(
         item.name

@@ -20,7 +20,7 @@ from datagen.scene.contact import MIN_COSINE as SKIP_COSINE
 from datagen.scene.contact import RAY_OFFSET
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.edits import CLEAR_GLASS, GREY
-from datagen.scene.folder import load_scene_as
+from datagen.scene.folder import open_scene
 from datagen.scene.materials import Material
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS, Texels, Tints, tints_of
@@ -171,7 +171,7 @@ class WebScene:
 
 def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geometry: str, quality: Quality) -> WebScene:
     """The page's data for the scene of a trained renderer whose method has a page."""
-    scene = load_scene_as(dataset, geometry)
+    scene = open_scene(dataset, geometry)
     meshes = read_meshes(dataset, geometry)
     page = config.draw_page(renderer, scene)
     packed = Packed()

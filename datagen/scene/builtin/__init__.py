@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.dataset import head_files
+from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import check_files, is_intact, private_cache, sha256, write_hashed
+from datagen.disk.storage import is_intact, private_cache, sha256, write_hashed
 from datagen.machine.processes import ROOT
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene, scene_files
+from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
@@ -62,11 +62,11 @@ def _same_scene(name: str, root: Path) -> Scene | None:
     The dataset's copy is used if all its checksums match, and if it equals the scene made today except for uv.
     """
     try:
-        files = {path: promised for path, promised in head_files(root).items() if path.startswith("scene/")}
-        check_files(root, files)
-        stored = load_scene(root / "scene", is_sealed=True)
+        dataset = open_dataset(root)
+        stored = open_scene(dataset)
     except HyalineError:
         return None
+    files = {path: promised for path, promised in dataset.files.items() if path.startswith("scene/")}
     if not _was_compared(name, files):
         scene = SCENES[name]()
         objects = tuple(

@@ -53,7 +53,7 @@ def scene_from(function: Callable[..., None], *arguments: object, where: str) ->
     (`save_answer`)."""
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
-        scene = load_scene(folder / "scene", is_sealed=True)
+        scene = load_scene(folder / "scene", is_checked=True)
         images = {image.path for item in scene.objects for image in item.material.images().values()}
         if isinstance(scene.environment, EnvironmentMap):
             images.add(scene.environment.path)

@@ -9,7 +9,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import check_has_meshes
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import EnvironmentMap, Scene, image_bytes
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from datagen.scene.images import read_map
 from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
@@ -27,7 +27,7 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     check_has_meshes(inputs.dataset)
     size = config.texture_size or inputs.dataset.config.resolution.mean_side
     if config.environment_size == SKY_HEIGHT:
-        scene = load_scene(inputs.dataset.root / "scene", is_sealed=True)
+        scene = open_scene(inputs.dataset)
         config = dataclasses.replace(config, environment_size=sky_height(scene))
     return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
 

@@ -372,14 +372,14 @@ class _Surfaces:
 # Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.
 @functools.lru_cache(maxsize=1)
 def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
-    from datagen.scene.folder import load_scene_as
+    from datagen.scene.folder import open_scene
 
     # The tracer's module can be imported only when Mitsuba has its variant.
     use_mitsuba()
     from datagen.trace.light_path import LightPathTracer
     from datagen.trace.surface_tables import tints_of
 
-    scene = load_scene_as(key.dataset, key.geometry)
+    scene = open_scene(key.dataset, key.geometry)
     materials = tuple(item.material for item in scene.objects)
     tints = tints_of(scene, own_uv=follows_light(key.geometry))
     meshes = read_meshes(key.dataset, key.geometry)

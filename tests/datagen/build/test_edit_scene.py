@@ -157,7 +157,7 @@ def test_a_copy_stands_behind_all_others_and_names_its_original() -> None:
 def test_an_edited_scene_survives_its_folder(tmp_path: Path) -> None:
     scene = edited(table(), "remove:ball", "move:post:0,0.1,0")
     save_scene(scene, tmp_path)
-    loaded = load_scene(tmp_path, is_sealed=True)
+    loaded = load_scene(tmp_path, is_checked=True)
     assert not is_there(loaded.objects[1].mesh)
     assert scene_files(loaded) == scene_files(scene)
     # A removed object has no mesh, and no other one lacks it.

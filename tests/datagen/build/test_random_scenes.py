@@ -12,7 +12,7 @@ from support.commands import call, run
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
 from datagen.disk.storage import sha256
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 
 SIZE = "--preset tiny --resolution 4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
 
@@ -36,7 +36,7 @@ def test_count_builds_a_dataset_for_each_seed_and_its_name_builds_the_same_scene
     for seed, name in enumerate(names, 3):
         dataset = open_dataset(here / "many" / name)
         assert (dataset.config.scene, dataset.config.seed) == (name, seed)
-        assert load_scene(dataset.root / "scene", is_sealed=True).name == name
+        assert open_scene(dataset).name == name
     run(f"datagen build --scene random-object-0003 --seed 3 {SIZE}")
     described = [Path(root, names[0], "scene/scene.json").read_bytes() for root in ("many", "data")]
     assert sha256(described[0]) == sha256(described[1])

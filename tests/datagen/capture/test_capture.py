@@ -27,7 +27,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import load_scene, open_scene
 
 SIDE = 48
 FOV = 0.6
@@ -210,7 +210,7 @@ def test_each_object_has_a_mask_by_its_id_in_the_dataset(captured: Dataset, fold
 
 
 def test_a_stand_in_is_where_the_masks_of_an_object_meet(captured: Dataset) -> None:
-    meshes = {item.name: item.mesh for item in load_scene(captured.root / "scene", is_sealed=True).objects}
+    meshes = {item.name: item.mesh for item in open_scene(captured).objects}
     pixel = 1.0 * FOV / SIDE
     for name, (center, radius) in zip(("ball", "wine_glass__1_"), BALLS.values(), strict=True):
         low, high = meshes[name].vertices.min(axis=0), meshes[name].vertices.max(axis=0)
@@ -308,7 +308,7 @@ def test_a_model_of_colmap_is_turned_upright_scaled_by_a_diameter_and_given_a_ro
     answer = call(f"datagen capture {tmp_path / 'shots'} --diameter ball=0.2 --out {tmp_path / 'out'}")
     assert answer.status == 0, answer.error
     dataset = open_dataset(tmp_path / "out")
-    meshes = {item.name: item.mesh.vertices for item in load_scene(dataset.root / "scene", is_sealed=True).objects}
+    meshes = {item.name: item.mesh.vertices for item in open_scene(dataset).objects}
     assert meshes["floor"][:, 2].mean() == pytest.approx(-0.7, abs=0.05)
     assert meshes["table"][:, 2].max() == pytest.approx(0, abs=0.02)
     assert np.sort(np.ptp(meshes["table"], axis=0)[:2]).min() > 0.7
@@ -599,7 +599,7 @@ def test_a_given_room_is_diffuse_and_in_the_cameras_axes(folder: Path, tmp_path:
     (tmp_path / "room.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
     answer = call(f"datagen capture '{folder}' --room {tmp_path / 'room.obj'} --scale 2 --out {tmp_path / 'out'}")
     assert answer.status == 0, answer.error
-    (room,) = [item for item in load_scene(tmp_path / "out" / "scene", is_sealed=True).objects if item.name == "room"]
+    (room,) = [item for item in load_scene(tmp_path / "out" / "scene", is_checked=True).objects if item.name == "room"]
     assert np.ptp(room.mesh.vertices, axis=0).tolist() == [4, 4, 0] and type(room.material).__name__ == "Diffuse"
 
 

@@ -192,7 +192,7 @@ def test_a_mesh_for_pictures_may_have_quads_beside_triangles(blender: Path, tmp_
     (tmp_path / "prism.ply").write_bytes(polygon_ply(8, "little", False))
     answer = call(f"datagen import-dataset {blender} --mesh {tmp_path / 'prism.ply'} --up y --out {tmp_path / 'out'}")
     assert answer.status == 0, answer.err
-    (item,) = load_scene(tmp_path / "out" / "scene", is_sealed=True).objects
+    (item,) = load_scene(tmp_path / "out" / "scene", is_checked=True).objects
     assert signed_volume(item.mesh) == pytest.approx(8 * math.sin(2 * math.pi / 8), rel=1e-5)
 
 

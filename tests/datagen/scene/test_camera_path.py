@@ -84,7 +84,7 @@ class Aside:
     """A dataset whose lens has its principal point aside."""
 
     def __init__(self, dataset: Dataset, lens: Cameras) -> None:
-        self.objects, self.root, self._lens = dataset.objects, dataset.root, lens
+        self.objects, self.home, self._lens = dataset.objects, dataset, lens
 
     def cameras(self, split: str) -> Cameras:
         return self._lens

@@ -202,7 +202,7 @@ def test_a_priority_is_kept(tmp_path: Path) -> None:
     materials = [entry["material"] for entry in json.loads(scene_files(scene)["scene.json"])["objects"]]
     assert [material["priority"] for material in materials] == [0, -1]
     save_scene(scene, tmp_path)
-    loaded = load_scene(tmp_path, is_sealed=True)
+    loaded = load_scene(tmp_path, is_checked=True)
     assert [item.material for item in loaded.objects] == [item.material for item in scene.objects]
     assert scene_files(loaded) == scene_files(scene)
 

@@ -18,7 +18,7 @@ from datagen.data.geometries import geometry_key, list_geometries, read_assignme
 from datagen.data.paths import geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
-from datagen.scene.folder import load_scene_as
+from datagen.scene.folder import open_scene
 from datagen.scene.materials import Dielectric, Diffuse
 from model.fit.found import FoundGlass, write_geometry
 from model.fit.hull import HullShape
@@ -51,10 +51,10 @@ def test_the_geometry_has_the_ball_that_masks_show_and_all_else_as_it_is(dataset
     for place in (0, 2, 3, 4):
         assert np.array_equal(found[place].vertices, truth[place].vertices)
     assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
-    material = load_scene_as(dataset, "fitted").objects[1].material
+    material = open_scene(dataset, "fitted").objects[1].material
     assert isinstance(material, Dielectric)
     assert list(read_materials(dataset, "fitted")) == ["ball"]
-    assert load_scene_as(dataset, "truth").objects[1].material != material
+    assert open_scene(dataset, "truth").objects[1].material != material
 
 
 def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
@@ -99,7 +99,7 @@ def test_runs_record_what_a_fit_did_not_find_itself(dataset: Dataset, fitted: Pa
     assert sorted(read_materials(dataset, "fitted-matt")) == sorted(["ball", *others])
     shiny = [
         item.name
-        for item in load_scene_as(dataset, "truth").objects
+        for item in open_scene(dataset, "truth").objects
         if not item.material.is_glass and not isinstance(item.material, Diffuse)
     ]
     assert glass and shiny

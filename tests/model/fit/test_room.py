@@ -7,7 +7,7 @@ import pytest
 from support.traced_dataset import write_traced_dataset
 
 from datagen.data.geometries import read_meshes
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from model.fit import room
 from model.fit.boxes import Box
 from model.fit.room import FROSTED_RAYS, RAYS, Room
@@ -20,7 +20,7 @@ SHAPE = Box(center=np.array([0.0, 0.0, 0.1]), axes=np.eye(3), half_sizes=np.full
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Room:
     """A room whose ball became a box of glass, with textures that know nothing yet."""
     dataset = write_traced_dataset(tmp_path_factory.mktemp("room") / "glasses", resolution=24)
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    scene = open_scene(dataset)
     meshes, materials = list(read_meshes(dataset, "truth")), [item.material for item in scene.objects]
     meshes[BALL - 1], materials[BALL - 1] = SHAPE.bodies()[0]
     pixels = room.load_pixels(dataset, scene, tuple(meshes), tuple(materials), room.COARSE)

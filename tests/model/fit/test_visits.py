@@ -10,7 +10,7 @@ from support.traced_dataset import write_traced_dataset
 
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
-from datagen.scene.folder import load_scene
+from datagen.scene.folder import open_scene
 from model.fit.room import COARSE, load_pixels
 from model.fit.visits import ENOUGH, SKY_LEVEL, STEEPNESS, Visits, count_visits
 from model.methods.light_path.net import LightPathRenderer
@@ -74,7 +74,7 @@ def test_a_place_that_few_pixels_show_is_half_known() -> None:
 
 def test_pixels_that_show_a_floor_are_trusted_only_after_some_of_them_were_counted(tmp_path: Path) -> None:
     dataset = write_traced_dataset(tmp_path / "glasses", resolution=24)
-    scene = load_scene(dataset.root / "scene", is_sealed=True)
+    scene = open_scene(dataset)
     pixels = load_pixels(
         dataset, scene, read_meshes(dataset, TRUTH), tuple(item.material for item in scene.objects), COARSE
     )

@@ -26,7 +26,7 @@ def test_the_learned_sky_has_the_rows_of_the_environment_map_within_bounds_unles
     inputs = Inputs(dataset=dataset, geometry="truth", num_layers=0, layers_seal=dataset.seal)
     assert method.complete(LightPathConfig(), inputs).environment_size == 32
     scene = dataclasses.replace(synthetic_scene(), environment=EnvironmentMap(path="sky.exr"), folder=tmp_path)
-    monkeypatch.setattr(method, "load_scene", lambda *_, **__: scene)
+    monkeypatch.setattr(method, "open_scene", lambda _: scene)
     for rows, expected in ((8, 32), (100, 64), (128, 128), (600, 256)):
         plane = np.ones((rows, 16), np.float16)
         buffer = io.BytesIO()

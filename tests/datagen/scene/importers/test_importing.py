@@ -719,7 +719,7 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
     tiny = "--resolution 16 --views 1 --test-views 1 --spp 2 --test-spp 2"
     words = "--material glass --material foot=gold --repair --crease 30 --scale 0.1 --ground never"
     assert call(f"datagen build --scene {path} --out {out} {tiny} {words}").status == 0
-    found = load_scene(out / "scene", is_sealed=True)
+    found = load_scene(out / "scene", is_checked=True)
     assert [type(item.material) for item in found.objects] == [Dielectric, Conductor]
     assert found.objects[0].mesh.vertices[:, 2].max() == pytest.approx(0.06, abs=1e-6)
     assert call(f"datagen import {path} --out {tmp_path / 'same'} --resolution 16 {words}").status == 0

@@ -79,7 +79,7 @@ def test_a_chosen_family_has_its_own_name_and_draws_as_its_turn_does() -> None:
 def test_a_random_scene_is_saved_and_read_as_any_other(tmp_path) -> None:
     scene = drawn(1).scene
     save_scene(scene, tmp_path)
-    read = load_scene(tmp_path, is_sealed=True)
+    read = load_scene(tmp_path, is_checked=True)
     assert scene_files(read) == scene_files(scene)
 
 
