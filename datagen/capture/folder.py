@@ -10,7 +10,6 @@ Masks that a transforms file names (mask_file_path, as in RefRef) are of one obj
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,22 +19,20 @@ from datagen.capture.lenses import TakenLens, lens_of_colmap, lens_of_frame
 from datagen.data.config import MAX_VIEWS
 from datagen.data.metadata import license_line
 from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Transforms, read_transforms
+from datagen.data.transforms import Transforms, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.records import shown
 from datagen.import_dataset.layouts import (
-    ONE_FILE,
     ROLES,
     ForeignView,
     Role,
     about_unlisted,
     find_named,
-    frame_size,
-    picture_orientation,
     picture_size,
     split_evenly,
     split_listed,
+    transforms_in,
 )
 from datagen.scene.description import MAX_OBJECTS
 from datagen.scene.importers.cameras import colmap_images, colmap_points, has_colmap
@@ -48,8 +45,6 @@ OTHER_ENDINGS = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp")
 POINTS = ("points3d.ply", "sparse_pc.ply")
 """Files of points beside a transforms file that names none."""
 ONE_OBJECT = "glass"
-UPRIGHT = 1
-"""EXIF's number for pictures that are shown as they are stored."""
 NAMED = 3
 """Files that an error names."""
 
@@ -94,11 +89,7 @@ def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"],
     """
     if not root.is_dir():
         raise HyalineError(f"{root}: is not a folder; expected one with {PICTURES}/ and {MASKS}/OBJECT/")
-    names: dict[Role, str] = {role: f"transforms_{role}.json" for role in ROLES}
-    files: dict[Role, str] = {role: name for role, name in names.items() if (root / name).is_file()}
-    if "train" not in files and (root / ONE_FILE).is_file():
-        files = {"train": ONE_FILE}
-    if "train" in files:
+    if files := transforms_in(root):
         return _with_transforms(root, files)
     pictures = find_pictures(root)
     masks = Masks(root, pictures)
@@ -116,7 +107,7 @@ def find_pictures(root: Path) -> list[Path]:
         raise HyalineError(f"{_folder_of(root)}: has {len(found)} pictures{others}; {expected}")
     for path in found:
         check_regular(path, root, where=str(root))
-        _check_upright(path)
+        picture_size(path)  # Refuses turned pictures before COLMAP spends minutes on them.
     return found
 
 
@@ -133,17 +124,6 @@ def _other_kinds(root: Path) -> str:
     found = _listed(root, OTHER_ENDINGS)
     kinds = ", ".join(sorted({path.suffix.lower() for path in found}))
     return f"{len(found)} of other kinds ({kinds})" if found else ""
-
-
-def _check_upright(picture: Path) -> None:
-    """Refuses a picture that is stored on its side: tools differ on whether they turn it before they make masks."""
-    turn = picture_orientation(picture)
-    if turn != UPRIGHT:
-        raise HyalineError(
-            f"{picture}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others do "
-            "not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these fit the "
-            "stored pixels, delete the tag (`exiftool -Orientation=`)"
-        )
 
 
 def _pictures_below(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Path]:
@@ -212,15 +192,11 @@ def name_of(root: Path, picture: Path) -> str:
 # Cameras
 
 
-def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
-    found: dict[Role, Transforms] = {
-        role: read_transforms(find_file(root, name, where=str(root))) for role, name in files.items()
-    }
+def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     first = found["train"]
     pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
     every = list(dict.fromkeys(path for paths in pictures.values() for path in paths))
-    for path in every:
-        _check_upright(path)
+    sizes = {path: picture_size(path) for path in every}
     remarks = []
     if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
         masks = Masks(root, every)
@@ -240,12 +216,12 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
                     mask=None,
                     depth=None,
                     world_from_camera=file.pose(frame),
-                    lens=lens_of_frame(file, frame, partial(frame_size, root)),
+                    lens=lens_of_frame(file, frame, sizes[picture]),
                     masks=masks_of(frame, picture),
                 )
             )
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
-    if len(files) == 1:
+    if len(found) == 1:
         listed = split_listed(first, listed["train"])
         remarks += about_unlisted(first, listed)
     points_file = _points_file(root, first)
@@ -255,7 +231,7 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
         objects=objects,
         points=_points_in(points_file),
         has_unit=True,
-        cameras=", ".join(files.values()),
+        cameras=", ".join(Path(file.where).name for file in found.values()),
         points_file=points_file,
         license=license_line(first.content.get("license")),
         remarks=tuple(remarks),
@@ -264,7 +240,7 @@ def _with_transforms(root: Path, files: dict[Role, str]) -> Folder:
 
 def _points_file(root: Path, file: Transforms | None = None) -> Path | None:
     if file is not None and isinstance(named := file.content.get("ply_file_path"), str):
-        return find_file(root, named, where=f"{file.where}.ply_file_path")
+        return find_file(root, relative_name(named), where=f"{file.where}.ply_file_path")
     return next((find_file(root, name, where=str(root)) for name in POINTS if (root / name).is_file()), None)
 
 

@@ -7,7 +7,7 @@ tangential coefficients.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +82,7 @@ def lens_of_colmap(row: ColmapCamera, size: tuple[int, int], *, where: str) -> T
     return _checked(lens, size, where=where)
 
 
-def lens_of_frame(file: Transforms, frame: Frame, find_size: Callable[[Frame], tuple[int, int]]) -> TakenLens:
+def lens_of_frame(file: Transforms, frame: Frame, size: tuple[int, int]) -> TakenLens:
     """The lens of a frame of a transforms file, for its picture as large as it is now."""
 
     def number(key: str, default: float = 0.0) -> float:
@@ -96,7 +96,6 @@ def lens_of_frame(file: Transforms, frame: Frame, find_size: Callable[[Frame], t
             f"{frame.where}: its camera is not a pinhole camera ({other}); expected PINHOLE or OPENCV: undistort the "
             "pictures first (`colmap image_undistorter`)"
         )
-    size = find_size(frame)
     width, height = number("w", size[0]), number("h", size[1])
     focal = number("fl_x") or 0.5 * width / math.tan(0.5 * (number("camera_angle_x") or math.pi))
     if not (1e-6 < focal and 1 <= width <= 1e6 and 1 <= height <= 1e6):

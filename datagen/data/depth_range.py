@@ -1,7 +1,7 @@
 """The depth range: how near and how far the surfaces in a dataset's pictures are from its cameras."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,6 +56,12 @@ def with_depth_range(cameras: Mapping[Split, Cameras], meshes: Sequence[Mesh]) -
         near = max(_rounded((1 - MARGIN) * nearest, up=False), LEAST_NEAR)
         far = _rounded((1 + MARGIN) * farthest, up=True)
     return {split: dataclasses.replace(poses, near=near, far=far) for split, poses in cameras.items()}
+
+
+def seeing(cameras: Cameras, mesh: Mesh) -> Iterator[bool]:
+    """For each camera, whether its picture shows a part of a mesh, hidden or not."""
+    surfaces = _lay_out([mesh])
+    return (_depths(cameras[view], surfaces) is not None for view in range(len(cameras)))
 
 
 def _lay_out(meshes: Sequence[Mesh]) -> _Surfaces:

@@ -9,7 +9,7 @@ in a frame, too, where they hold for this frame alone.
 
 import dataclasses
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -92,6 +92,15 @@ class Frame:
             raise HyalineError(f"{self.where}.{key}: is {shown(value)}; expected a string")
         return value
 
+    def file(self, key: str) -> str:
+        """A file's path from the folder; empty where there is none."""
+        return relative_name(self.text(key))
+
+
+def relative_name(name: str) -> str:
+    """The path that a file names, also as Windows writes it."""
+    return name.replace("\\", "/").removeprefix("./")
+
 
 class Transforms:
     """A transforms file, parsed; lens and pose of a frame are checked when they are asked for."""
@@ -138,14 +147,14 @@ class Transforms:
         self,
         frame: Frame | None = None,
         *,
-        size: Callable[[Frame], tuple[int, int]] | None = None,
+        size: tuple[int, int] | None = None,
         left_out: list[str] | None = None,
     ) -> Lens:
         """The lens of a frame, or that of all frames.
 
         Args:
-            size: finds out how large the picture is, where the file does not say it; else the lens is of a picture of
-                one pixel, which fits any shape.
+            size: of the picture, for a file that does not say it; by default the lens is of a picture of one pixel,
+                which fits any shape.
             left_out: takes a line on each feature that a pinhole with square pixels lacks; without it, these are
                 errors.
         """
@@ -171,7 +180,7 @@ class Transforms:
         width, height = number("w", 2 * number("cx", 0.0)), number("h", 0.0)
         has_size = all(key in frame or key in self.content for key in ("w", "h"))
         if not has_size and size is not None:
-            width, height = size(frame)
+            width, height = size
         # Where both are given, the angle is exact, and the focal length may be rounded.
         angle = number("camera_angle_x", 0.0)
         by_focal = 2 * math.atan(0.5 * width / focal) if focal > 0 and width > 0 else angle
@@ -191,7 +200,7 @@ class Transforms:
             raise HyalineError(f"{frame.where}: {error}") from None
         return lens
 
-    def shared_lens(self, size: Callable[[Frame], tuple[int, int]] | None = None) -> Lens:
+    def shared_lens(self, size: tuple[int, int] | None = None) -> Lens:
         """The lens of all frames; an error where one has another."""
         found = self.lens(self.frames[0], size=size)
         for frame in self.frames[1:]:

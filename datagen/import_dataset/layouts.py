@@ -13,7 +13,6 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar, get_args
 
@@ -22,8 +21,9 @@ from jaxtyping import Float
 from PIL import ExifTags, Image
 
 from datagen.data.cameras import Lens
+from datagen.data.config import Resolution
 from datagen.data.metadata import license_line
-from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens
+from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.records import load_json, open_regular, shown
@@ -90,6 +90,8 @@ class ForeignDataset:
 
 
 ONE_FILE = "transforms.json"
+UNKNOWN, UPRIGHT = 0, 1
+"""EXIF's orientations of pictures that are shown as they are stored."""
 MILLIMETRE = 0.001
 """nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
 EVERY = 8
@@ -100,31 +102,37 @@ MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 def read_folder(root: Path) -> ForeignDataset | None:
     """What a folder with transforms files names; None where it has none."""
-    files = {role: f"transforms_{role}.json" for role in ROLES if (root / f"transforms_{role}.json").is_file()}
-    if "train" in files:
-        found = {role: read_transforms(find_file(root, name, where=str(root))) for role, name in files.items()}
-        layout = _layout_of(root, found["train"])
-        views: dict[Role, tuple[ForeignView, ...]] = {
-            role: _views(root, found[role], layout) if role in found else () for role in ROLES
-        }
-    elif (root / ONE_FILE).is_file():
-        layout = "nerfstudio"
-        found = {"train": read_transforms(find_file(root, ONE_FILE, where=str(root)))}
-        views = split_listed(found["train"], _views(root, found["train"], layout))
-    else:
+    found = transforms_in(root)
+    if not found:
         return None
-    lens = found["train"].shared_lens(partial(frame_size, root))
-    for item in found.values():
-        refuse_other_lens(item.shared_lens(partial(frame_size, root)), lens, where=item.where)
+    train = found["train"]
+    layout = "nerfstudio" if train.where.endswith(ONE_FILE) else _layout_of(root, train)
+    views: dict[Role, tuple[ForeignView, ...]] = dict.fromkeys(ROLES, ())
+    views |= {role: _views(root, file, layout) for role, file in found.items()}
+    size = _shared_size([view.picture for role in ROLES for view in views[role]])
+    lens = _lens_for(size, train)
+    for file in found.values():
+        refuse_other_lens(_lens_for(size, file), lens, where=file.where)
+    if layout == "nerfstudio":
+        views = split_listed(train, views["train"])
     return ForeignDataset(
         root=root,
         layout=layout,
         lens=lens,
         views=views,
         surfaces=_surfaces(root),
-        remarks=_left_out(found["train"], layout, views),
-        license=license_line(found["train"].content.get("license")),
+        remarks=_left_out(train, layout, views),
+        license=license_line(train.content.get("license")),
     )
+
+
+def transforms_in(root: Path) -> dict[Role, Transforms]:
+    """The transforms files of a folder by role; a single one for all pictures is that of training."""
+    names: dict[Role, str] = {role: f"transforms_{role}.json" for role in ROLES}
+    names = {role: name for role, name in names.items() if (root / name).is_file()}
+    if "train" not in names:
+        names = {"train": ONE_FILE} if (root / ONE_FILE).is_file() else {}
+    return {role: read_transforms(find_file(root, name, where=str(root))) for role, name in names.items()}
 
 
 def _layout_of(root: Path, train: Transforms) -> Layout:
@@ -134,10 +142,26 @@ def _layout_of(root: Path, train: Transforms) -> Layout:
     return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
 
+def _shared_size(pictures: Sequence[Path]) -> Resolution:
+    """The size of all pictures."""
+    sizes = [Resolution(width=width, height=height) for width, height in map(picture_size, pictures)]
+    for picture, size in zip(pictures, sizes, strict=True):
+        if size != sizes[0]:
+            raise HyalineError(f"{picture}: is {size} pixels; expected {sizes[0]}, as {pictures[0]}")
+    return sizes[0]
+
+
+def _lens_for(size: Resolution, file: Transforms) -> Lens:
+    """The lens of all frames, for pictures as large as they are now: they may have been made smaller."""
+    lens = file.shared_lens((size.width, size.height))
+    if abs(lens.height * size.width / lens.width - size.height) > 0.5:
+        raise HyalineError(f"{file.where}: w and h are {lens.width} x {lens.height}; expected {size}, as the pictures")
+    return lens.fitted(size)
+
+
 def find_named(root: Path, frame: Frame, key: str) -> Path:
     """The file that a frame names, with or without its ending."""
-    where = f"{frame.where}.{key}"
-    name = frame.text(key).removeprefix("./")
+    where, name = f"{frame.where}.{key}", frame.file(key)
     for ending in ENDINGS:
         path = find_file(root, name + ending, where=where)
         if path.is_file():
@@ -145,21 +169,21 @@ def find_named(root: Path, frame: Frame, key: str) -> Path:
     raise HyalineError(f"{where}: names {shown(name)}, which is not in {root}; download the whole scene")
 
 
-def frame_size(root: Path, frame: Frame) -> tuple[int, int]:
-    """Width and height of a frame's picture, by its header."""
-    return picture_size(find_named(root, frame, "file_path"))
-
-
 def picture_size(path: Path) -> tuple[int, int]:
-    """Width and height of a picture, by its header."""
+    """Width and height of a picture, by its header.
+
+    Raises:
+        HyalineError: it is stored on its side: tools differ on whether they turn it before they find cameras.
+    """
     with _header(path) as picture:
+        turn = picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+        if turn not in (UNKNOWN, UPRIGHT):
+            raise HyalineError(
+                f"{path}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others do "
+                "not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these fit the "
+                "stored pixels, delete the tag (`exiftool -Orientation=`)"
+            )
         return picture.size
-
-
-def picture_orientation(path: Path) -> int:
-    """EXIF's orientation of a picture; 1: as it is stored."""
-    with _header(path) as picture:
-        return int(picture.getexif().get(ExifTags.Base.Orientation, 1)) or 1  # 0 stands for unknown.
 
 
 @contextmanager
@@ -211,13 +235,13 @@ def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[Vi
     """The views of one file by role: by its lists of names (`train_filenames`), or else every eighth for tests."""
     if f"{ROLES[0]}_filenames" not in file.content:
         return split_evenly(views)
-    paths = [frame.text("file_path").removeprefix("./") for frame in file.frames]
+    paths = [frame.file("file_path") for frame in file.frames]
     found: dict[Role, tuple[View, ...]] = {}
     for role in ROLES:
         named = file.content.get(f"{role}_filenames", [])
         if not isinstance(named, list):
             raise HyalineError(f"{file.where}: {role}_filenames is {shown(named)}; expected a list of names")
-        wanted = {str(name).removeprefix("./") for name in named}
+        wanted = {relative_name(str(name)) for name in named}
         found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
     return found
 

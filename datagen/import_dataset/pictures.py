@@ -112,8 +112,7 @@ def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
         with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
             if size is not None and picture.size != size:
                 raise HyalineError(
-                    f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}, as the "
-                    "others"
+                    f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}"
                 )
             picture.load()
             return picture

@@ -7,6 +7,7 @@ import numpy as np
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, Split
+from datagen.data.depth_range import seeing
 from datagen.data.meshes import open_edges
 from datagen.disk.errors import HyalineError
 from datagen.import_dataset.choices import DatasetImportChoices
@@ -96,6 +97,9 @@ def _make_scene(
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
     check_scene(scene)
+    for item in scene.objects:
+        if item.material.is_glass and not any(any(seeing(cameras[split], item.mesh)) for split in SPLITS):
+            remarks.approximate(item.name, "no camera sees it")
     return scene
 
 

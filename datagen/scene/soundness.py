@@ -3,6 +3,7 @@
 They are fast (a second for a scene of 100,000 triangles), since they run whenever a scene is made or read.
 """
 
+import dataclasses
 import re
 from itertools import combinations, permutations
 
@@ -11,6 +12,7 @@ from jaxtyping import Float
 
 from datagen.data.cameras import direction_of
 from datagen.data.config import SPLITS
+from datagen.data.depth_range import seeing
 from datagen.data.meshes import (
     Mesh,
     check_closed,
@@ -47,6 +49,11 @@ SMALLEST = 1 / 400
 """Smallest size of an object relative to its distance from the nearest camera: two pixels of 1,024."""
 LARGEST = 50.0
 """Largest size relative to the cameras' distance: objects modelled in millimetres are a thousand times too large."""
+
+NAMED = 3
+"""Objects that an error names."""
+OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Turns a camera that looks along +z with y down, as OpenCV's poses do, into one that looks along -z with y up."""
 
 
 def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
@@ -87,6 +94,7 @@ def check_sound(scene: Scene) -> None:
     """The checks of `check_scene` beyond single numbers, cheapest first."""
     there = [item for item in scene.objects if is_there(item.mesh)]
     cameras = camera_places(scene.cameras)
+    _check_seen(scene, there)
     _check_units(scene, there, cameras)
     for item in there:
         _check_normals(item, where=_where(scene, item))
@@ -97,6 +105,23 @@ def check_sound(scene: Scene) -> None:
     check_cameras_outside(scene, cameras)
     _check_contact(scene, there)
     _check_overlaps(scene, there)
+
+
+def _check_seen(scene: Scene, there: list[SceneObject]) -> None:
+    """Refuses listed cameras none of which sees any glass: their poses are probably in another convention."""
+    if not isinstance(scene.cameras, CameraList):
+        return
+    glass = [item for item in there if item.material.is_glass] or there
+    listed = [scene.cameras.of(split) for split in SPLITS]
+    if any(any(seeing(cameras, item.mesh)) for cameras in listed for item in glass):
+        return
+    flipped = [dataclasses.replace(one, world_from_camera=one.world_from_camera @ OPENCV) for one in listed]
+    seen = [shown for cameras in flipped for item in glass for shown in seeing(cameras, item.mesh)]
+    raise HyalineError(
+        f"scene {scene.name}: no camera sees {', '.join(item.name for item in glass[:NAMED])}; "
+        + ("are the poses OpenCV's (y and z flipped)? Expected" if 2 * sum(seen) > len(seen) else "expected")
+        + " world_from_camera, looking along -z with +y up, in the meshes' axes and unit"
+    )
 
 
 def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:

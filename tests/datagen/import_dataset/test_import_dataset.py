@@ -1,8 +1,10 @@
 """Tests that other projects' datasets are taken over whole, and that what nobody knows of them is called unknown."""
 
+import dataclasses
 import io
 import json
 import math
+import re
 import shutil
 import struct
 from collections.abc import Callable
@@ -10,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image, ImageCms
+from PIL import ExifTags, Image, ImageCms
 from support.commands import call
 from support.meshes import polygon_ply
 from support.theirs import write_refref
@@ -22,6 +24,7 @@ from datagen.data.config import SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import signed_volume
 from datagen.data.paths import TRUTH
+from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.export.formats import export_dataset
 from datagen.import_dataset.choices import DatasetImportChoices
@@ -358,7 +361,75 @@ def test_meshes_from_elsewhere_get_the_index_that_is_asked_for(ours: Dataset, bl
     assert surfaces_of(named).scene.objects[0].material.surface().ior == 2.417
 
 
+def test_paths_as_windows_writes_them_are_read(tmp_path: Path) -> None:
+    files = [f"images/{place}.png" for place in range(9)]
+    windows = [f".\\{file}".replace("/", "\\") for file in files]
+    write_frames(tmp_path / "in", "transforms.json", files, train_filenames=windows[:6], test_filenames=windows[6:])
+
+    def rename(data: dict) -> None:
+        for frame, name in zip(data["frames"], windows, strict=True):
+            frame["file_path"] = name
+
+    edit_json(rename, "transforms.json")(tmp_path / "in")
+    assert take_over(tmp_path / "in", tmp_path / "out").num_views["train"] == 6
+
+
+def test_pictures_smaller_than_w_and_h_say_keep_the_angle_of_view(blender: Path, tmp_path: Path) -> None:
+    more = {"w": 4 * SIDE, "h": 4 * SIDE, "fl_x": 40.0, "cx": 12.0, "cy": 16.0}
+    for role in ("train", "val", "test"):
+        edit_json(lambda data: data.update(more), f"transforms_{role}.json")(blender)
+    dataset = take_over(blender, tmp_path / "out")
+    assert np.allclose(dataset.cameras("train")[0].intrinsics, [[10, 0, 3], [0, 10, 4], [0, 0, 1]])
+
+
 # Refusals
+
+
+def flip(pose: np.ndarray) -> np.ndarray:
+    return pose @ np.diag([1.0, -1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("written", "question"),
+    [
+        (flip, r"are the poses OpenCV's \(y and z flipped\)\? Expected"),
+        (np.linalg.inv, "expected"),
+        (lambda pose: np.eye(4) + 90 * np.eye(4, k=3), "expected"),
+    ],
+    ids=["opencv", "inverse", "elsewhere"],
+)
+@pytest.mark.parametrize("line", ["import-dataset {} --mesh {}/glass.ply", "import {}/glass.ply --cameras {}"])
+def test_poses_in_another_convention_than_the_meshes_are_recognised(
+    ours: Dataset, tmp_path: Path, line: str, written: Callable[[np.ndarray], np.ndarray], question: str
+) -> None:
+    shutil.copy(ours.root / "scene" / "meshes" / "ball.ply", tmp_path / "glass.ply")
+    shutil.copy(ours.root / "transforms_train.json", tmp_path)
+    shutil.copy(ours.root / "transforms_test.json", tmp_path)
+    shutil.copytree(ours.root / "images", tmp_path / "images")
+    for name in ("images/test", "images/train"):
+        (tmp_path / name).exists() or shutil.copytree(ours.root / "images" / "interpolating", tmp_path / name)
+    command = f"datagen {line.replace('{}', str(tmp_path))} --material glass --out {tmp_path / 'out'}"
+    assert call(command).status == 0
+
+    def rewrite(data: dict) -> None:
+        for frame in data["frames"]:
+            frame["transform_matrix"] = written(np.array(frame["transform_matrix"])).tolist()
+
+    for role in ("train", "test"):
+        edit_json(rewrite, f"transforms_{role}.json")(tmp_path)
+    answer = call(f"{command} --overwrite")
+    assert answer.status == 1
+    assert re.search(f"no camera sees glass; {question} world_from_camera", answer.error), answer.err
+
+
+def test_glass_that_no_camera_sees_beside_glass_that_is_seen_is_a_line(ours: Dataset, blender: Path) -> None:
+    away = blender / "away.ply"
+    mesh, _ = read_ply(ours.root / "scene" / "meshes" / "ball.ply")
+    away.write_bytes(write_ply(dataclasses.replace(mesh, vertices=mesh.vertices + np.float32(60))))
+    choices = DatasetImportChoices(mesh=(ours.root / "scene" / "meshes" / "ball.ply", away))
+    assert [line for line in plan_import(blender, choices).imported.remarks if "no camera" in line] == [
+        "away: no camera sees it"
+    ]
 
 
 def edit_json(change: Callable[[dict], None], name: str = "transforms_train.json") -> Callable[[Path], None]:
@@ -378,6 +449,12 @@ def outside(root: Path) -> None:
     (root.parent / "secret.png").write_bytes((root / "train" / "r_0.png").read_bytes())
     (root / "train" / "r_0.png").unlink()
     (root / "train" / "r_0.png").symlink_to(root.parent / "secret.png")
+
+
+def turned(root: Path) -> None:
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.new("RGB", (SIDE, SIDE)).save(root / "train" / "r_1.png", exif=exif)
 
 
 HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
@@ -428,6 +505,14 @@ HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
     "another size": (
         lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),
         "r_2.png: is 4 x 4 pixels; expected 8 x 8",
+    ),
+    "another shape than w and h": (
+        edit_json(lambda data: data.update(w=2 * SIDE, h=SIDE)),
+        "transforms_train.json: w and h are 16 x 8; expected 8 x 8, as the pictures",
+    ),
+    "a picture on its side": (
+        turned,
+        r"r_1\.png: is stored turned or mirrored .EXIF orientation 6.*mogrify -auto-orient",
     ),
     "16 bits": (
         lambda root: Image.fromarray(np.full((SIDE, SIDE), 300, np.uint16)).save(root / "train" / "r_1.png"),
