@@ -218,7 +218,7 @@ def peel(
     /,
     *,
     geometry: str = TRUTH,
-    num_layers: int = 8,
+    num_layers: int | None = None,
     workers: int = 1,
     overwrite: bool = False,
 ) -> None:
@@ -227,7 +227,7 @@ def peel(
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         geometry: truth, or proxies made by `proxies make`, such as ellipsoid.
-        num_layers: Layers stored per ray.
+        num_layers: Layers stored per ray. Default: as many as before, or 8.
         workers: Parallel processes.
         overwrite: Peel again even if layers exist.
     """
@@ -235,9 +235,11 @@ def peel(
     from datagen.build.build_variant import peel_variants
     from datagen.data.dataset import open_dataset
     from datagen.data.geometries import check_geometry
-    from datagen.data.layer_writing import check_settings
+    from datagen.data.layer_writing import check_settings, find_num_layers
 
     opened = open_dataset(find_dataset(dataset))
+    if num_layers is None:
+        num_layers = find_num_layers(opened, geometry) or 8
     check_settings(num_layers=num_layers, workers=workers)
     check_geometry(opened, geometry)
     say(f"{opened.root}: peeling {geometry} into {num_layers} layers")
@@ -360,7 +362,7 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         quiet: Print no remarks.
-        json: Print the result as JSON: dataset, verified (number of files), problems, remarks, commands (repairs).
+        json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
     from datagen.build.verify import tell_findings, verify_dataset
 

@@ -28,7 +28,6 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
                                          the same cameras
 """
 
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -58,7 +57,7 @@ from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.names import check_name, check_relative, real_path
 from datagen.disk.ownership import DATASET, LAYERS
 from datagen.disk.records import Json, entry, from_json
-from datagen.disk.storage import Opened, check_files, load_sealed, read_promised, seal_of, sha256, way_out
+from datagen.disk.storage import MAKE_AGAIN, Opened, check_files, load_sealed, read_promised, seal_of, sha256
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,15 +214,13 @@ class View:
 
     def _read_record(self, path: Path) -> ViewRecord:
         if not path.is_file():
-            raise HyalineError(f"{path}: the view is not built yet; {way_out(path)}")
+            raise HyalineError(f"{path}: the view is not built yet; {MAKE_AGAIN}")
         record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
         if (record.dataset, record.split, record.view) != (self.dataset.seal, self.split, self.index):
-            raise HyalineError(
-                f"{path}: belongs to {record.split} view {record.view} of another dataset; {way_out(path)}"
-            )
+            raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of another dataset; {MAKE_AGAIN}")
         if set(record.files) != set(map(self._file, self.dataset.endings)):
             raise HyalineError(
-                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures; {way_out(path)}"
+                f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures; {MAKE_AGAIN}"
             )
         return record
 
@@ -334,10 +331,9 @@ def has_layers(dataset: Dataset) -> bool:
 def check_has_meshes(dataset: Dataset) -> None:
     """Raises a HyalineError for a dataset whose pictures were imported without any mesh."""
     if not dataset.objects:
-        again = shlex.join(["datagen", "import-dataset", "FOLDER", "--mesh", "FILE", "--out", str(dataset.root)])
         raise HyalineError(
-            f"{dataset.root}: has no meshes, since none were imported with its pictures; make it again with "
-            f"`{again} --overwrite`"
+            f"{dataset.root}: has no meshes, since none were imported with its pictures; import them again with --mesh "
+            "FILE and --overwrite"
         )
 
 
@@ -356,7 +352,7 @@ def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read)."""
     path = root / "dataset.json"
     if not path.is_file() and (root / "records").is_dir():
-        raise DamagedError(f"{path}: is lost; {way_out(path)}")
+        raise DamagedError(f"{path}: is lost; {MAKE_AGAIN}")
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)

@@ -10,7 +10,6 @@ where `assignment` in proxies.json names each object's stand-in. Fitted glass is
 """
 
 import difflib
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -27,6 +26,9 @@ from datagen.disk.storage import check_files, commit, commit_sealed, dump_json, 
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
+
+MAKERS = {False: "proxies make", True: "model fit"}
+"""The command that makes a geometry, by whether it is fitted glass."""
 
 NO_GEOMETRY = "none"
 """The geometry of a method that uses no layers."""
@@ -122,7 +124,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         check_has_meshes(dataset)
         if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
             choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
-        raise HyalineError(f"{path}: no {kind} proxies; make them with `{make_command(dataset, kind)}`")
+        raise HyalineError(f"{path}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     content = load_sealed(path)
     if content.get("version") != PROXIES_VERSION:
         raise HyalineError(
@@ -134,7 +136,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
     if content.get("dataset") != dataset.seal:
         raise HyalineError(
-            f"{path}: made for another dataset; make them again with `{make_command(dataset, kind)} --overwrite`"
+            f"{path}: made for another dataset; make them again with `{MAKERS[is_fitted(kind)]} --overwrite`"
         )
     return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
 
@@ -174,25 +176,6 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
     ]
     what = "fitted" if is_fitted(geometry) else "proxy"
     return f"{what} geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
-
-
-def make_command(dataset: Dataset, geometry: str, num_layers: int | None = None) -> str:
-    """The command that makes proxies and their layers: as they were made, where they are there."""
-    if is_fitted(geometry):
-        return shlex.join(["model", "fit", str(dataset.root), *(["--name", geometry] if geometry != FITTED else [])])
-    words = ["proxies", "make", str(dataset.root)]
-    try:
-        assignment = read_assignment(dataset, geometry)
-    except HyalineError:
-        # Any object and kind will do to show how it is written.
-        assignment = ("box",) if geometry.startswith(MIXED) else None
-    if assignment is None:
-        kind, _, amount = geometry.partition("-")
-        words += ["--kind", kind, *(["--amount", amount] if amount else [])]
-    else:
-        named = [f"{item.name}={kind}" for item, kind in zip(dataset.objects, assignment)]
-        words += ["--name", geometry, *(word for part in named for word in ("--assign", part))]
-    return shlex.join([*words, *([] if num_layers is None else ["--num-layers", str(num_layers)])])
 
 
 def list_geometries(dataset: Dataset) -> list[str]:

@@ -12,7 +12,6 @@ seam do not mix. Depth keeps 16 of its 23 mantissa bits (relative error 8e-6), w
 """
 
 import math
-import shlex
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
@@ -112,7 +111,7 @@ class LayerStore:
         """
         path = record_path_of_layers(self.root, split, view)
         if not path.is_file():
-            raise HyalineError(f"{path}: the view is not peeled yet; finish with `{self.peel_command}`")
+            raise HyalineError(f"{path}: the view is not peeled yet; finish with `datagen peel`")
         record = from_json(LayersRecord, cast(Json, load_sealed(path)), where=str(path))
         if (record.layers, record.split, record.view) != (self.seal, split, view):
             raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of other layers; peel it again")
@@ -130,12 +129,6 @@ class LayerStore:
             return False
         return True
 
-    @property
-    def peel_command(self) -> str:
-        """The command that makes missing views."""
-        words = _peel_words(self.dataset_root, self.geometry)
-        return shlex.join([*words, "--num-layers", str(self.head.num_layers)])
-
 
 def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> LayerStore:
     """The store of a geometry's layers, its head verified.
@@ -144,7 +137,6 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
         HyalineError: there is no such geometry, it was not peeled, or the head is damaged.
     """
     path = layers_root(dataset_root, geometry) / LAYERS.head
-    peel = shlex.join(_peel_words(dataset_root, geometry))
     if not path.is_file():
         roots = [geometry_root(place, geometry) for place in (dataset_root, home_of(dataset_root))]
         if geometry != TRUTH and not any((root / PROXIES.head).is_file() for root in roots):
@@ -152,21 +144,17 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
                 f"{dataset_root}: has no geometry {geometry}; make proxies with `proxies make`, or fitted glass with "
                 "`model fit`"
             )
-        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `{peel}`")
+        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `datagen peel`")
     content = load_sealed(path)
     if content.get("version") != LAYERS_VERSION:
         raise HyalineError(
             f"{path}: format version {shown(content.get('version'))}; this program reads {LAYERS_VERSION}, "
-            f"make them again with `{peel} --overwrite`"
+            "make them again with `datagen peel --overwrite`"
         )
     head = from_json(LayersHead, cast(Json, content), where=str(path))
     return LayerStore(
         dataset_root=dataset_root, geometry=geometry, resolution=resolution, head=head, seal=seal_of(content)
     )
-
-
-def _peel_words(dataset_root: Path, geometry: str) -> list[str]:
-    return ["datagen", "peel", str(dataset_root), "--geometry", geometry]
 
 
 def read_layers(store: LayerStore, split: Split, view: int) -> Layers:

@@ -19,7 +19,6 @@ Their light: other pixels around which the truth differs between both scenes, by
 """
 
 import re
-import shlex
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +68,7 @@ def open_variant(dataset: Dataset, name: str) -> Dataset:
     if not has_variant(dataset, name):
         made = ", ".join(list_variants(dataset.root)) or "none"
         raise HyalineError(
-            f"{variant_root(dataset.root, name)}: no such variant (there are: {made}); make it with "
-            f"`{variant_command(dataset, name)}`"
+            f"{variant_root(dataset.root, name)}: no such variant (there are: {made}); make it with `datagen add`"
         )
     return open_dataset(variant_root(dataset.root, name))
 
@@ -89,22 +87,6 @@ def parent_views(variant: Dataset, split: Split) -> list[int]:
     """The views of the parent's split that a variant with larger pictures shows."""
     assert variant.parent is not None
     return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
-
-
-def variant_command(dataset: Dataset, name: str, variant: Dataset | None = None) -> str:
-    """The command that makes a variant: as its head records it, or as far as its name tells."""
-    if name == ANGLES:
-        flags = ["--angles"]
-    elif name in TWINS:
-        flags = ["--twins"]
-    elif name[:1] == "x" and name[1:].isdecimal():
-        flags = ["--larger", name[1:]]
-        if variant is not None and (views := variant.num_views["interpolating"]) != dataset.num_views["interpolating"]:
-            flags += ["--larger-views", str(views)]
-    else:
-        edits = ("EDIT",) if variant is None or variant.edit is None else variant.edit.edits
-        flags = [word for edit in edits for word in ("--edit", edit)]
-    return shlex.join(["datagen", "add", str(dataset.root), *flags])
 
 
 EDIT_MASKS_FOLDER = "edit-masks"

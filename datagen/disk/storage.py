@@ -7,7 +7,6 @@ import json
 import os
 import re
 import secrets
-import shlex
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -28,6 +27,9 @@ HASH_BYTES = 32
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 """Name of a file while it is written. A killed writer may leave one; no other program uses such names."""
 
+MAKE_AGAIN = "run the command that made it again, which keeps what is whole"
+"""What to do about a damaged or lost file of ours."""
+
 
 def sha256(data: bytes) -> str:
     """Hex SHA-256."""
@@ -44,7 +46,7 @@ def sha256_file(path: Path) -> str:
     try:
         return sha256(read_regular(path))
     except DamagedError as error:
-        raise DamagedError(f"{error}; {way_out(path)}") from None
+        raise DamagedError(f"{error}; {MAKE_AGAIN}") from None
 
 
 def commit(path: Path, data: bytes) -> None:
@@ -136,12 +138,12 @@ def load_sealed(path: Path) -> dict[str, Json]:
         DamagedError: any byte differs from what was sealed.
     """
     if path.is_symlink():
-        raise DamagedError(f"{path}: is a link; expected the file itself; {way_out(path)}")
+        raise DamagedError(f"{path}: is a link; expected the file itself; {MAKE_AGAIN}")
     text = read_regular(path, at_most=MAX_JSON_BYTES)
     data = parse_json(text, where=str(path))
     data.pop(SEAL, None)
     if text != seal_bytes(data):
-        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {way_out(path)}")
+        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {MAKE_AGAIN}")
     return data
 
 
@@ -188,16 +190,6 @@ def home_of(root: Path) -> Path:
     return outer if root.parent.name == "variants" and (outer / "dataset.json").is_file() else root
 
 
-def way_out(path: Path) -> str:
-    """What to do about a damaged or lost file, of a dataset or not."""
-    if path.name == "dataset.json" and home_of(path.parent) == path.parent:
-        return "only the command that made the dataset knows its settings: run it again, which keeps what is whole"
-    inner = next((folder for folder in path.parents if (folder / "dataset.json").is_file()), None)
-    if inner is None:
-        return "restore it, or make it again"
-    return f"`datagen verify {shlex.quote(str(home_of(inner)))}` names the command that makes it again"
-
-
 def check_files(root: Path, files: Mapping[str, str]) -> None:
     """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
@@ -214,9 +206,9 @@ def read_promised(root: Path, relative: str, promised: str) -> bytes:
     try:
         data = read_regular(path)
     except DamagedError as error:
-        raise DamagedError(f"{error}; {way_out(path)}") from None
+        raise DamagedError(f"{error}; {MAKE_AGAIN}") from None
     if sha256(data) != promised:
-        raise DamagedError(f"{path}: damaged or edited (checksum differs); {way_out(path)}")
+        raise DamagedError(f"{path}: damaged or edited (checksum differs); {MAKE_AGAIN}")
     return data
 
 

@@ -18,7 +18,7 @@ from datagen.data.paths import TRUTH, image_path, layers_root, record_path
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
-from datagen.disk.storage import way_out
+from datagen.disk.storage import MAKE_AGAIN
 from datagen.look.light_paths import draw_light_paths
 from datagen.look.sketch import draw_cameras
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
@@ -77,7 +77,7 @@ def look_sheet(dataset: Dataset) -> bytes:
             rows.append([item.pixels for item in stored[:SHEET_COLUMNS]])
     rows = [row for row in rows if row]
     if not rows:
-        raise HyalineError(f"{dataset.root}: no view is built yet; {way_out(record_path(dataset.root, 'train', 0))}")
+        raise HyalineError(f"{dataset.root}: no view is built yet; {MAKE_AGAIN}")
     (high, wide), gap = dataset.config.resolution.shape, 4
     sheet = np.full((len(rows) * (high + gap) - gap, SHEET_COLUMNS * (wide + gap) - gap, 3), 255, np.uint8)
     for place, row in enumerate(rows):
@@ -162,7 +162,7 @@ def _problems(dataset: Dataset) -> tuple[list[str], Part]:
         return lines, join([good, more, command(shlex.join(["datagen", "verify", str(dataset.root)]))])
     found = verify_dataset(dataset.root)
     if found.problems:
-        return found.problems, join(command(line) for line in found.commands)
+        return found.problems, tag("p", f"To mend this, {MAKE_AGAIN}.")
     return [], tag("p", f"Nothing: all {found.verified:,} files match their checksums.")
 
 

@@ -198,7 +198,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
             "amount 0.2: expected 0.001 to 0.05, relative to each object's",
         ),
         (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: box has no noise; use it with `--kind noise`"),
-        (("check", "--kind", "noise"), "make them with `proxies make data/one --kind noise --amount 0.01`"),
+        (("check", "--kind", "noise"), "no noise-0.01 proxies; make them with `proxies make`"),
         (
             ("make", "--dataset", "missing"),
             "data/missing: no dataset; make one with `datagen build --scene ",
@@ -222,7 +222,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
             ("check", "--name", "mixed"),
             "make them with `proxies make data/one --name mixed --assign ",
         ),
-        (("check", "--kind", "box"), "no box proxies; make them with `proxies make data/one --kind box`"),
+        (("check", "--kind", "box"), "no box proxies; make them with `proxies make`"),
     ],
 )
 def test_errors_are_one_line_with_the_way_out(
@@ -245,7 +245,7 @@ def test_a_half_built_dataset_is_one_line(
     with pytest.raises(SystemExit):
         call(monkeypatch, "make", "--dataset", "one")
     err = capsys.readouterr().err
-    assert "floor.ply: the file is missing; `datagen verify data/one` names the command that makes it again" in err
+    assert "floor.ply: the file is missing; run the command that made it again, which keeps what is whole" in err
     assert err.count("\n") == 2 and err.count("error: ") == 1  # What it is at comes first.
     assert not (here / "data/one/proxies/ellipsoid/proxies.json").exists()
 

@@ -95,7 +95,7 @@ def test_a_damaged_view_of_a_variant_is_named_and_made_again(
     path.write_bytes(b"garbage")
     (tmp_path / "mine/variants/x2/notes.txt").write_text("mine")
     found = verify_dataset(tmp_path / "mine")
-    assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged (checksum differs)"]
+    assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged or edited (checksum differs)"]
     assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
     (tmp_path / "mine/variants/x2/notes.txt").unlink()
     assert command("datagen", "add", tmp_path / "mine", *MORE).status == 0
@@ -144,7 +144,7 @@ def test_runs_predict_variants_and_the_report_scores_them(
     torch.set_num_threads(threads)
     assert ["nothing to do" in text for text in said] == [False, True, False, True]
     assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
-    advice = f"make it with `datagen add {root / 'data/mine'} --larger 4`"
+    advice = "make it with `datagen add`"
     refused = command(*render, "--variant", "x4").err
     assert f"x4: no such variant (there are: angles, x2); {advice}" in refused
 

@@ -289,7 +289,7 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
     assert f"[1/3] {first_run}: finished before, nothing to do; --overwrite" in done.stderr
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
     assert lines[-2].startswith("failed: model train paper --steps 200 ") and "--geometry box: " in lines[-2]
-    assert "no box proxies; make them with `proxies make data/synthetic --kind box`" in lines[-2]
+    assert "no box proxies; make them with `proxies make`" in lines[-2]
     assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
 
