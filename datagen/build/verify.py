@@ -152,16 +152,18 @@ class _Search:
             self.check_record(path, root, lambda: edit_mask_files(dataset))
         self.check_layers(dataset, TRUTH, is_due=dataset.imported is None)
         around = root if dataset.parent is None else dataset.parent.root
-        for geometry in _names(around / "proxies", PROXIES.head, "meshes", "layers"):
-            is_due = dataset.parent is not None and (layers_root(around, geometry) / LAYERS.head).is_file()
-            place = geometry_root(root, geometry)
-            if dataset.home is dataset and (is_due or dataset.parent is None):
+        peeled = (
+            set() if around == root else {path.parts[-4] for path in around.glob(f"proxies/*/layers/*/{LAYERS.head}")}
+        )
+        for geometry in sorted({*_names(root / "proxies", PROXIES.head, "meshes", "layers"), *peeled}):
+            if dataset.home is dataset:
+                place = geometry_root(root, geometry)
                 self.check_record(
                     place / PROXIES.head,
                     place,
                     lambda name=geometry: {item.file: item.sha256 for item in read_proxy_records(dataset, name)},
                 )
-            self.check_layers(dataset, geometry, is_due=is_due)
+            self.check_layers(dataset, geometry, is_due=geometry in peeled)
 
     def check_layers(self, dataset: Dataset, geometry: str, *, is_due: bool) -> None:
         """The layers of a geometry, if they were ever made."""

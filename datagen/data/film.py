@@ -49,9 +49,7 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
     if out.suffix == "":
         refuse_others(out, FRAMES)
         _refuse_foreign_frames(out, frames)
-        own = _own_frames(out)
-        is_whole = all((out / name).is_file() for name in own)
-        if is_ours(out, FRAMES) and not overwrite and (is_whole or own != _names(frames)):
+        if is_ours(out, FRAMES) and not overwrite and _own_frames(out) != _names(frames):
             raise _another_film(out)
         return
     if out.suffix not in (ANIMATED, MOVIE):

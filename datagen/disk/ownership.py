@@ -17,7 +17,7 @@ from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, printable, real_path
-from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers
+from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers, try_place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,11 +173,13 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
 
     Raises:
         HyalineError: naming it.
+        OSError: nothing can be written there.
     """
     if path.exists() and not path.is_file():
         raise HyalineError(f"{path}: is a folder, a device or a pipe; choose another --out")
     if os.path.lexists(path) and not overwrite:
         raise HyalineError(f"{path}: is there already; pass --overwrite to replace it, or choose another --out")
+    try_place(path)
 
 
 def refuse_owned(path: Path, kind: FolderKind, *, endings: tuple[str, ...] = (".json",)) -> None:

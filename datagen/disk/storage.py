@@ -60,6 +60,12 @@ def commit(path: Path, data: bytes) -> None:
         sync_folder(path.parent)
 
 
+def try_place(path: Path) -> None:
+    """Raises an OSError if no file can be committed at `path`, before work is done for one."""
+    with naming(path), _temporary(path, b"") as temporary:
+        temporary.unlink()
+
+
 def commit_same(path: Path, data: bytes) -> None:
     """Commits `data` unless `path` holds just these bytes: a file that others may be reading is left alone."""
     if path.is_symlink() or not path.is_file() or path.read_bytes() != data:

@@ -21,7 +21,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.names import NAME, real_path
 from datagen.disk.ownership import DATASET, refuse_file
 from datagen.disk.records import open_regular
-from datagen.disk.storage import read_promised
+from datagen.disk.storage import MAKE_AGAIN, read_promised
 from datagen.export.formats import EXPORTS, beside, new_folder, refuse_inside
 from datagen.terminal.command import say, say_all, track
 
@@ -60,7 +60,7 @@ def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
     found = verify_dataset(root)
     if found.problems:
         more = f" (and {len(found.problems) - 1} more problems: `datagen verify`)" if len(found.problems) > 1 else ""
-        raise HyalineError(f"{found.problems[0]}{more}")
+        raise HyalineError(f"{found.problems[0]}{more}; {MAKE_AGAIN}")
     say_all(found.remarks)
     paths = sorted(found.files, key=lambda path: (path != HEAD, path))
     with (

@@ -10,7 +10,7 @@ from pathlib import Path
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import list_datasets
-from datagen.data.variants import ANGLES, has_variant, open_variant, variant_command, variant_root
+from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from eval.analyses.variants import run_of_variant
@@ -84,9 +84,7 @@ def list_predictions(run: Run, protocol: Protocol) -> list[tuple[Run, list[Split
     for name, splits in protocol.variant_splits(run.dataset.config.scene).items():
         if not has_variant(run.dataset, name):
             if name == ANGLES:
-                raise HyalineError(
-                    f"{run.dataset.root}: has no {name}; make them with `{variant_command(run.dataset, name)}`"
-                )
+                raise HyalineError(f"{run.dataset.root}: has no {name}; make them with `datagen add --angles`")
             continue
         found = run_of_variant(run, open_variant(run.dataset, name))
         if found is not None:

@@ -232,13 +232,21 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
     Labels, folder names and torch's version are not compared.
     """
     record = read_run(out)
-    before = {**_flatten(to_json(record.config)), "dataset": record.dataset_seal, "layers": record.layers_seal}
-    after = {**_flatten(to_json(config)), "dataset": dataset_seal, "layers": layers_seal}
+    data = {
+        "dataset": (record.dataset_seal, dataset_seal),
+        "geometry or number of layers": (record.layers_seal, layers_seal),
+    }
+    before, after = _flatten(to_json(record.config)), _flatten(to_json(config))
     for key in {**after, **before}:
         if before.get(key) != after.get(key):
             raise HyalineError(
                 f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
                 f"start over with --overwrite, or choose another --out"
+            )
+    for what, (trained, now) in data.items():
+        if trained != now:
+            raise HyalineError(
+                f"{out}: was trained on another {what} than is there now; restore that, or train again with --overwrite"
             )
 
 

@@ -220,7 +220,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         ),
         (
             ("check", "--name", "mixed"),
-            "make them with `proxies make data/one --name mixed --assign ",
+            "no mixed proxies; make them with `proxies make`",
         ),
         (("check", "--kind", "box"), "no box proxies; make them with `proxies make`"),
     ],

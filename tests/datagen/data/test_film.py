@@ -43,7 +43,7 @@ def test_a_folder_gets_a_png_a_frame_and_its_own_frames_alone_are_replaced(tmp_p
     with pytest.raises(HyalineError, match=r"frames: holds another film; pass --overwrite"):
         check_film(out, 10, frames=2, overwrite=False)
     with pytest.raises(HyalineError, match=r"frames: holds another film; pass --overwrite"):
-        check_film(out, 10, frames=3, overwrite=False)
+        write_film(out, draw, 10, frames=3, key="b")
     (out / "0002.png").unlink()  # Interrupted.
     check_film(out, 10, frames=3, overwrite=False)
     check_film(out, 10, frames=2, overwrite=True)
@@ -75,6 +75,21 @@ def test_a_stopped_folder_goes_on_after_its_intact_frames(tmp_path: Path) -> Non
     assert read_state(tmp_path / "frames").files == read_state(tmp_path / "whole").files
     write_film(tmp_path / "frames", partial(stop_after, at_most=3), 10, frames=3, key="a", overwrite=True)
     assert started[-1] == 0
+
+
+def test_a_finished_folder_is_left_as_it_is_by_the_same_command(tmp_path: Path) -> None:
+    out = tmp_path / "frames"
+    write_film(out, draw, 10, frames=3, key="a")
+    before = {path: path.stat().st_mtime_ns for path in out.glob("*.png")}
+    check_film(out, 10, frames=3, overwrite=False)
+    write_film(out, draw, 10, frames=3, key="a")
+    assert {path: path.stat().st_mtime_ns for path in out.glob("*.png")} == before
+
+
+def test_a_place_where_nothing_can_be_written_is_refused_before_anything_is_drawn(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(OSError, match=r"File exists|Not a directory"):
+        check_film(tmp_path / "notes.txt" / "film.webp", 10, frames=3, overwrite=False)
 
 
 def test_a_stopped_file_says_that_it_starts_over(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(
     bad = [element.text for element in page.elements if element.attributes.get("class") == "bad"]
     assert any("extrapolating/0000.png: damaged" in text for text in bad)
     assert any("train/0001.exr: the file is missing" in text for text in bad)
-    assert any("datagen build" in code.text for code in page.all("code"))
+    assert any("run the command that made it again" in paragraph.text for paragraph in page.all("p"))
     assert "train view 0: picture" in labels
 
 

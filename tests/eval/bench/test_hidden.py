@@ -94,7 +94,7 @@ def test_no_command_makes_the_test_views_of_a_published_scene(here: Path) -> Non
     before = tree(here)
     public = "public/hidden-1-tiny"
     answer = call(f"datagen verify {public}")
-    assert answer.status == 0 and "the pictures of its 4 test views are the verifier's" in answer.err
+    assert answer.status == 0 and "a verifier keeps the pictures of its 4 test views" in answer.err
     refusals = {
         f"datagen build {public}/scene --preset tiny --out {public}": "scene hidden-1: is not rendered",
         f"datagen add {public} --edit remove:pane": "only a verifier knows its light and colours",

@@ -208,7 +208,10 @@ def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(
     assert call(f"datagen verify {copy}").status == 0
     answer = call(train)
     assert answer.status == 1
-    assert "holds a run with another layers" in answer.error
+    assert (
+        "was trained on another geometry or number of layers than is there now; restore that, or train again"
+        in answer.error
+    )
     assert (tmp_path / "fit" / "search.pt").exists()
     assert call(f"{fit} --skip search --seed 1 --overwrite").status == 0
     assert not (tmp_path / "fit" / "search.pt").exists()
