@@ -13,7 +13,7 @@ from datagen.build.light_check import check_light
 from datagen.build.shards import Shard, own_tasks
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Split, config_difference, describe_views
-from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
+from datagen.data.dataset import Dataset, DatasetObject, open_dataset
 from datagen.data.geometries import geometry_hash
 from datagen.data.layer_writing import check_settings, create_layers
 from datagen.data.layers import record_path_of_layers
@@ -251,11 +251,10 @@ def open_or_start(
             f"{root}: holds a dataset with another configuration ({difference}); "
             "pass --overwrite to replace it, or --out for another place"
         )
-    promised = head_files(root)
     # A rig's cameras are computed, and may differ in their last bits on another machine.
     is_listed = imported is not None or (scene is not None and isinstance(scene.cameras, CameraList))
     contents = head_contents(files, cameras if is_listed else {})
-    changed = [path for path, data in contents.items() if promised.get(path) != sha256(data)]
+    changed = [path for path, data in contents.items() if dataset.files.get(path) != sha256(data)]
     if changed:
         raise HyalineError(
             f"{root}: holds a dataset of another version of scene {config.scene} ({changed[0]} differs); "

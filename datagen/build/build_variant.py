@@ -5,7 +5,7 @@ from datagen.build.find_edit_masks import write_edit_masks
 from datagen.build.plan_variant import Plan, edited_scene
 from datagen.build.shards import Shard
 from datagen.data.config import config_difference
-from datagen.data.dataset import Dataset, head_files, open_dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import (
     list_geometries,
     read_assignment,
@@ -117,7 +117,7 @@ def _is_current(base: Dataset, plan: Plan, record: Variant, contents: dict[str, 
     if difference := config_difference(variant.config, plan.config):
         raise HyalineError(f"{root}: holds a variant with another configuration ({difference}); delete the folder")
     wanted = {path: sha256(data) for path, data in contents.items()}
-    return variant.variant == record and head_files(root) == wanted
+    return variant.variant == record and variant.files == wanted
 
 
 def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: str) -> None:

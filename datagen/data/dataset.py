@@ -55,7 +55,7 @@ from datagen.data.paths import HIDDEN, TRUTH, image_path, layers_root, record_pa
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.names import check_name, check_relative, real_path
-from datagen.disk.ownership import DATASET, LAYERS
+from datagen.disk.ownership import LAYERS
 from datagen.disk.records import Json, entry, from_json
 from datagen.disk.storage import MAKE_AGAIN, Opened, check_files, load_sealed, read_promised, seal_of, sha256
 
@@ -366,7 +366,7 @@ def open_dataset(root: Path) -> Dataset:
         config=config,
         objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
         seal=seal_of(head),
-        files=_promised_files(head, path),
+        files=promised_files(head, path),
         variant=variant,
         parent=parent,
         imported=imported_of(head, path),
@@ -374,12 +374,7 @@ def open_dataset(root: Path) -> Dataset:
     )
 
 
-def head_files(root: Path) -> dict[str, str]:
-    """SHA-256 of scene and camera files by path relative to the dataset, as the head promises them now."""
-    path = root / DATASET.head
-    return _promised_files(load_sealed(path), path)
-
-
-def _promised_files(head: dict[str, Json], path: Path) -> dict[str, str]:
+def promised_files(head: dict[str, Json], path: Path) -> dict[str, str]:
+    """SHA-256 of scene and camera files by path relative to the dataset, as a head at `path` promises them."""
     files = from_json(dict[str, str], entry(head, "files", where=path), where=f"{path}: files")
     return {check_relative(file, where=f"{path}: files"): promised for file, promised in files.items()}

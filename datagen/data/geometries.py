@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from datagen.data.dataset import Dataset, check_has_meshes, head_files
+from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import read_ply, write_ply
@@ -247,7 +247,7 @@ def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
     """File (relative to the geometry's folder) and SHA-256 of each object's mesh, except removed objects."""
     if geometry != TRUTH:
         return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
-    promised = head_files(dataset.root)
+    promised = dataset.files
     files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
     if dataset.edit is not None:
         files = {name: file for name, file in files.items() if file in promised}

@@ -10,7 +10,7 @@ from typing import cast
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import DATASET_VERSION, SPLITS, DatasetConfig, Split, config_of
-from datagen.data.dataset import Dataset, DatasetObject, head_files, open_dataset
+from datagen.data.dataset import Dataset, DatasetObject, open_dataset, promised_files
 from datagen.data.geometries import proxy_files
 from datagen.data.layer_writing import layers_files
 from datagen.data.metadata import RENDERED, Imported, Variant, ViewRecord, imported_of, variant_of
@@ -107,7 +107,7 @@ def dataset_files(root: Path) -> list[str]:
     config = config_of(head, path)
     variant, imported = variant_of(head, path), imported_of(head, path)
     endings = RENDERED if imported is None else imported.endings
-    return [*view_files(config, SPLITS if variant is None else variant.splits, endings), *head_files(root)]
+    return [*view_files(config, SPLITS if variant is None else variant.splits, endings), *promised_files(head, path)]
 
 
 def view_files(config: DatasetConfig, splits: Sequence[Split], endings: Sequence[str] = RENDERED) -> list[str]:

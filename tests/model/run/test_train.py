@@ -175,7 +175,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
             ("--geometry", "nope"),
             "no geometry 'nope'; did you mean 'noise'? Choose from blocks, ",
         ),
-        (("--geometry", "box"), "no box proxies; make them with `proxies make "),
+        (("--geometry", "box"), "no box proxies; make them with `proxies make`"),
         (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
         (("--lr", "-1"), "--lr: is -1.0; expected a learning rate"),
         (("--render-rays", "7"), "--render-rays: is 7; expected a square number of rays per pixel"),
