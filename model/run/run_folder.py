@@ -232,10 +232,6 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
     Labels, folder names and torch's version are not compared.
     """
     record = read_run(out)
-    data = {
-        "dataset": (record.dataset_seal, dataset_seal),
-        "geometry or number of layers": (record.layers_seal, layers_seal),
-    }
     before, after = _flatten(to_json(record.config)), _flatten(to_json(config))
     for key in {**after, **before}:
         if before.get(key) != after.get(key):
@@ -243,11 +239,9 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
                 f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
                 f"start over with --overwrite, or choose another --out"
             )
-    for what, (trained, now) in data.items():
-        if trained != now:
-            raise HyalineError(
-                f"{out}: was trained on another {what} than is there now; restore that, or train again with --overwrite"
-            )
+    if (record.dataset_seal, record.layers_seal) != (dataset_seal, layers_seal):
+        what = "dataset" if record.dataset_seal != dataset_seal else "geometry or number of layers"
+        raise HyalineError(f"{out}: was trained on another {what} than is there now; restore that, or train again")
 
 
 def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs:
