@@ -5,7 +5,7 @@
     proxies = hy.make_proxies(dataset, "ellipsoid")
     run = hy.train("light-path", dataset, steps=500)
     hy.report([run])
-    layers = dataset.layers(camera)
+    layers = hy.layers(dataset, camera)
 
 >>> import hyaline as hy
 >>> dataset = hy.open_dataset("glass_table")            # data/glass_table, or a folder
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 
 from datagen.data.cameras import Camera, Cameras, look_at
 from datagen.data.config import SPLITS, TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, View
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
@@ -35,7 +36,8 @@ from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, Rou
 from datagen.scene.textures import ImageTexture, SolidTexture
 from datagen.terminal.distribution import VERSION, naming_parts
 from hyaline.cameras import camera_from_intrinsics, orbit
-from hyaline.datasets import Dataset, View, build, list_datasets, open_dataset
+from hyaline.datasets import build, layers, list_datasets, open_dataset
+from hyaline.pictures import show
 from hyaline.proxies import Proxies, make_proxies
 from hyaline.reports import Report, report
 from hyaline.runs import Run, list_runs, open_run, train
@@ -87,6 +89,7 @@ __all__ = [
     "__version__",
     "build",
     "camera_from_intrinsics",
+    "layers",
     "list_datasets",
     "list_runs",
     "look_at",
@@ -97,6 +100,7 @@ __all__ = [
     "quantities",
     "report",
     "score",
+    "show",
     "train",
 ]
 

@@ -6,11 +6,14 @@ import math
 import numpy as np
 from jaxtyping import Float, Real
 
-from datagen.data.cameras import Camera, check_camera, look_at
+from datagen.data.cameras import Camera, look_at
+from datagen.data.config import MAX_VIEWS
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 
 
+@checked
 def camera_from_intrinsics(
     world_from_camera: Float[np.ndarray, "4 4"], intrinsics: Real[np.ndarray, "3 3"], width: int, height: int
 ) -> Camera:
@@ -32,29 +35,26 @@ def camera_from_intrinsics(
     Raises:
         HyalineError: pixels that are not square, or an invalid camera.
     """
-    matrix = np.asarray(intrinsics, np.float64)
-    if matrix.shape != (3, 3) or (matrix[2] != (0, 0, 1)).any() or matrix[1, 0] != 0:
+    (focal_x, skew, center_x), (below, focal_y, center_y), last = intrinsics.astype(np.float64)
+    if below != 0 or (last != (0, 0, 1)).any():
         raise HyalineError(
-            f"intrinsics: are {shown(matrix.tolist())}; expected a 3 x 3 matrix with zeros below its diagonal and 1 as "
-            "its last number"
+            f"intrinsics: are {shown(intrinsics.tolist())}; expected zeros below the diagonal and 1 as the last number"
         )
-    (focal_x, skew, center_x), (_, focal_y, center_y), _ = matrix
     if not math.isclose(focal_x, focal_y, rel_tol=1e-4) or abs(skew) > 1e-4 * abs(focal_x):
         raise HyalineError(
             f"intrinsics: focal lengths {focal_x:g}, {focal_y:g} and skew {skew:g}; expected square "
             "pixels: equal focal lengths and no skew"
         )
-    camera = Camera(
-        world_from_camera=np.asarray(world_from_camera),
+    return Camera(
+        world_from_camera=world_from_camera,
         fov_x=2 * math.atan2(0.5 * width, focal_x),
         width=width,
         height=height,
         center=None if (center_x, center_y) == (0.5 * width, 0.5 * height) else (float(center_x), float(center_y)),
     )
-    check_camera(camera)
-    return camera
 
 
+@checked
 def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn_deg: float = 360.0) -> list[Camera]:
     """Cameras on a level circle around a point, evenly spaced, each looking at it; the first at `start`.
 
@@ -70,9 +70,9 @@ def orbit(start: Camera, target: tuple[float, float, float], count: int, *, turn
         count: number of cameras; the last is one step short of `turn_deg`, so that a full turn loops.
         turn_deg: counter-clockwise as seen from above.
     """
-    if count < 1:
-        raise HyalineError(f"count: is {count}; expected at least 1")
-    center = np.asarray(target, np.float64)
+    if not 1 <= count <= MAX_VIEWS:
+        raise HyalineError(f"count: is {count}; expected 1 to {MAX_VIEWS:,}")
+    center = np.array(target, np.float64)
     offset = start.world_from_camera[:3, 3] - center
     cameras = []
     for angle in np.arange(count) * math.radians(turn_deg) / count:

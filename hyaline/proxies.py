@@ -1,18 +1,16 @@
 """Proxies of a dataset: coarse closed meshes that stand in for its objects."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PIL import Image
-
+from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
-from datagen.data.paths import PROXY_KINDS, TRUTH
+from datagen.data.paths import PROXY_KINDS
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.terminal.distribution import naming_parts
-from hyaline.datasets import NUM_LAYERS, Dataset, open_dataset
-from hyaline.pictures import in_a_row, sketch
+from hyaline.datasets import NUM_LAYERS, open_dataset
 
 if TYPE_CHECKING:
     from proxies.make import ProxyReport
@@ -35,16 +33,8 @@ class Proxies:
 
         return read_meshes(self.dataset, self.geometry)
 
-    def show(self) -> Image.Image:
-        """Sketches of the scene: its own meshes, and the proxies."""
-        from datagen.data.geometries import read_meshes
-        from datagen.look.sketch import open_azimuth_deg
 
-        is_glass, azimuth_deg = [item.is_glass for item in self.dataset.objects], open_azimuth_deg(self.dataset)
-        both: Sequence[tuple[Mesh, ...]] = (read_meshes(self.dataset, TRUTH), self.meshes)
-        return in_a_row([sketch(meshes, is_glass, azimuth_deg) for meshes in both])
-
-
+@checked
 @naming_parts("proxies")
 def make_proxies(
     dataset: Dataset | Path | str,

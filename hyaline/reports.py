@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from datagen.data.config import MAX_VIEWS
 from datagen.data.paths import DATA_ROOT
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from hyaline.runs import RUNS, Run
@@ -58,6 +59,7 @@ class Report:
         return "".join(html_table(grid) for scene in self.scored.results["scenes"] for grid in scene_grids(scene)[:1])
 
 
+@checked
 def report(
     runs: Run | Path | str | Sequence[Run | Path | str] | None = None,
     out: Path | str | None = None,

@@ -9,20 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float32, UInt8
-from PIL import Image
 
-from datagen.data import dataset as contract
-from datagen.data.cameras import Camera, check_camera
-from datagen.data.config import TEST_SPLITS
+from datagen.data.cameras import Camera
+from datagen.data.dataset import Dataset, View
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH, find_dataset, view_name
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.signals import Stopped
-from hyaline.datasets import Dataset, View, open_dataset, opened
-from hyaline.pictures import in_a_row
+from hyaline.datasets import open_dataset
 from model.methods.protocol import Inputs, MethodConfig
 from model.run import run_folder
 from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_metrics, read_run
@@ -88,6 +86,7 @@ class Run:
         """True when the method predicts linear radiance."""
         return self.config.net.has_radiance
 
+    @checked
     @naming_parts("hyaline.Run.render")
     def render(self, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
         """The 8-bit sRGB picture for a camera; for a view's camera, exactly the run's own prediction.
@@ -100,6 +99,7 @@ class Run:
         pixels = self._pixels(camera)
         return predict_pixels(self._renderer, pixels).reshape(camera.height, camera.width, 3)
 
+    @checked
     @naming_parts("hyaline.Run.radiance")
     def radiance(self, camera: Camera) -> Float32[np.ndarray, "h w 3"]:
         """Linear radiance (Rec. 709), unclipped. Training images are clipped at white, so values above it are guesses.
@@ -119,12 +119,7 @@ class Run:
             raise NumericsError(f"{self.folder}: a predicted colour is not finite; train again with --overwrite")
         return linear_curve(colors).cpu().numpy().reshape(camera.height, camera.width, 3)
 
-    def show(self) -> Image.Image:
-        """The first view of each test split: the truth, and beside it what the run predicts."""
-        views = [self.dataset.view(split, 0) for split in TEST_SPLITS]
-        return in_a_row([picture for view in views for picture in (view.image, self._prediction(view))])
-
-    def _prediction(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
+    def prediction(self, view: View) -> UInt8[np.ndarray, "h w 3"]:
         """The stored prediction; rendered now if the run is still training."""
         stored = self.folder / "predictions" / view.split / f"{view_name(view.index)}.png"
         return read_png(stored) if stored.is_file() else self.render(view.camera)
@@ -140,7 +135,6 @@ class Run:
         from model.run.predict import check_draws_cameras
         from model.settings.runtime import choose_device
 
-        check_camera(camera)
         check_draws_cameras(self.folder, self.config)
         return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
 
@@ -148,6 +142,7 @@ class Run:
 Setting = int | float | str | bool | None
 
 
+@checked
 @naming_parts("model")
 def train(
     method: str | MethodConfig,
@@ -226,6 +221,7 @@ def train(
     return open_run(place, dataset=dataset, device=device)
 
 
+@checked
 def list_runs(root: Path | str = RUNS) -> list[str]:
     """The names of the runs in a folder, sorted; `runs` in the working folder unless given.
 
@@ -235,6 +231,7 @@ def list_runs(root: Path | str = RUNS) -> list[str]:
     return run_folder.list_runs(Path(root))
 
 
+@checked
 def open_run(
     name: Path | str, root: Path | str = RUNS, *, dataset: Dataset | Path | str | None = None, device: Device = "auto"
 ) -> Run:
@@ -263,9 +260,7 @@ def open_run(
     """
     folder = find_run(Path(name), Path(root))
     record = read_run(folder)
-    found = opened(
-        dataset if isinstance(dataset, contract.Dataset) else contract.open_dataset(_place_of(record, folder, dataset))
-    )
+    found = dataset if isinstance(dataset, Dataset) else open_dataset(_place_of(record, folder, dataset))
     return Run(
         folder=folder,
         record=record,

@@ -1,7 +1,6 @@
 """Scenes described in Python: meshes with materials, light and cameras."""
 
 import dataclasses
-import math
 import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,20 +8,27 @@ from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float, Int, Real
-from PIL import Image
+from jaxtyping import Float, Int, Integer, Real
 
 from datagen.data.meshes import Mesh
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.scene import description
 from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig, Environment, EnvironmentMap, RectangleLight, SceneObject, image_bytes
+from datagen.scene.description import (
+    MAX_OBJECTS,
+    CameraRig,
+    Environment,
+    EnvironmentMap,
+    RectangleLight,
+    SceneObject,
+    image_bytes,
+)
 from datagen.scene.materials import Material, check_material
-from datagen.scene.soundness import camera_places, check_names
+from datagen.scene.soundness import check_names
 from datagen.scene.values import Vector, check_positive
 from datagen.terminal.command import say
-from hyaline.pictures import in_a_row, sketch
 
 
 @runtime_checkable
@@ -40,9 +46,10 @@ class Triangles(Protocol):
         ...
 
 
-Arrays = tuple[Real[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]
+Arrays = tuple[Real[np.ndarray, "vertex 3"], Integer[np.ndarray, "face 3"]]
 
 
+@checked
 @dataclass(frozen=True)
 class Object:
     """One object of a scene: a mesh of one material, which layers name by one id.
@@ -66,6 +73,7 @@ class Object:
         check_material(self.material, where=f"object {printable(self.name)}")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Hemisphere:
     """Training and interpolating cameras on a hemisphere around the glass, and an extrapolating walk that leaves it.
@@ -96,6 +104,7 @@ class Hemisphere:
             raise HyalineError(f"camera fov_deg: is {self.fov_deg}; expected 0 to 170")
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Scene:
     """A scene described in Python, which `hyaline.build` path-traces.
@@ -109,7 +118,7 @@ class Scene:
     ...     ],
     ...     cameras=hy.Hemisphere(views=20),
     ... )
-    >>> scene.show().size                               # a sketch, which notebooks show
+    >>> hy.show(scene).size                             # a sketch, which notebooks show
     (640, 480)
     """
 
@@ -128,15 +137,11 @@ class Scene:
     license: str | None = None
     """An SPDX name such as CC-BY-4.0, or a line of text: the licence of meshes and images, and so of the dataset."""
 
-    def show(self) -> Image.Image:
-        """A pen sketch of the scene from the side of its cameras; glass is clear."""
-        objects = [_described(item)[0] for item in self.objects]
-        rig = _rig(self, objects)
-        offset = camera_places(rig).mean(axis=0) - np.array(rig.target)
-        is_around = np.hypot(offset[0], offset[1]) < 0.1 * rig.radius
-        azimuth_deg = -60.0 if is_around else math.degrees(math.atan2(offset[1], offset[0]))
-        meshes, is_glass = [item.mesh for item in objects], [item.material.is_glass for item in objects]
-        return in_a_row([sketch(meshes, is_glass, azimuth_deg)])
+    def __post_init__(self) -> None:
+        if not 1 <= len(self.objects) <= MAX_OBJECTS:
+            raise HyalineError(
+                f"scene {printable(self.name)}: has {len(self.objects)} objects; expected 1 to {MAX_OBJECTS}"
+            )
 
     def described(self) -> description.Scene:
         """The scene as the renderer needs it: meshes are mended, unwrapped unless they have an atlas, and checked.
@@ -146,6 +151,11 @@ class Scene:
         """
         return _described_scene(self)
 
+    def sketched(self) -> tuple[list[SceneObject], CameraRig | CameraList]:
+        """Objects and cameras, before anything is mended or unwrapped."""
+        objects = [_described(item)[0] for item in self.objects]
+        return objects, _rig(self, objects)
+
 
 def _described_scene(given: Scene) -> description.Scene:
     from datagen.scene.images import read_map
@@ -153,8 +163,6 @@ def _described_scene(given: Scene) -> description.Scene:
     from datagen.scene.soundness import check_scene
     from datagen.scene.staging import LIGHT
 
-    if not given.objects:
-        raise HyalineError(f"scene {printable(given.name)}: has no objects; expected at least one")
     read = [_described(item) for item in given.objects]
     objects = tuple(item for item, _ in read)
     scene = description.Scene(
@@ -203,9 +211,9 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         return SceneObject(name=item.name, mesh=item.mesh, material=item.material), bool(item.mesh.uv.any())
     if isinstance(item.mesh, (str, Path)):
         vertices, faces, uv = _read_file(Path(item.mesh))
-    elif isinstance(item.mesh, (tuple, list)) and len(item.mesh) == 2:
+    elif isinstance(item.mesh, tuple):
         (vertices, faces), uv = item.mesh, None
-    elif not (hasattr(item.mesh, "vertices") and hasattr(item.mesh, "faces")):
+    elif not isinstance(item.mesh, Triangles):
         raise HyalineError(
             f"{where}: its mesh is a {type(item.mesh).__name__}; expected one mesh with vertices and faces (of a "
             "trimesh.Scene, its to_mesh()), a pair of arrays, or a file"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from eval.score import metrics
 
@@ -27,6 +28,7 @@ class Scores:
     """PSNR of the pixels in the mask alone; None without a mask, or with an empty one."""
 
 
+@checked
 def score(
     pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"] | None = None
 ) -> Scores:
@@ -46,15 +48,10 @@ def score(
     Raises:
         HyalineError: pictures that are not 8-bit, a mask that is not bool, or sizes that differ.
     """
-    for name, picture in (("pred", pred), ("target", target)):
-        if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[-1] != 3:
-            raise HyalineError(f"{name}: is {picture.dtype} of shape {picture.shape}; expected uint8 of (h, w, 3)")
-    if pred.shape != target.shape:
-        raise HyalineError(f"pred: has shape {pred.shape}; expected {target.shape}, that of target")
-    if mask is not None and (mask.shape != target.shape[:2] or mask.dtype != bool):
-        raise HyalineError(
-            f"mask: is {mask.dtype} of shape {mask.shape}; expected bool of {target.shape[:2]}, such as mask > 127"
-        )
+    if pred.shape != target.shape or not target.size:
+        raise HyalineError(f"pred: has shape {pred.shape}; expected {target.shape}, that of target, and not empty")
+    if mask is not None and mask.shape != target.shape[:2]:
+        raise HyalineError(f"mask: has shape {mask.shape}; expected {target.shape[:2]}, that of target")
     is_large = min(target.shape[:2]) >= metrics.SSIM_WINDOW
     return Scores(
         psnr_db=metrics.psnr(pred, target),

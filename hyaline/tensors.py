@@ -11,6 +11,7 @@ from torch.utils import data
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, View
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 
 
@@ -29,6 +30,7 @@ class ViewItem(TypedDict):
     """Objects that these surfaces belong to; 0 where a layer is empty."""
 
 
+@checked
 @dataclasses.dataclass(frozen=True)
 class ViewDataset(data.Dataset):
     """The views of a split, one per item, read when they are accessed.
@@ -74,6 +76,7 @@ class RayItem(TypedDict):
     """sRGB, 0 to 1."""
 
 
+@checked
 class RayDataset(data.Dataset):
     """All pixels of a split with their centre rays, view by view and row by row, in memory (36 bytes a pixel).
 

@@ -70,7 +70,7 @@ FLOORS = {
     ),
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "view", "web", "fit", "run", "methods", "losses", "batches", "nets", "settings"),
-    "hyaline": ("tensors", "reports", "runs", "proxies", "datasets", "scenes", "scores", "cameras", "pictures"),
+    "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
     "eval": ("cli", "bench", "page", "papers", "analyses", "figures", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""

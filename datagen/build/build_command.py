@@ -9,7 +9,7 @@ from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeCh
 from datagen.build.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.build.presets import configure, fit_to_scene
 from datagen.build.shards import count_missing, parse_shard
-from datagen.data.config import DatasetConfig, parse_resolution
+from datagen.data.config import DatasetConfig
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
@@ -89,8 +89,7 @@ def _build_scene(
         say(f"{built}: checking what is there")
     scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
-    are_views_chosen = size.views is not None or size.test_views is not None
-    config = fit_to_scene(config, scene, keep_resolution=size.resolution is not None, keep_views=are_views_chosen)
+    config = fit_to_scene(config, scene, size)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
         _build_in_jobs(name, root, config, choices, size, launch, imports)
@@ -223,14 +222,4 @@ def _preview(dataset: Dataset, is_wanted: bool) -> None:
 def _configure(choices: BuildChoices, size: SizeChoices) -> DatasetConfig:
     """The configuration of a new dataset; its scene's name is known only when the scene has been read."""
     check_settings(num_layers=size.num_layers, workers=choices.workers)
-    return configure(
-        choices.preset,
-        resolution=None if size.resolution is None else parse_resolution(size.resolution),
-        views=size.views,
-        test_views=size.test_views,
-        spp=size.spp,
-        test_spp=size.test_spp,
-        ceiling_db=size.ceiling,
-        max_depth=size.max_depth,
-        seed=choices.seed,
-    )
+    return configure(choices.preset, size, seed=choices.seed)

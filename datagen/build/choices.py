@@ -42,7 +42,7 @@ class BuildChoices:
 class SizeChoices:
     """Single values that replace those of the preset."""
 
-    resolution: str | None = None
+    resolution: str | int | None = None
     """Pixels: one number for square pictures, or width and height, such as 320x240."""
     views: int | None = None
     """Number of training views."""

@@ -3,7 +3,8 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.data.config import DatasetConfig, Resolution, SplitConfig, square
+from datagen.build.choices import SizeChoices
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig, parse_resolution, square
 from datagen.scene.description import Scene
 from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose
@@ -40,74 +41,31 @@ PRESETS: dict[str, Preset] = {
 }
 
 
-def resize(
-    preset: Preset,
-    *,
-    resolution: Resolution | None,
-    views: int | None,
-    test_views: int | None,
-    spp: int | None,
-    test_spp: int | None,
-) -> Preset:
-    """The preset with single values replaced where they are given."""
-
-    def replaced(split: SplitConfig, views: int | None, spp: int | None) -> SplitConfig:
-        return SplitConfig(
-            views=split.views if views is None else views,
-            spp=split.spp if spp is None else spp,
-        )
-
-    return dataclasses.replace(
-        preset,
-        resolution=preset.resolution if resolution is None else resolution,
-        train=replaced(preset.train, views, spp),
-        interpolating=replaced(preset.interpolating, test_views, test_spp),
-        extrapolating=replaced(preset.extrapolating, test_views, test_spp),
-    )
-
-
-def configure(
-    preset: str,
-    *,
-    resolution: Resolution | None = None,
-    views: int | None = None,
-    test_views: int | None = None,
-    spp: int | None = None,
-    test_spp: int | None = None,
-    ceiling_db: float | None = None,
-    max_depth: int = 24,
-    seed: int = 0,
-) -> DatasetConfig:
+def configure(preset: str, size: SizeChoices, *, seed: int) -> DatasetConfig:
     """The configuration of a new dataset; `fit_to_scene` completes it when the scene is known."""
-    size = resize(
-        PRESETS[choose("preset", preset, PRESETS)],
-        resolution=resolution,
-        views=views,
-        test_views=test_views,
-        spp=spp,
-        test_spp=test_spp,
-    )
+    usual = PRESETS[choose("preset", preset, PRESETS)]
+    test = _given(usual.interpolating, size.test_views, size.test_spp)
     return DatasetConfig(
         scene="scene",
         preset=preset,
-        resolution=size.resolution,
-        train=size.train,
-        interpolating=size.interpolating,
-        extrapolating=size.extrapolating,
-        ceiling_db=ceiling_db,
-        max_depth=max_depth,
+        resolution=usual.resolution if size.resolution is None else parse_resolution(str(size.resolution)),
+        train=_given(usual.train, size.views, size.spp),
+        interpolating=test,
+        extrapolating=test,
+        ceiling_db=size.ceiling,
+        max_depth=size.max_depth,
         seed=seed,
     )
 
 
-def fit_to_scene(config: DatasetConfig, scene: Scene, *, keep_resolution: bool, keep_views: bool) -> DatasetConfig:
-    """The configuration with the scene's name, and with the resolution and views of its cameras if it lists them.
+def _given(usual: SplitConfig, views: int | None, spp: int | None) -> SplitConfig:
+    return SplitConfig(views=usual.views if views is None else views, spp=usual.spp if spp is None else spp)
 
-    Args:
-        keep_resolution: somebody chose the resolution.
-        keep_views: somebody chose the numbers of views.
-    """
+
+def fit_to_scene(config: DatasetConfig, scene: Scene, size: SizeChoices) -> DatasetConfig:
+    """The configuration with the scene's name; what `size` leaves open is as in the scene, if it lists its cameras."""
     config = dataclasses.replace(config, scene=scene.name)
-    if not keep_resolution:
+    if size.resolution is None:
         config = with_listed_shape(config, scene.cameras)
-    return config if keep_views else with_listed_views(config, scene.cameras)
+    has_views = size.views is not None or size.test_views is not None
+    return config if has_views else with_listed_views(config, scene.cameras)

@@ -13,7 +13,8 @@ from typing import Self
 import numpy as np
 from jaxtyping import Float, Float32, Int
 
-from datagen.data.config import Resolution
+from datagen.data.config import MAX_SIDE, Resolution
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 
@@ -115,6 +116,7 @@ class Lens:
         )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Camera(Lens):
     """A lens and where it is."""
@@ -122,11 +124,18 @@ class Camera(Lens):
     world_from_camera: Float[np.ndarray, "4 4"]
     """float64, metres, OpenGL convention: +x right, +y up, the camera looks along -z; world +z is up."""
 
+    def __post_init__(self) -> None:
+        check_pose(self.world_from_camera)
+        check_lens(self)
+        if max(self.width, self.height) > MAX_SIDE:
+            raise HyalineError(f"camera: is {self.width} x {self.height} pixels; expected at most {MAX_SIDE} a side")
+
     @property
     def alone(self) -> "Cameras":
         """A set of cameras that contains only this one."""
-        return self.cameras(np.asarray(self.world_from_camera, np.float64)[None])
+        return self.cameras(self.world_from_camera[None].astype(np.float64))
 
+    @checked
     def project(
         self, p_world: Float[np.ndarray, "point 3"]
     ) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, " point"]]:
@@ -168,6 +177,7 @@ class Cameras(Lens):
         return self.camera(self.world_from_camera[view].copy())
 
 
+@checked
 def look_at(
     position: Float[np.ndarray, "3"] | tuple[float, float, float],
     target: Float[np.ndarray, "3"] | tuple[float, float, float],
@@ -194,12 +204,6 @@ def direction_of(
     """The unit vector at these angles in radians, above the horizon and from +x towards +y."""
     across = np.cos(elevation)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)
-
-
-def check_camera(camera: Camera) -> None:
-    """Raises a HyalineError if no picture can be rendered through a camera: a bad pose or a bad lens."""
-    check_pose(camera.world_from_camera)
-    check_lens(camera)
 
 
 def check_pose(world_from_camera: np.ndarray) -> None:

@@ -30,7 +30,6 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from numbers import Integral
 from pathlib import Path
 from typing import Literal, cast
 
@@ -53,6 +52,7 @@ from datagen.data.metadata import (
 )
 from datagen.data.paths import HIDDEN, TRUTH, image_path, layers_root, record_path, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
+from datagen.disk.checked import checked
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.names import check_name, check_relative, real_path
 from datagen.disk.ownership import LAYERS
@@ -142,11 +142,10 @@ class Dataset:
         """How many views each split has when it is complete."""
         return {split: self.config.split(split).views for split in self.splits}
 
+    @checked
     def view(self, split: Split, index: int) -> "View":
         """One view; nothing is read yet."""
         self._check_split(split)
-        if not isinstance(index, Integral):
-            raise HyalineError(f"{self.root}: view {index!r} of {split}: expected an integer")
         if not 0 <= index < self.num_views[split]:
             raise HyalineError(f"{self.root}: {split} has no view {index}; expected 0 to {self.num_views[split] - 1}")
         return View(dataset=self, split=split, index=index)
@@ -155,11 +154,13 @@ class Dataset:
         if split not in self.splits:
             raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
 
+    @checked
     def views(self, split: Split) -> "list[View]":
         """Every view of a split, in order."""
         self._check_split(split)
         return [self.view(split, index) for index in range(self.num_views[split])]
 
+    @checked
     def cameras(self, split: Split) -> Cameras:
         """The cameras of one split, verified against the head."""
         self._check_split(split)
@@ -170,12 +171,14 @@ class Dataset:
         path, promised = self.root / file, entry(self.files, file, where=self.root)
         return parse_transforms(read_promised(self.root, file, promised), where=str(path))
 
+    @checked
     def layer_store(self, geometry: str = TRUTH) -> LayerStore:
         """The layers of a geometry, opened."""
         check_has_meshes(self)
         head = layers_root(self.root, geometry) / LAYERS.head
         return self._opened.get(head, lambda: open_layers(self.root, geometry, self.config.resolution))
 
+    @checked
     def object_id(self, name: str) -> int:
         """The id that layers hold of an object: 1 + its place among the dataset's objects."""
         names = [item.name for item in self.objects]
@@ -183,6 +186,7 @@ class Dataset:
             raise HyalineError(f"{self.root}: has no object {name!r}; expected one of {', '.join(names)}")
         return 1 + names.index(name)
 
+    @checked
     def noise_ceiling_db(self, split: Split) -> float | None:
         """The mean PSNR in dB that the truth's noise and 8 bits would allow a perfect method on this split.
 
@@ -267,10 +271,12 @@ class View:
         """The view's camera."""
         return self.dataset.cameras(self.split)[self.index]
 
+    @checked
     def layers(self, geometry: str = TRUTH) -> Layers:
         """The surfaces along each pixel's straight ray: of the scene's own meshes, or of proxies, such as `box`."""
         return read_layers(self.dataset.layer_store(geometry), self.split, self.index)
 
+    @checked
     def object_ids(self, geometry: str = TRUTH) -> UInt8[np.ndarray, "layer h w"]:
         """The object ids of `layers` alone: a small part of what that reads."""
         return self.dataset.layer_store(geometry).read(self.split, self.index, only=["object_id"])["object_id"]
@@ -304,13 +310,12 @@ class View:
         """SHA-256 of the file of `imported_mask`, verified."""
         return sha256(self._read(".mask.png")) if ".mask.png" in self.dataset.endings else None
 
-    def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:
+    @checked
+    def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:  # noqa: ARG002
         """Pixels whose centre ray meets glass before anything opaque, by the true geometry.
 
         Where that has no layers, or stand-ins for meshes, by the mask that was imported with the picture.
         """
-        if what != "glass":
-            raise HyalineError(f"mask: is {what!r}; expected 'glass' (`object_ids` tells other objects)")
         if (given := self.imported_mask) is not None and takes_imported_masks(self.dataset):
             return given
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))

@@ -32,6 +32,10 @@ MAX_ARRAY_BYTES = (1 << 31) - 256
 """The largest array that fits into a Blosc buffer with its header."""
 
 
+MAX_WORKERS = 1024
+"""Processes; a larger number is probably a typo."""
+
+
 def check_settings(*, num_layers: int, workers: int) -> None:
     """Checks settings before any work is done.
 
@@ -40,8 +44,8 @@ def check_settings(*, num_layers: int, workers: int) -> None:
     """
     if not isinstance(num_layers, int) or not 1 <= num_layers <= 255:
         raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
-    if workers < 1:
-        raise HyalineError(f"workers: is {workers}; expected at least 1")
+    if not 1 <= workers <= MAX_WORKERS:
+        raise HyalineError(f"workers: is {workers}; expected 1 to {MAX_WORKERS}")
 
 
 def create_layers(

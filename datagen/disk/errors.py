@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -76,6 +77,22 @@ REASONS: dict[int, tuple[str, str]] = {
     errno.EMLINK: ("too many links lead to it", "choose another place"),
 }
 """Why, and the way out, by number."""
+
+
+OUT_OF_MEMORY = re.compile("not enough memory|can't allocate memory|out of memory", re.IGNORECASE)
+"""In the RuntimeError of a torch that was refused memory, on a CPU or on a GPU."""
+
+
+def as_hyaline_error(error: BaseException) -> HyalineError | None:
+    """What to tell about an error that is no fault of ours: of the system, or for want of memory; None for others."""
+    if isinstance(error, OSError):
+        # A full disk, a read-only folder, a missing permission: what is committed stays valid.
+        return HyalineError(describe_os_error(error, error.filename or "standard output, or a temporary file"))
+    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and OUT_OF_MEMORY.search(str(error))):
+        return HyalineError(
+            "out of memory; use fewer --workers, a smaller --batch or smaller sizes, or a machine with more memory"
+        )
+    return None
 
 
 def describe_os_error(error: OSError, path: Path | str | None = None) -> str:

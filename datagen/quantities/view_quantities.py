@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from datagen.data.cameras import Camera
 from datagen.data.dataset import View
 from datagen.data.layers import Layers
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
@@ -155,6 +156,7 @@ class ViewQuantities:
         """True where the ray hits glass first; imported masks where the dataset has some, as `view.mask("glass")`."""
         return self.view.mask("glass")
 
+    @checked
     def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
         """True where the ray hits the object of this name first."""
         return self.object_id == self.view.dataset.object_id(name)
@@ -170,6 +172,7 @@ class ViewQuantities:
         kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
         return np.array([0, *kinds], np.uint8)[self.object_id]
 
+    @checked
     def material_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
         """True where the ray first hits a material of this class, such as Dielectric."""
         if name not in self.material_names:
@@ -209,6 +212,7 @@ class ViewQuantities:
         """Position of the first opaque surface along the straight ray, in metres, in world axes."""
         return self._position(self.opaque_depth_along_ray)
 
+    @checked
     def normal(self, kind: NormalKind = "shading", axes: Axes = "world") -> Float32[np.ndarray, "h w 3"]:
         """Unit normal of the first surface, on the side from which the ray comes.
 
@@ -218,10 +222,6 @@ class ViewQuantities:
                 point slightly away from the camera.
             axes: world, or camera (+x right, +y up, +z towards the viewer).
         """
-        if kind not in ("shading", "geometric") or axes not in ("world", "camera"):
-            raise HyalineError(
-                f"normal: is {kind!r} in {axes!r} axes; expected 'shading' or 'geometric', 'world' or 'camera'"
-            )
         normals = self._normals[kind]
         if axes == "world":
             return normals
@@ -332,6 +332,7 @@ class ViewQuantities:
         return [(int(index), self.object_id == index) for index in np.unique(self.object_id) if index > 0]
 
 
+@checked
 def quantities(view: View) -> ViewQuantities:
     """The per-pixel quantities of a view besides its colour."""
     return ViewQuantities(view=view)

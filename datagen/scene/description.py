@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.meshes import Mesh
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import read_regular
@@ -28,6 +29,7 @@ MAP_ENDINGS = (".exr", ".hdr")
 """Endings of radiance files: OpenEXR, and Radiance's RGBE."""
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Lobe:
     """A soft round light in the sky: radiance falls off as exp(sharpness (cos angle - 1)).
@@ -46,6 +48,7 @@ class Lobe:
         check_positive("lobe sharpness", self.sharpness)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Card:
     """A rectangle that covers the sky behind it: a bright one acts as a photographer's softbox, a black one as a flag.
@@ -68,14 +71,13 @@ class Card:
         check_range("card radiance", self.radiance, 0, math.inf)
         if not all(0 < size < 180 for size in self.size_deg):
             raise HyalineError(f"card size_deg: is {self.size_deg}; expected two angles above 0 and below 180")
-        if not math.isfinite(self.roll_deg):
-            raise HyalineError(f"card roll_deg: is {self.roll_deg}; expected degrees")
         if not 0.2 <= self.softness_deg <= min(self.size_deg):
             raise HyalineError(
                 f"card softness_deg: is {self.softness_deg}; expected 0.2 to {min(self.size_deg):g}, its narrow side"
             )
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SoftEnvironment:
     """Light from infinitely far away: a smooth vertical gradient, lobes, and cards in front of them."""
@@ -94,6 +96,7 @@ class SoftEnvironment:
             check_range("environment radiance", color, 0, math.inf)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class EnvironmentMap:
     """Light from infinitely far away, as a picture of all directions in linear radiance.
@@ -116,13 +119,12 @@ class EnvironmentMap:
                 f"environment path: is {self.path!r}; expected an .exr or .hdr file inside the scene's folder"
             )
         check_positive("environment scale", self.scale)
-        if not math.isfinite(self.rotation_deg):
-            raise HyalineError(f"environment rotation_deg: is {self.rotation_deg}; expected degrees")
 
 
 Environment = SoftEnvironment | EnvironmentMap
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RectangleLight:
     """A one-sided rectangle that emits along the cross product of its edges; visible to cameras, but not peeled."""
@@ -141,6 +143,7 @@ class RectangleLight:
 # Cameras
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class WalkPoint:
     """A point of the extrapolating walk, and where the camera looks from there."""
@@ -149,6 +152,7 @@ class WalkPoint:
     target: Vector
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class CameraRig:
     """Placement of the cameras of all splits: a cropped hemisphere, and a walk that leaves it."""

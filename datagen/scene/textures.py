@@ -7,11 +7,13 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float32
 
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative
 from datagen.scene.values import Color, Vector, check_positive, check_range
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class SolidTexture:
     """A procedural 3D texture, which has no seams; baked into the object's atlas."""
@@ -32,6 +34,7 @@ class SolidTexture:
         check_positive("texture scale", self.scale)
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ImageTexture:
     """An sRGB image in the object's own uv."""

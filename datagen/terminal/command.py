@@ -8,7 +8,6 @@ import importlib
 import io
 import json
 import os
-import re
 import select
 import shlex
 import signal
@@ -18,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
-from datagen.disk.errors import HyalineError, describe_os_error, naming
+from datagen.disk.errors import HyalineError, as_hyaline_error, naming
 from datagen.disk.names import printable
 from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
@@ -27,8 +26,6 @@ from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
 
-OUT_OF_MEMORY = re.compile("not enough memory|can't allocate memory|out of memory", re.IGNORECASE)
-"""In the RuntimeError of a torch that was refused memory, on a CPU or on a GPU."""
 MAX_SUGGESTED = 100
 """Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
@@ -79,16 +76,12 @@ def _end(error: BaseException, arguments: list[str]) -> None:
     # Dr.Jit 1.5 records a loop, of a SystemError or an ImportError while a compiled module is imported.
     if (stopped := signal_within(error)) is not None:
         _end_stopped(stopped, arguments)
-    if isinstance(error, HyalineError):
-        fail(str(error), status=error.status)
-    if isinstance(error, OSError):
-        # A full disk, a read-only folder, a missing permission: what is committed stays valid.
-        if isinstance(error, BrokenPipeError) and _is_reader_gone():
-            _end_unread()
-        fail(describe_os_error(error, error.filename or "standard output, or a temporary file"))
-    if isinstance(error, MemoryError) or (isinstance(error, RuntimeError) and OUT_OF_MEMORY.search(str(error))):
-        fail("out of memory; use fewer --workers, a smaller --batch or smaller sizes, or a machine with more memory")
-    raise error
+    if isinstance(error, BrokenPipeError) and _is_reader_gone():
+        _end_unread()
+    told = error if isinstance(error, HyalineError) else as_hyaline_error(error)
+    if told is None:
+        raise error
+    fail(str(told), status=told.status)
 
 
 @contextlib.contextmanager

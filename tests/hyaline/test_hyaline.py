@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.checked import unchecked
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
@@ -34,7 +33,7 @@ def test_a_dataset_is_opened_by_name_folder_and_alone(dataset: hyaline.Dataset, 
     with pytest.raises(hyaline.HyalineError, match="no dataset"):
         hyaline.open_dataset("nothing")
     for take in (dataset.views, dataset.cameras, dataset.noise_ceiling_db):
-        with unchecked(), pytest.raises(hyaline.HyalineError, match="has no split 'trian'; expected one of train"):
+        with pytest.raises(hyaline.HyalineError, match="split: is 'trian'; expected 'train', 'interpolating'"):
             take("trian")  # pyright: ignore[reportArgumentType]
 
 
@@ -56,7 +55,7 @@ def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None
         views[8]
 
 
-def test_a_score_is_that_of_another_library_and_refuses_what_is_no_pair() -> None:
+def test_a_score_is_that_of_another_library() -> None:
     import skimage.metrics
 
     rng = np.random.default_rng(0)
@@ -64,12 +63,6 @@ def test_a_score_is_that_of_another_library_and_refuses_what_is_no_pair() -> Non
     scores = hyaline.score(pred, target)
     assert scores.psnr_db == pytest.approx(skimage.metrics.peak_signal_noise_ratio(target, pred, data_range=255))
     assert scores.masked_psnr_db is None and hyaline.score(pred[:8], target[:8]).ssim is None
-    for wrong in (pred[:5], pred.astype(np.float32), pred[..., 0]):
-        with unchecked(), pytest.raises(hyaline.HyalineError, match=r"^pred: "):
-            hyaline.score(wrong, target)
-    for wrong in (np.ones((3, 3), bool), np.ones((24, 20), np.uint8)):
-        with unchecked(), pytest.raises(hyaline.HyalineError, match=r"^mask: "):
-            hyaline.score(pred, target, wrong)
 
 
 def test_importing_it_brings_neither_torch_nor_mitsuba() -> None:

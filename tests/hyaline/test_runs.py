@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.checked import unchecked
 from support.commands import run as command
 from support.synthetic import write_synthetic_dataset
 
@@ -123,9 +122,9 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path)
     wide = dataclasses.replace(camera, width=48)
     assert "48 x 32 pixels; deepvoxels draws 32 x 32" in refusal("glass_table/deepvoxels", wide)
     mirrored = camera.world_from_camera * [[-1, 1, 1, 1]]
-    for wrong in ({"width": 0}, {"fov_x": 3.5}, {"world_from_camera": mirrored}, {"world_from_camera": np.eye(3)}):
-        with unchecked():
-            assert refusal("glass_table/paper", dataclasses.replace(camera, **wrong)).startswith("camera: ")
+    for wrong in ({"width": 0}, {"fov_x": 3.5}, {"world_from_camera": mirrored}):
+        with pytest.raises(hyaline.HyalineError, match=r"^camera: "):
+            dataclasses.replace(camera, **wrong)
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
     assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
     assert "choose from glass_table/authors-code, " in refusal("glass_table/nothing", camera)
@@ -164,8 +163,8 @@ def test_intrinsics_give_the_camera_that_has_them_or_are_refused() -> None:
         wrong[row, column] += 3
         with pytest.raises(hyaline.HyalineError, match="expected square pixels"):
             hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
-    for wrong in (camera.intrinsics.T, 2 * camera.intrinsics, np.eye(4)):
-        with unchecked(), pytest.raises(hyaline.HyalineError, match="expected a 3 x 3 matrix with zeros below"):
+    for wrong in (camera.intrinsics.T, 2 * camera.intrinsics):
+        with pytest.raises(hyaline.HyalineError, match="expected zeros below the diagonal"):
             hyaline.camera_from_intrinsics(camera.world_from_camera, wrong, 40, 30)
 
 

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 
+from datagen.disk.checked import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, check_reflectance
 from datagen.scene.values import check_roughness
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Conductor(Optics):
     """Metal, described by its reflectance at normal incidence."""

@@ -5,11 +5,13 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
+from datagen.disk.checked import checked
 from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin, rgb
 from datagen.scene.substances import Dispersion, Ior, check_dispersion, check_ior, index_of, indices_of
 from datagen.scene.values import Color, check_range
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Dielectric(Optics):
     """Smooth solid glass or liquid: refracts by Snell's law, reflects by Fresnel, absorbs by Beer and Lambert."""

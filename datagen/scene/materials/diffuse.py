@@ -2,10 +2,12 @@
 
 from dataclasses import dataclass
 
+from datagen.disk.checked import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.textures import Reflectance, check_reflectance
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Diffuse(Optics):
     """Lambertian on both sides."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.substances import Ior, check_ior, index_of
@@ -9,6 +10,7 @@ from datagen.scene.textures import Reflectance, check_reflectance
 from datagen.scene.values import check_roughness
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class Plastic(Optics):
     """A diffuse base under a clear coat."""

@@ -3,12 +3,14 @@
 import dataclasses
 from dataclasses import dataclass
 
+from datagen.disk.checked import checked
 from datagen.scene.materials.dielectric import Dielectric
 from datagen.scene.materials.optics import Plugin, Surface, TexturePlugin
 from datagen.scene.substances import index_of
 from datagen.scene.values import check_roughness
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class RoughDielectric(Dielectric):
     """Solid glass or liquid with a microfacet surface: ground, frosted or etched glass, ice."""

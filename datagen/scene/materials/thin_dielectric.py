@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+from datagen.disk.checked import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin, rgb
 from datagen.scene.substances import Ior, check_ior, index_of
 from datagen.scene.values import Color, check_range
 
 
+@checked
 @dataclass(frozen=True, kw_only=True)
 class ThinDielectric(Optics):
     """A pane so thin that light passes straight through, with its inner reflections summed; may be an open mesh."""

@@ -88,15 +88,15 @@ def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
 def test_what_is_not_there_is_named(dataset: Dataset) -> None:
     with pytest.raises(HyalineError, match="train has no view 99; expected 0 to"):
         dataset.view("train", 99)
-    with unchecked(), pytest.raises(HyalineError, match=r"view 1\.5 of train: expected an integer"):
+    with unchecked(), pytest.raises(HyalineError, match=r"index: is 1\.5; expected int"):
         dataset.view("train", 1.5)  # type: ignore[arg-type]
-    with unchecked(), pytest.raises(HyalineError, match="has no split 'validation'"):
+    with unchecked(), pytest.raises(HyalineError, match="split: is 'validation'; expected 'train', "):
         dataset.view("validation", 0)  # type: ignore[arg-type]
     with pytest.raises(HyalineError, match="has no object 'teapot'; expected one of"):
         dataset.object_id("teapot")
     with pytest.raises(HyalineError, match="has no geometry box; make proxies with `proxies make`"):
         dataset.view("train", 0).layers("box")
-    with unchecked(), pytest.raises(HyalineError, match="mask: is 'wood'; expected 'glass'"):
+    with unchecked(), pytest.raises(HyalineError, match="what: is 'wood'; expected 'glass'"):
         dataset.view("train", 0).mask("wood")  # type: ignore[arg-type]
 
 

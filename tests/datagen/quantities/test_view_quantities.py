@@ -98,7 +98,7 @@ def test_a_normal_in_camera_axes_looks_at_the_viewer(found: ViewQuantities) -> N
     # What a ray in the middle of the picture meets, it meets from the viewer's side, which is +z.
     middle = slice(20, 28)
     assert (in_camera[middle, middle, 2][there[middle, middle]] > 0).all()
-    with unchecked(), pytest.raises(HyalineError, match="normal: is 'smooth' in 'world' axes; expected"):
+    with unchecked(), pytest.raises(HyalineError, match="kind: is 'smooth'; expected 'shading', 'geometric'"):
         found.normal("smooth")  # type: ignore[arg-type]
 
 
