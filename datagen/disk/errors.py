@@ -62,6 +62,7 @@ REASONS: dict[int, tuple[str, str]] = {
     errno.ENAMETOOLONG: ("the name is too long", "choose a shorter one"),
     errno.EINVAL: ("the file system does not take it", "choose another name or another place"),
     errno.ELOOP: ("its links go round in a circle", "remove one of them"),
+    errno.EBADF: ("is closed", "redirect it to a file, or to /dev/null"),
     errno.ENXIO: ("is a device or a pipe", "give a file"),
     errno.EMFILE: ("too many files are open in this process", "raise the limit (`ulimit -n`)"),
     errno.ENFILE: ("too many files are open on this machine", "close some programs"),

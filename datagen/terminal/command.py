@@ -57,15 +57,16 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
 def _open_closed() -> None:
     """Opens the standard streams that the caller has closed (`2>&-`, some daemons), to nowhere.
 
-    Otherwise files of data would get their numbers, to which libraries write, and progress would go to stdout.
+    Otherwise files of data would get their numbers, to which libraries write, and progress would go to stdout. A result
+    that cannot be printed is an error, so stdout is opened for reading alone.
     """
-    for number in (0, 1, 2):
+    for number, mode in enumerate((os.O_RDWR, os.O_RDONLY, os.O_RDWR)):
         try:
             os.fstat(number)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # The lowest free number, which is this one.
+            os.set_inheritable(os.open(os.devnull, mode), True)  # The lowest free number, which is this one.
     if sys.stdout is None:
-        sys.stdout = Path(os.devnull).open("w")  # noqa: SIM115
+        sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), "utf-8", write_through=True)
     if sys.stderr is None:
         sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
 

@@ -65,7 +65,7 @@ class Group(Generic[Plugin]):
         where = f"{self.what} {name!r}: {point.value} of {self.sources(name)[0]}"
         try:
             found = point.load()
-        except Exception as error:  # A stranger's module may raise anything.
+        except (Exception, SystemExit) as error:  # A stranger's module may raise anything.
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise HyalineError(f"{where} cannot be imported ({reason}); update or uninstall it") from error
         if not self._is_one(found):

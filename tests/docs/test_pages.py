@@ -103,7 +103,7 @@ def test_the_api_reference_has_every_public_name(site: Path) -> None:
     page = Links(site / "api.html")
     assert {name.lower() for name in names} <= page.ids and "datasetview" in page.ids
     text = (site / "api.html").read_text()
-    assert "Absolute index of refraction" in text and "ceiling_db: float | None=None" in text
+    assert "Absolute index of refraction" in text and "folder: Path | str | None=None" in text
 
 
 def test_the_site_is_dark_where_asked_and_searched_from_disk_without_a_request(site: Path) -> None:

@@ -81,7 +81,7 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --views nan", 2, "datagen build: --views: is 'nan'; expected a whole number. See `datagen"),
         ("datagen build --ceiling x", 2, "datagen build: --ceiling: is 'x'; expected a number. See `datagen build"),
         ("datagen build --shard 5/4", 1, "shard: is 5/4; expected a part from 1/4 to 4/4"),
-        ("datagen build --workers 0", 1, "workers: is 0; expected at least 1"),
+        ("datagen build --workers 0", 1, "workers: is 0; expected 1 to 1024"),
         ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give that, too, or leave it out"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
@@ -173,6 +173,16 @@ def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path
     line = f"{sys.executable} -m datagen build --help | true; echo ${{PIPESTATUS[0]}}"
     answer = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False, cwd=tmp_path)
     assert (answer.stdout, answer.stderr) == ("141\n", "")
+
+
+@pytest.mark.parametrize("line", ["datagen --version", "datagen --help", "datagen build --help", "datagen scenes"])
+@pytest.mark.parametrize("end", [">&-", "> /dev/full"])
+def test_a_result_that_cannot_be_printed_is_an_error(line: str, end: str) -> None:
+    command = ["bash", "-c", f"exec {sys.executable} -m {line} {end}"]
+    answer = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert answer.returncode == 1 and re.fullmatch(
+        r"error: standard output\b.*: (is closed|no space).*\n", answer.stderr
+    )
 
 
 def test_a_terminal_that_knows_only_ascii_gets_escapes() -> None:

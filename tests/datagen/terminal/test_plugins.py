@@ -103,6 +103,7 @@ def test_a_table_is_printed_beside_those_of_the_paper(guide: Callable[..., None]
     ("source", "message"),
     [
         ("raise RuntimeError('no GPU')", "csv_export:CSV of csv-export cannot be imported (RuntimeError: no GPU)"),
+        ("import sys; sys.exit(7)", "csv_export:CSV of csv-export cannot be imported (SystemExit: 7)"),
         ("", "csv_export:CSV of csv-export cannot be imported (AttributeError: "),
         ("CSV = 3", "csv_export:CSV of csv-export is not a Format; see docs/adding-an-export.md"),
     ],
