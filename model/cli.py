@@ -286,14 +286,13 @@ def export(
     tell(str(out))
 
 
-def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Device = "auto") -> None:
+def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
     """Look at a dataset or a run in a browser, even during training: cameras, meshes, proxies, layers, predictions.
 
     Args:
         what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.
-        host: Address to listen on. By default, only this machine can connect; with 0.0.0.0, anyone who can reach the
-            machine sees what you see.
-        port: Port to listen at; 0 takes any free one.
+        port: Port of this machine to listen at; 0 takes any free one. From another machine, `ssh -L 8080:localhost:8080
+            THIS_MACHINE` brings the viewer to that one's port 8080.
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.terminal.signals import Stopped
@@ -302,7 +301,7 @@ def view(what: str, /, *, host: str = "127.0.0.1", port: int = 8080, device: Dev
     if not 0 <= port <= 65535:
         raise UsageError(f"--port: is {port}; expected 0 to 65535")
     try:
-        show(what, host=host, port=port, device=device)
+        show(what, port=port, device=device)
     except KeyboardInterrupt:
         sys.exit(128 + signal.SIGINT)
     except Stopped as stopped:  # Ctrl-C is how one leaves it: nothing was interrupted.

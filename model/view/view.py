@@ -26,7 +26,7 @@ from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device
 from model.view.live_run import LiveRun, MovedOn, Picture
 from model.view.schedule import Budget, Job, Pose, Schedule
-from model.view.server import Server, serving
+from model.view.server import HOST, Server, serving
 from model.view.stage import Panel, Stage
 
 TRAINING_SHARE = 0.09
@@ -42,7 +42,7 @@ JPEG_QUALITY = 85
 """Quality of pictures while a camera moves; the others are sent losslessly."""
 
 
-def view(dataset: Dataset, run: LiveRun | None, *, host: str, port: int, announce: Callable[[str], None]) -> None:
+def view(dataset: Dataset, run: LiveRun | None, *, port: int, announce: Callable[[str], None]) -> None:
     """Shows a dataset, and a run's predictions, until a signal arrives.
 
     The run is only read from its folder; another process may be training it.
@@ -56,11 +56,10 @@ def view(dataset: Dataset, run: LiveRun | None, *, host: str, port: int, announc
     """
     if run is not None:
         run.refresh()
-    with serving(host, port, dataset.name) as server:
+    with serving(port, dataset.name) as server:
         viewer = Viewer(server, dataset, run)
-        shown_host = "127.0.0.1" if host in ("0.0.0.0", "") else host
         with hold_signals() as held:
-            announce(f"http://{shown_host}:{server.get_port()}")
+            announce(f"http://{HOST}:{server.get_port()}")
             while held.number is None:
                 viewer.step(held)
 
@@ -87,7 +86,7 @@ class Viewer:
         self._was_visited = False
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
-        server.open()
+        server.is_open = True
 
     def step(self, held: Held) -> None:
         """Does the most urgent piece of work, or waits a moment for one."""
@@ -179,7 +178,7 @@ class Viewer:
         self._news.clear()
 
 
-def show(what: str, *, host: str, port: int, device: Device) -> None:
+def show(what: str, *, port: int, device: Device) -> None:
     """Shows it until a signal arrives.
 
     Raises:
@@ -204,7 +203,7 @@ def show(what: str, *, host: str, port: int, device: Device) -> None:
         sys.stdout.flush()
         say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
 
-    view(opened, live, host=host, port=port, announce=announce)
+    view(opened, live, port=port, announce=announce)
 
 
 CHECKS = 24
