@@ -30,8 +30,6 @@ def to_8bit(encoded: Float[np.ndarray, "..."]) -> UInt8[np.ndarray, "..."]:
     return np.rint(np.clip(encoded, 0, 1) * 255).astype(np.uint8)
 
 
-ROUNDING_MSE = 2 / 12 / 255**2
-"""What rounding two pictures to 8 bits adds to their mean squared difference, unless both are nearly free of noise."""
 MAX_PNG_SIDE = 16384
 """Pixels: twice the largest dataset; decoding takes 1 GB."""
 MAX_PNG_BYTES = 1 << 30
