@@ -96,7 +96,7 @@ def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
 def test_its_runs_are_scored_and_shown(home: Path) -> None:
     answer = call(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report' --format markdown")
     assert answer.status == 0, answer.err
-    assert "oblong: 1 interpolating + 1 extrapolating views of 24 x 16 pixels" in answer.out
+    assert "oblong: 24 x 16 pixels, 3 + 1 + 1 views" in answer.out
     scored = json.loads((home / "report" / "results.json").read_text())
     (scene,) = scored["scenes"]
     assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3

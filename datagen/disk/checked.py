@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from typing import Any, TypeVar, cast
 
 import numpy as np
+from jaxtyping import jaxtyped
 
 from datagen.disk.errors import HyalineError, as_hyaline_error
 from datagen.disk.records import shown
@@ -74,7 +75,8 @@ def _is_of(value: object, kind: Any) -> bool:
     import typeguard  # Not before: that takes 60 ms.
 
     try:
-        typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
+        with jaxtyped("context"):  # Axes that a caller has named mean nothing here.
+            typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
     except typeguard.TypeCheckError:
         return False
     return True

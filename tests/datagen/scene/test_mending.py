@@ -152,7 +152,7 @@ REFUSED: dict[str, tuple[Mesh, object, str]] = {
             BALL, vertices=np.where(np.arange(len(BALL.vertices))[:, None] == A, np.nan, BALL.vertices)
         ),
         GREY,
-        r"object thing: vertices\[\d+\] is \[nan",
+        r"thing.ply: has positions that are not three finite numbers",
     ),
     "an image and uv that are all 0": (
         with_other_uv(BALL, np.zeros_like),

@@ -130,10 +130,22 @@ def state_cases(good: bytes) -> list[Case]:
     }
     for length in np.linspace(1, len(good) - 1, 30).astype(int):
         contents[f"cut to {length}"] = good[:length]
-    rng = np.random.default_rng(11)
+    rng, stored = np.random.default_rng(11), places_of_state(good)
     for number in range(30):
         spoilt = bytearray(good)
-        place = int(rng.integers(len(good)))
+        place = int(rng.choice(stored))
         spoilt[place] ^= 1 << int(rng.integers(8))
         contents[f"bit {number} flipped at {place}"] = bytes(spoilt)
     return [Case(name=f"weights {name}", reader="weights", path=PATH, content=data) for name, data in contents.items()]
+
+
+def places_of_state(data: bytes) -> np.ndarray:
+    """Where an archive of PyTorch's holds the state, and not names, padding and the like, which carry nothing."""
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        spans = []
+        for member in archive.infolist():
+            if "/data" in member.filename:
+                head = data[member.header_offset : member.header_offset + 30]
+                start = member.header_offset + 30 + sum(int.from_bytes(head[at : at + 2], "little") for at in (26, 28))
+                spans.append(np.arange(start, start + member.file_size))
+    return np.concatenate(spans)
