@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh, face_corners, points_on
+from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -68,15 +68,26 @@ TOLERANCE = 1e-4
 
 SAMPLES = 1024
 """Points on a surface, spread by area, with which its contact is measured."""
+SAMPLES_ON_FACES = 1 << 14
+"""Further points, as many on each face and at least one, where it matters which faces touch."""
 
 
-def touching_share(mesh: Mesh, other: Mesh, *, are_opposed: bool = False) -> float:
+def touching_share(mesh: Mesh, other: Mesh, *, within: float = TOLERANCE, are_opposed: bool = False) -> float:
     """The share of a mesh's surface that lies in faces of another, measured at `SAMPLES` points.
 
     Args:
+        within: distance in metres up to which it lies in them.
         are_opposed: only in faces with opposite normals: the meshes touch from outside.
     """
-    return float(np.isfinite(_distances(mesh, other, TOLERANCE, are_opposed=are_opposed)).mean())
+    found = _distances(mesh, other, within, points_on(mesh, SAMPLES), are_opposed=are_opposed)
+    return float(np.isfinite(found).mean())
+
+
+def touching_faces(mesh: Mesh, other: Mesh) -> Bool[np.ndarray, " face"]:
+    """Which faces of a mesh lie in faces of another, at least in part."""
+    every = np.arange(len(mesh.faces))
+    sampled = points_on(mesh, SAMPLES, part=every, count_a_part=max(1, SAMPLES_ON_FACES // len(every)))
+    return np.isin(every, sampled.face[np.isfinite(_distances(mesh, other, TOLERANCE, sampled))])
 
 
 def thin_share(mesh: Mesh, limit: float) -> tuple[float, float]:
@@ -84,26 +95,27 @@ def thin_share(mesh: Mesh, limit: float) -> tuple[float, float]:
 
     Both are measured at `SAMPLES` points; if the share is 0, so is the thickness.
     """
-    distance = _distances(mesh, mesh, limit, are_opposed=True)
+    distance = _distances(mesh, mesh, limit, points_on(mesh, SAMPLES), are_opposed=True)
     found = distance[np.isfinite(distance)]
     return len(found) / len(distance), float(np.median(found)) if len(found) else 0.0
 
 
-def _distances(mesh: Mesh, other: Mesh, limit: float, *, are_opposed: bool = False) -> Float[np.ndarray, " sample"]:
-    """Distance from each of `SAMPLES` points to the plane of a parallel face that it is over; inf beyond `limit`.
+def _distances(
+    mesh: Mesh, other: Mesh, limit: float, sampled: SurfacePoints, *, are_opposed: bool = False
+) -> Float[np.ndarray, " sample"]:
+    """Distance from points of a mesh to the plane of a parallel face that each is over; inf beyond `limit`.
 
     Args:
         are_opposed: the faces must have opposite normals.
     """
+    distance = np.full(len(sampled.position), np.inf)
     (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
     if (low > other_high + limit).any() or (other_low > high + limit).any():
-        return np.full(SAMPLES, np.inf)
+        return distance
     from scipy.spatial import KDTree
 
-    sampled = points_on(mesh, SAMPLES)
     corners = face_corners(other).astype(np.float64)
     corners = corners[_meets(corners, sampled.position)]
-    distance = np.full(len(sampled.position), np.inf)
     if not len(corners):
         return distance
     normals, mine = _unit_normals(corners), _unit_normals(face_corners(mesh)[sampled.face].astype(np.float64))

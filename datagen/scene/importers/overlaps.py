@@ -24,7 +24,7 @@ from datagen.data.meshes import (
     windings,
 )
 from datagen.disk.errors import HyalineError
-from datagen.scene.contact import TOLERANCE, touching_share
+from datagen.scene.contact import TOLERANCE, touching_faces, touching_share
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
@@ -39,9 +39,9 @@ if TYPE_CHECKING:
     import manifold3d
 
 STEP = 2 * TOLERANCE
-"""Metres by which a surface is moved where it coincides with another."""
-MAX_STEPS = 6
-"""Steps until two surfaces are apart: those of a drink and its glass cross where their facets differ."""
+"""Metres by which a surface is moved where it coincides with another; twice as many each time until it is free."""
+REACH = 16 * STEP
+"""The most that it is moved: the surfaces of a drink and its glass cross where their facets differ."""
 FILLS = 0.25
 """Share of a solid's surface that touches another from outside if it fills it, as a drink does its glass."""
 FLAT = 0.01
@@ -80,36 +80,49 @@ def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
 
 
 def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
-    """The objects, the smaller of two parted from the other where the surface of glass coincides with another.
+    """The objects; where the surface of glass coincides with another, those faces of the smaller one are moved.
 
-    What fills glass, as a drink does, grows into it: shrunk, it would have a film of air around it, which mirrors.
-    Everything else shrinks.
+    Drinks, which fill other glass, grow into the glass that they touch: a film of air around them would mirror.
+    Everything else draws back, and so do drinks among more than `MAX_NESTED` solids, which may not overlap.
     """
-    areas = {item.name: float(face_areas(item.mesh).sum()) for item in objects}
     found = {item.name: item for item in objects}
-    for names in combinations(found, 2):
-        small, large = (found[name] for name in sorted(names, key=lambda name: areas[name]))
-        if not (small.material.is_glass or large.material.is_glass):
-            continue
-        if touching_share(small.mesh, large.mesh) > MAX_TOUCHING:
-            found[small.name] = dataclasses.replace(small, mesh=_parted_from(small, large, remarks))
+    areas = {item.name: float(face_areas(item.mesh).sum()) for item in objects}
+    pairs = [
+        (small.name, large.name)
+        for small, large in combinations(sorted(objects, key=lambda item: areas[item.name]), 2)
+        if (small.material.is_glass or large.material.is_glass)
+        and touching_share(small.mesh, large.mesh) > MAX_TOUCHING
+    ]
+    solids = {item.name for item in objects if item.material.medium is not None}
+    drinks = {
+        small
+        for small, large in pairs
+        if {small, large} <= solids
+        and touching_share(found[small].mesh, found[large].mesh, within=REACH, are_opposed=True) > FILLS
+    }
+    for small, large in pairs:
+        grows = len(solids) <= MAX_NESTED and {small, large} <= solids and not drinks.isdisjoint((small, large))
+        mesh = _parted_from(found[small], found[large], remarks, grows=grows)
+        found[small] = dataclasses.replace(found[small], mesh=mesh)
     return list(found.values())
 
 
-def _parted_from(small: SceneObject, large: SceneObject, remarks: Remarks) -> Mesh:
-    """The mesh of the smaller object, grown or shrunk until it touches the other one no more."""
-    are_solids = all(item.material.medium is not None for item in (small, large))
-    fills = are_solids and touching_share(small.mesh, large.mesh, are_opposed=True) > FILLS
-    way, what = (1, "grown into it") if fills else (-1, "shrunk")
-    mesh, distance = small.mesh, 0.0
-    while touching_share(mesh, large.mesh) > MAX_TOUCHING and distance < MAX_STEPS * STEP:
-        distance += STEP
-        mesh = _moved(small.mesh, way * distance)
-    remarks.approximate(
-        small.name,
-        f"shares some of its surface with {large.name}; {what} by {1000 * distance:.1f} mm, since one of two "
-        "coincident faces would vanish",
-    )
+def _parted_from(small: SceneObject, large: SceneObject, remarks: Remarks, *, grows: bool) -> Mesh:
+    """The mesh of the smaller object, whose faces that touch the other one are moved until they no longer do."""
+    mesh, distance, moves = small.mesh, 0.0, np.zeros(len(small.mesh.faces), bool)
+    # A label on a bottle is a sheet that looks as the glass does; it moves off the glass, as its own front shows.
+    is_label = open_edges(mesh) > 0 and touching_share(mesh, large.mesh, are_opposed=True) <= MAX_TOUCHING
+    way = 1 if grows or is_label else -1
+    while touching_share(mesh, large.mesh) > MAX_TOUCHING and distance < REACH:
+        distance = max(STEP, 2 * distance)
+        moves |= touching_faces(mesh, large.mesh)
+        mesh = _moved(small.mesh, way * distance * moves)
+    if distance:
+        remarks.approximate(
+            small.name,
+            f"shares some of its surface with {large.name}, which was moved {1000 * distance:.1f} mm "
+            f"{'into' if grows else 'away from'} it, since one of two coincident faces would vanish",
+        )
     return mesh
 
 
@@ -159,8 +172,8 @@ def _overlap(one: Mesh, other: Mesh) -> bool:
     )
 
 
-def _moved(mesh: Mesh, distance: float) -> Mesh:
-    """The mesh with each of its faces moved outwards by `distance`; seams stay closed.
+def _moved(mesh: Mesh, distance: Float[np.ndarray, " face"]) -> Mesh:
+    """The mesh with each of its faces moved outwards by its distance; seams stay closed.
 
     A point moves to where the moved planes of its faces meet, or to the nearest place if these are too many.
     """
@@ -169,15 +182,15 @@ def _moved(mesh: Mesh, distance: float) -> Mesh:
     a, b, c = np.moveaxis(positions[faces].astype(np.float64), 1, 0)
     across = np.cross(b - a, c - a)
     has_area = (size := np.linalg.norm(across, axis=-1)) > 0
-    normals, faces = across[has_area] / size[has_area, None], faces[has_area]
+    normals, distance, faces = across[has_area] / size[has_area, None], distance[has_area], faces[has_area]
     products, sums = np.zeros((len(positions), 3, 3)), np.zeros((len(positions), 3))
     for corner in faces.T:
         np.add.at(products, corner, normals[:, :, None] * normals[:, None])
-        np.add.at(sums, corner, normals)
+        np.add.at(sums, corner, normals * distance[:, None])
     way = np.einsum("pij,pj->pi", np.linalg.pinv(products, rcond=FLAT, hermitian=True), sums)
-    way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True) / MAX_MITRE, 1)
-    moved = positions + distance * way
-    return dataclasses.replace(mesh, vertices=moved.astype(np.float32)[index.reshape(-1)])
+    longest = MAX_MITRE * np.abs(distance).max(initial=0.0)
+    way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True) / longest, 1)
+    return dataclasses.replace(mesh, vertices=(positions + way).astype(np.float32)[index.reshape(-1)])
 
 
 def _without_others(mesh: Mesh, is_kept: np.ndarray) -> Mesh:
