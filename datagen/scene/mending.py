@@ -2,6 +2,7 @@
 
 import dataclasses
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool
@@ -15,6 +16,9 @@ from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.shading_normals import mended_normals
 from datagen.scene.textures import ImageTexture
 from datagen.terminal.command import say
+
+if TYPE_CHECKING:
+    import manifold3d
 
 COVERAGE_SIZE = 256
 """Texels per side of the raster that is checked for overlapping uv."""
@@ -140,7 +144,7 @@ def _without_slivers(mesh: Mesh) -> Mesh | None:
     _, first, place = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     one, index = first[place.reshape(-1)], np.arange(len(mesh.vertices))
     is_seam = one != index
-    # Constructing a manifold removes slivers; unlike its `simplify`, it leaves flat areas as they are.
+    # Constructing a manifold removes most slivers, and leaves flat areas as they are; its `simplify` removes all.
     solid = manifold3d.Manifold(
         manifold3d.Mesh(
             vert_properties=np.ascontiguousarray(np.hstack([mesh.vertices, mesh.normals, mesh.uv]), np.float32),
@@ -152,15 +156,19 @@ def _without_slivers(mesh: Mesh) -> Mesh | None:
     )
     if solid.status() != manifold3d.Error.NoError or solid.is_empty():
         return None
+    collapsed = (_mesh_of(each) for each in (solid, solid.simplify(SHORT_EDGE)))
+    return next((each for each in collapsed if not open_edges(each) and not _without_area(each).any()), None)
+
+
+def _mesh_of(solid: "manifold3d.Manifold") -> Mesh:
     out = solid.to_mesh()
     values = np.asarray(out.vert_properties, np.float32)
-    collapsed = Mesh(
+    return Mesh(
         vertices=np.ascontiguousarray(values[:, :3]),
         faces=np.asarray(out.tri_verts).astype(np.int32),
         normals=np.ascontiguousarray(values[:, 3:6]),
         uv=np.ascontiguousarray(values[:, 6:8]),
     )
-    return None if open_edges(collapsed) or _without_area(collapsed).any() else collapsed
 
 
 def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:

@@ -1,6 +1,7 @@
 """Tests that holes in glass are closed, that the volume is kept or the file refused, and that both are said."""
 
 import dataclasses
+import itertools
 import warnings
 from pathlib import Path
 
@@ -132,6 +133,35 @@ def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, 
         assert len(block.mesh.faces) <= len(mesh.faces) + (0 if bridged else len(BOX.faces) // 8 + 1)
     else:
         assert isinstance(block.material, ThinDielectric)
+
+
+@pytest.mark.parametrize("bridged", [True, False])
+def test_a_small_mesh_with_many_points_on_its_edges_is_solid_after_repair(bridged: bool, tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    positions, triangles = welded(BOX)
+    points, faces, split = [*(0.005 * positions)], triangles.tolist(), set()
+    for index in range(0, len(triangles), 2):
+        a, b, c = faces[index]
+        if (a, b) in split or (b, a) in split:
+            continue
+        split.add((a, b))
+        chain = [a, *range(len(points), len(points) + 5), b]
+        points += [(1 - t) * points[a] + t * points[b] for t in np.sort(rng.uniform(size=5))]
+        pairs = list(itertools.pairwise(chain))
+        faces[index] = [*pairs[0], c]
+        faces += [[*pair, c] for pair in pairs[1:]]
+        faces += [[a, end, start] for start, end in pairs[1:]] if bridged else []
+    vertices, corners = np.array(points, np.float32), np.array(faces, np.int32)
+    normals = vertex_normals(vertices, corners).astype(np.float32)
+    mesh = Mesh(vertices=vertices, faces=corners, normals=normals, uv=np.zeros((len(vertices), 2), np.float32))
+    builder = glass_of(mesh, name="bead")
+    builder.node(mesh=builder.mesh(BOX, material=0), name="block", scale=[0.1] * 3, translation=[0, 0.1, 0])
+    path = builder.written(tmp_path)
+    answer = call(f"datagen import {path} --out {tmp_path / 'out'} --repair --scale 1")
+    assert answer.status == 0, answer.err
+    bead = next(item for item in load_scene(tmp_path / "out").objects if item.name == "bead")
+    assert bead.material == Dielectric(ior=1.5) and open_edges(bead.mesh) == 0
+    assert signed_volume(bead.mesh) == pytest.approx(0.005**3 * signed_volume(BOX), rel=1e-3)
 
 
 def test_what_cannot_be_closed_is_drawn_thin_as_the_error_says(tmp_path: Path) -> None:
