@@ -31,8 +31,9 @@ class ImportChoices:
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False
-    """Close holes in glass meshes (open ones otherwise become thin panes), and join overlapping parts of glass into one
-    solid. import.json records the volume before and after; a change of more than 5 % is an error."""
+    """Close holes in glass meshes (open ones otherwise become thin panes); import.json records the volume before and
+    after. Glass that cannot be closed without changing its volume by more than 5 %, or whose surface crosses itself,
+    is left out, unless no other glass is in the file."""
     merge: bool = False
     """Merge all surfaces of a material into one object: a scene has at most 255 objects."""
     crease: float | None = None

@@ -53,7 +53,7 @@ from datagen.scene.importers.foreign import (
 )
 from datagen.scene.importers.lights import LEAST_GLOW, exposed, glowing, lit, placed_light, placed_map
 from datagen.scene.importers.mapping import Mapper, lets_light_through
-from datagen.scene.importers.overlaps import apart, joined, nested, parted
+from datagen.scene.importers.overlaps import apart, nested, parted
 from datagen.scene.importers.pictures import cut_of, veiled
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
@@ -105,12 +105,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
     """
-    check_ending(path)
-    if not path.exists():
-        start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
-        raise HyalineError(f"{path}: no such file; check the path{start}")
-    if resolution.mean_side < MIN_SIDE:
-        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
+    _check_asked(path, resolution)
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
@@ -127,13 +122,20 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     cuts: dict[str, Cut] = {}
     without_uv: set[str] = set()
     lamps: list[RectangleLight] = []
+    unmended: dict[str, HyalineError] = {}
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
         if chosen is None and (shining := _lamps(name, part, linear, offset, remarks)):
             lamps += shining
             continue
-        item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
-        objects += parted(item, remarks)
+        try:
+            item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
+            objects += parted(item, remarks, repairs=choices.repair)
+        except HyalineError as error:
+            if not choices.repair:
+                raise
+            unmended[name] = error
+            continue
         if not (has_uv := _has_uv(part)):
             without_uv.add(name)
         if isinstance(part.material, ForeignMaterial):
@@ -141,6 +143,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
             is_solid = item.material.medium is not None
             cut = cut_of(material, item.mesh, remarks, has_uv=has_uv, is_solid=is_solid, where=name)
             cuts |= {} if cut is None else {name: cut}
+    _leave_out(unmended, objects, remarks)
     objects = nested(apart(objects, remarks), remarks)
     rig = _cameras(foreign, choices, objects, linear, offset, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
@@ -150,8 +153,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         objects.append(ground)
     used = {image.path for item in objects for image in item.material.images().values()}
     baked = {image: data for image, data in mapper.images.items() if image in used}
-    environment, lights = _light(foreign, choices, objects, linear, offset, remarks)
-    lights = exposed((*lights, *lamps), objects, remarks)
+    environment, lights = _light(foreign, choices, objects, linear, offset, lamps, remarks)
     if isinstance(environment, EnvironmentMap) and isinstance(foreign.sky, ForeignMap):
         baked[environment.path] = foreign.sky.data
     scene = Scene(
@@ -177,6 +179,23 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+
+
+def _check_asked(path: Path, resolution: Resolution) -> None:
+    check_ending(path)
+    if not path.exists():
+        start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
+        raise HyalineError(f"{path}: no such file; check the path{start}")
+    if resolution.mean_side < MIN_SIDE:
+        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
+
+
+def _leave_out(unmended: Mapping[str, HyalineError], objects: list[SceneObject], remarks: Remarks) -> None:
+    """A line for each object that could not be mended; if no glass is left without them, its error."""
+    for name, error in unmended.items():
+        if not any(item.material.is_glass for item in objects):
+            raise error
+        remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
 
 
 def _few_enough(
@@ -227,6 +246,7 @@ def _light(
     objects: list[SceneObject],
     linear: np.ndarray,
     offset: np.ndarray,
+    lamps: list[RectangleLight],
     remarks: Remarks,
 ) -> tuple[Environment, tuple[RectangleLight, ...]]:
     """What shines on the scene: from infinitely far, and from near."""
@@ -241,7 +261,7 @@ def _light(
         lights = (*lights, *squares)
     elif foreign.lamps:
         remarks.approximate("lamps", f"{len(foreign.lamps)} are left out for soft light; --lights file takes them")
-    return environment, lights
+    return environment, exposed((*lights, *lamps), objects, remarks)
 
 
 def scene_object(
@@ -266,7 +286,6 @@ def scene_object(
         material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
     if choices.repair and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
-        mesh = joined(mesh, remarks, where=name)
     if not isinstance(material, Material):
         material = veiled(material, mesh, has_uv=_has_uv(part))
         material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)

@@ -1,10 +1,9 @@
-"""Glass that touches or overlaps: coincident surfaces are parted, overlapping parts become objects of their own or are
-joined into one, and where two solids overlap, the smaller one fills the space that they share.
+"""Glass that touches or overlaps: coincident surfaces are parted, overlapping parts become objects of their own, and
+where two solids overlap, the smaller one fills the space that they share.
 """
 
 import dataclasses
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Float
@@ -29,14 +28,9 @@ from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
 from datagen.scene.media import MAX_NESTED
-from datagen.scene.modelling import CREASE_DEG
+from datagen.scene.modelling import merged
 from datagen.scene.remarks import Remarks
-from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import MAX_TOUCHING
-from datagen.scene.surfaces import MAX_CHANGE
-
-if TYPE_CHECKING:
-    import manifold3d
 
 STEP = 2 * TOLERANCE
 """Metres by which a surface is moved where it coincides with another; twice as many each time until it is free."""
@@ -48,35 +42,66 @@ FLAT = 0.01
 """Squared sine, about, of the angle up to which faces count as one plane."""
 MAX_MITRE = 4.0
 """How far a point of a sharp edge moves at most, relative to its faces."""
-MAX_PARTS = 16
-"""The most overlapping parts of an object."""
-POINTS = 1 << 15
-"""Points in the box where the volume of the parts is measured; spread evenly, they give it to half a percent."""
-ROOT = 1.22074408460575947536
-"""The root of x^4 = x + 1, which generates the R3 sequence. Source: Roberts 2018."""
-WELD = 1e-6
-"""How far a boolean operation may move points, relative to the object's size, to avoid needle-thin faces."""
 
 
-def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
+def parted(item: SceneObject, remarks: Remarks, *, repairs: bool = False) -> list[SceneObject]:
     """The object; where it is glass whose closed parts overlap, an object for each part.
 
     Light ignores surfaces inside of a solid, so that overlapping objects of one glass render as their union.
+
+    Args:
+        repairs: leaves out parts whose surface crosses itself; otherwise, the check of the scene refuses them.
+
+    Raises:
+        HyalineError: nothing is left of it.
     """
-    if item.material.medium is None:
+    if item.material.medium is None or (fault := _fault(item.mesh, where=item.name)) is None:
         return [item]
+    bodies = _bodies(item.mesh)
+    sound = [body for body in bodies if _fault(body, where=item.name) is None]
+    if len(sound) < len(bodies) and not repairs:
+        return [item]
+    if not sound:
+        raise HyalineError(fault)
+    if len(sound) < len(bodies):
+        crossed = [f"{index + 1}" for index, body in enumerate(bodies) if not any(body is each for each in sound)]
+        remarks.approximate(
+            item.name,
+            f"of its {len(bodies)} closed parts, {', '.join(crossed)} cannot be mended, since their surface crosses "
+            "itself; left out",
+        )
+        item = dataclasses.replace(item, mesh=merged(sound))
+        if _fault(item.mesh, where=item.name) is None:
+            return [item]
+    if not 1 < len(sound) <= MAX_NESTED:
+        return [item]
+    remarks.note(item.name, f"its {len(sound)} closed parts overlap; each became an object of its own")
+    return [dataclasses.replace(item, name=f"{item.name}_part{index}", mesh=body) for index, body in enumerate(sound)]
+
+
+def _fault(mesh: Mesh, *, where: str) -> str | None:
+    """Why a closed mesh bounds no solid; None if it does."""
     try:
-        check_solid(item.mesh, where=item.name)
-    except HyalineError:
-        part = component_of_faces(item.mesh)
-        if 1 < (count := int(part.max()) + 1) <= MAX_PARTS:
-            remarks.note(item.name, f"its {count} closed parts overlap; each became an object of its own")
-            meshes = [_without_others(item.mesh, part == index) for index in range(count)]
-            return [
-                dataclasses.replace(item, name=f"{item.name}_part{index}", mesh=mesh)
-                for index, mesh in enumerate(meshes)
-            ]
-    return [item]
+        check_solid(mesh, where=where)
+    except HyalineError as error:
+        return str(error)
+    return None
+
+
+def _bodies(mesh: Mesh) -> list[Mesh]:
+    """The closed parts of a mesh, each with its cavities."""
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    parts = [corners[faces] for faces in np.split(np.argsort(part, kind="stable"), np.cumsum(np.bincount(part))[:-1])]
+    volumes = [volume_within(each) for each in parts]
+    body = np.arange(len(parts))
+    for index in (index for index, volume in enumerate(volumes) if volume < 0):
+        around = [
+            other
+            for other, volume in enumerate(volumes)
+            if volume > 0 and windings(parts[other], parts[index][:1, 0])[0] > 0
+        ]
+        body[index] = min(around, key=lambda other: volumes[other], default=index)
+    return [_without_others(mesh, body[part] == index) for index in np.unique(body)]
 
 
 def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
@@ -201,114 +226,3 @@ def _without_others(mesh: Mesh, is_kept: np.ndarray) -> Mesh:
         normals=mesh.normals[used],
         uv=mesh.uv[used],
     )
-
-
-# Joining the parts of one object
-
-
-def joined(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
-    """The closed mesh with overlapping parts as one; the same one where none overlap.
-
-    Cavities stay, in the part that they are in. The volume of the result is compared with that of the space which the
-    parts fill, measured by counting how often the surface goes around many points.
-    """
-    if open_edges(mesh) or not _is_overlapping(mesh, where=where):
-        return mesh
-    what = "its parts overlap, and cannot be joined"
-    try:
-        whole, count = _union(mesh)
-    except ValueError as error:
-        raise HyalineError(f"{where}: {what} ({error}); {_way_out(where)}") from None
-    if count == 1 or open_edges(whole) or _is_overlapping(whole, where=where):
-        raise HyalineError(f"{where}: {what}, since its surface crosses itself; {_way_out(where)}")
-    before, after = filled_volume(mesh), signed_volume(whole)
-    told = (
-        f"{count} overlapping parts joined: the space that they fill was {1e6 * before:.4g} cm^3, "
-        f"and is {1e6 * after:.4g} cm^3"
-    )
-    if abs(after - before) > MAX_CHANGE * before:
-        share = 100 * abs(after - before) / before
-        raise HyalineError(f"{where}: {told}, {share:.1f} % off; expected at most {100 * MAX_CHANGE:g} %")
-    remarks.approximate(where, told)
-    return with_new_normals(whole, crease_deg=CREASE_DEG)
-
-
-def _way_out(where: str) -> str:
-    return f"join them in a modeller, or draw it as thin glass with --material '{where}=thin-glass'"
-
-
-def filled_volume(mesh: Mesh) -> float:
-    """Cubic metres that are inside of at least one closed part, by points spread evenly over its box."""
-    corners = face_corners(mesh).astype(np.float64)
-    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    places = (0.5 + np.arange(POINTS)[:, None] / ROOT ** np.arange(1, 4)) % 1
-    inside = windings(corners, low + places * (high - low)) > 0
-    return float(inside.mean() * np.prod(high - low))
-
-
-def _is_overlapping(mesh: Mesh, *, where: str) -> bool:
-    try:
-        check_solid(mesh, where=where)
-    except HyalineError:
-        return True
-    return False
-
-
-def _union(mesh: Mesh) -> tuple[Mesh, int]:
-    """The union of a mesh's parts, each less its cavities, and the number of parts.
-
-    Raises:
-        ValueError: a part is not a manifold.
-    """
-    import manifold3d
-
-    positions, faces = welded(mesh)
-    part = component_of_faces(mesh)
-    size = float(np.ptp(positions, axis=0).max())
-    solids: list[manifold3d.Manifold] = []
-    outlines: list[Float[np.ndarray, "face 3 3"]] = []
-    cavities = []
-    for index in range(int(part.max()) + 1):
-        own = faces[part == index]
-        corners = positions[own].astype(np.float64)
-        if volume_within(corners) < 0:
-            cavities.append((corners, _manifold(positions, own[:, ::-1], size)))
-        else:
-            solids.append(_manifold(positions, own, size))
-            outlines.append(corners)
-    for corners, cavity in cavities:
-        around = [index for index, outline in enumerate(outlines) if windings(outline, corners[:1, 0])[0] > 0]
-        if not around:
-            raise ValueError("a part is inside out")
-        innermost = min(around, key=lambda index: solids[index].volume())
-        solids[innermost] = solids[innermost] - cavity
-    whole = manifold3d.Manifold.batch_boolean(solids, manifold3d.OpType.Add).simplify(WELD)
-    out = whole.to_mesh()
-    vertices = (np.asarray(out.vert_properties, np.float64)[:, :3] * size).astype(np.float32)
-    if not len(vertices):
-        raise ValueError("nothing is left")
-    return (
-        Mesh(
-            vertices=vertices,
-            faces=np.asarray(out.tri_verts).astype(np.int32),
-            normals=np.zeros_like(vertices),
-            uv=np.zeros((len(vertices), 2), np.float32),
-        ),
-        len(solids),
-    )
-
-
-def _manifold(positions: np.ndarray, faces: np.ndarray, size: float) -> "manifold3d.Manifold":
-    """A closed part, in units of the object's size."""
-    import manifold3d
-
-    used, faces = np.unique(faces, return_inverse=True)
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh(
-            vert_properties=np.ascontiguousarray(positions[used] / size, np.float32),
-            tri_verts=np.ascontiguousarray(faces.reshape(-1, 3), np.uint32),
-        )
-    )
-    if solid.status() != manifold3d.Error.NoError:
-        raise ValueError(f"a part is not a manifold: {solid.status().name}")
-    return solid

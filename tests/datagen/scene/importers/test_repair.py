@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import call
-from support.gltf import BOX, GltfBuilder, glass_of
+from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
 
 from datagen.data.meshes import (
     MIN_AREA,
@@ -26,7 +26,7 @@ from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.importers.importing import import_scene
 from datagen.scene.materials import Dielectric, ThinDielectric
-from datagen.scene.modelling import ball
+from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import closed
 
@@ -189,3 +189,52 @@ def test_open_glass_that_was_chosen_says_what_closes_it_and_that_works(tmp_path:
     )
     for more in ("--repair", "--material 'block=thin-glass'"):
         assert call(f"datagen import {path} --out {tmp_path / 'out'} --overwrite --material glass {more}").status == 0
+
+
+def crossed(mesh: Mesh) -> Mesh:
+    """A closed body whose upper half is turned about its axis by half a turn, through itself."""
+    vertices = mesh.vertices.copy()
+    is_upper = vertices[:, 2] > 0
+    vertices[is_upper, :2] *= -1
+    vertices[is_upper, 2] -= 0.06
+    return dataclasses.replace(mesh, vertices=vertices)
+
+
+@pytest.mark.parametrize("is_one_object", [True, False])
+def test_repair_leaves_out_the_one_body_of_many_that_crosses_itself(is_one_object: bool, tmp_path: Path) -> None:
+    small = ball(0.05, subdivisions=2)
+    bodies = [moved(crossed(small) if index == 17 else small, (0.2 * index, 0.0, 0.0)) for index in range(40)]
+    builder = GltfBuilder()
+    material = builder.material(pbrMetallicRoughness=clear(), extensions=glass())
+    for index, body in enumerate([merged(bodies)] if is_one_object else bodies):
+        builder.node(mesh=builder.mesh(body, material=material), name=f"bead{index}")
+    command = f"datagen import {builder.written(tmp_path)} --out {tmp_path / 'out'} --scale 0.1 --up z"
+    refused = call(command)
+    assert refused.status == 1 and "lies inside of the rest" in refused.error
+    answer = call(f"{command} --repair")
+    assert answer.status == 0, answer.err
+    what = (
+        "bead0: of its 40 closed parts, 18 cannot be mended" if is_one_object else "bead17: left out, since it cannot"
+    )
+    assert what in answer.err
+    beads = [item for item in load_scene(tmp_path / "out").objects if item.material.is_glass]
+    assert sum(signed_volume(item.mesh) for item in beads) == pytest.approx(39e-3 * signed_volume(small), rel=1e-4)
+
+
+def test_glass_that_cannot_be_mended_is_an_error_if_no_other_glass_is_in_the_file(tmp_path: Path) -> None:
+    builder = glass_of(crossed(ball(0.05, subdivisions=2)), name="bead")
+    builder.node(mesh=builder.mesh(BOX), name="box", translation=[0, 0, 1])
+    answer = call(f"datagen import {builder.written(tmp_path)} --out {tmp_path / 'out'} --repair")
+    assert answer.status == 1 and "bead" in answer.error and "crosses itself" in answer.error
+
+
+@pytest.mark.parametrize("repair", ["", "--repair"])
+def test_overlapping_parts_become_objects_and_keep_their_cavities(repair: str, tmp_path: Path) -> None:
+    outer, inner = ball(0.1, subdivisions=3), ball(0.05, subdivisions=3)
+    cavity = dataclasses.replace(inner, faces=np.ascontiguousarray(inner.faces[:, ::-1]), normals=-inner.normals)
+    path = glass_of(merged([outer, cavity, moved(outer, (0.17, 0.0, 0.0))]), name="pair").written(tmp_path)
+    answer = call(f"datagen import {path} --out {tmp_path / 'out'} --scale 1 {repair}")
+    assert answer.status == 0, answer.err
+    parts = {item.name: signed_volume(item.mesh) for item in load_scene(tmp_path / "out").objects}
+    hollow = signed_volume(outer) - signed_volume(inner)
+    assert [parts["pair_part0"], parts["pair_part1"]] == pytest.approx([hollow, signed_volume(outer)], rel=1e-3)
