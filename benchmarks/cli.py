@@ -34,7 +34,7 @@ def commands() -> CommandGroup:
         "browser": browser,
         "screenshot": screenshot,
     }
-    return group(DESCRIPTION, by_name, {})
+    return group(DESCRIPTION, by_name)
 
 
 def peel(

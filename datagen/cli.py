@@ -28,18 +28,6 @@ if TYPE_CHECKING:
 SCENES_ROOT = Path("scenes")
 """Default folder for imported scenes."""
 
-MOVED = {
-    "datagen render": "is now `datagen film`",
-    "datagen mend": "is now `datagen build`: run again, it repairs and completes a dataset",
-    "datagen build --dataset": "is now `datagen add DATASET`, with --edit, --twins, --angles or --larger",
-    "datagen build --edit": "is now `datagen add DATASET --edit`",
-    "datagen build --twins": "is now `datagen add DATASET --twins`",
-    "datagen build --angle-splits": "is now `datagen add DATASET --angles`",
-    "datagen build --super-resolution": "is now `datagen add DATASET --larger`",
-    "datagen build --super-resolution-views": "is now `datagen add DATASET --larger-views`",
-    "datagen film --video": "is now --out",
-}
-
 
 def main() -> None:
     """Entry point of the console script."""
@@ -64,7 +52,7 @@ def commands() -> CommandGroup:
         "scenes": scenes,
         "doctor": doctor,
     }
-    return group("Path-traced datasets of transparent objects, with peeled layers.", by_name, MOVED)
+    return group("Path-traced datasets of transparent objects, with peeled layers.", by_name)
 
 
 def build(

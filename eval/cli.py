@@ -6,10 +6,11 @@ here, and the word `report` may or may not be there.
 
 import sys
 from pathlib import Path
+from typing import Literal
 
-from datagen.terminal.command import choose, hush, run
+from datagen.terminal.command import hush, run
 
-FORMATS = ("table", "markdown", "csv", "latex")
+Format = Literal["table", "markdown", "csv", "latex"]
 
 
 def report(
@@ -18,7 +19,7 @@ def report(
     *,
     data: Path = Path("data"),
     dataset: str | None = None,
-    format: str = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
+    format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
     full: bool = False,
@@ -38,7 +39,7 @@ def report(
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, for runs that do not name their dataset.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
-        format: Format of the tables on stdout: table, markdown, csv or latex.
+        format: Format of the tables on stdout.
         out: Folder for index.html, results.json and pictures. Default: RUNS/report.
         table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
             table2 (DNR), square (layers or network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs
@@ -65,7 +66,7 @@ def report(
         )
         sys.stdout.write(text)
         return
-    output_format = "json" if json else choose("format", format, FORMATS)
+    output_format = "json" if json else format
     from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables
 

@@ -24,18 +24,6 @@ if TYPE_CHECKING:
 
 TRAIN = "Train a method on a dataset, then predict its test splits."
 
-MOVED = {
-    "model render": "is now `model predict RUN`; a film is `model film RUN`",
-    "model train --method": "is not needed: the method is the first word, as in `model train paper`",
-    "model train --preset": "is now part of the method's name: `model train paper-best`, `model train dnr-authors`",
-    "model train --voxels": "is now part of the method's name: `model train deepvoxels-paper`, or deepvoxels-original",
-    "model train --width": "is now --hidden",
-    "model train --layers": "is now --use-layers",
-    "model train --name": "is now --label",
-    "model predict --path": "is now `model film RUN`",
-    "model film --video": "is now --out",
-}
-
 
 def main() -> None:
     """Entry point of the console script."""
@@ -55,7 +43,7 @@ def commands() -> CommandGroup:
         "sweep": sweep,
         "check-method": check_method,
     }
-    return group("Train neural renderers on datasets of transparent objects, and render with them.", by_name, MOVED)
+    return group("Train neural renderers on datasets of transparent objects, and render with them.", by_name)
 
 
 def _methods() -> Sequence[str]:

@@ -3,12 +3,11 @@
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from datagen.data.paths import (
     DATA_ROOT,
     MIXED,
-    PROXY_KINDS,
     TRUTH,
     ProxyKind,
     build_command,
@@ -17,7 +16,7 @@ from datagen.data.paths import (
     train_command,
 )
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import choose, fail, next_command, run
+from datagen.terminal.command import fail, next_command, run
 from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
@@ -33,14 +32,14 @@ def main() -> None:
 
 def commands() -> CommandGroup:
     """All commands of the program."""
-    return group("Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check}, {})
+    return group("Coarse closed meshes with UV around the objects of a dataset.", {"make": make, "check": check})
 
 
 def make(
     dataset: str | None = None,
     /,
     *,
-    kind: str = "ellipsoid",
+    kind: ProxyKind = "ellipsoid",
     amount: float | None = None,
     assign: tuple[str, ...] = (),
     rest: str = TRUTH,
@@ -103,7 +102,7 @@ def check(
     dataset: str | None = None,
     /,
     *,
-    kind: str = "ellipsoid",
+    kind: ProxyKind = "ellipsoid",
     amount: float | None = None,
     name: str | None = None,
     shapes: bool = False,
@@ -145,11 +144,10 @@ def _mixture(dataset: "Dataset", name: str, assign: tuple[str, ...], rest: str) 
     return MixedSpec(geometry=name, parts=assign_parts(objects, assign, rest))
 
 
-def _one_kind(kind: str, amount: float | None) -> "ProxySpec":
+def _one_kind(kind: ProxyKind, amount: float | None) -> "ProxySpec":
     from proxies.spec import AMOUNT, ProxySpec
 
-    chosen = cast(ProxyKind, choose("kind", kind, PROXY_KINDS))
-    return ProxySpec(kind=chosen, amount=AMOUNT if chosen == "noise" and amount is None else amount)
+    return ProxySpec(kind=kind, amount=AMOUNT if kind == "noise" and amount is None else amount)
 
 
 def _datasets(given: str | None) -> "list[Dataset]":

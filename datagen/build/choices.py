@@ -2,16 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from datagen.machine.launch import LaunchChoices
+
+PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class BuildChoices:
     """Which dataset to build, and how."""
 
-    preset: str = "demo"
-    """Size of the dataset: tiny, small, demo, standard or paper."""
+    preset: PresetName = "demo"
+    """Size of the dataset."""
     out: Path | None = None
     """Folder to write; with --count, the folder for all datasets. Default: data/SCENE."""
     seed: int = 0

@@ -2,7 +2,6 @@
 
 import codecs
 import contextlib
-import difflib
 import html
 import importlib
 import io
@@ -13,21 +12,19 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
 from datagen.disk.errors import HyalineError, as_hyaline_error, naming
 from datagen.disk.names import printable
-from datagen.disk.records import shown
 from datagen.terminal.distribution import VERSION, naming_parts
+from datagen.terminal.parsing import MAX_SUGGESTED as MAX_SUGGESTED
 from datagen.terminal.parsing import Command, CommandGroup, parse
+from datagen.terminal.parsing import choose as choose
 from datagen.terminal.signals import Stopped, raise_on_sigterm, signal_within
 
 Item = TypeVar("Item")
-
-MAX_SUGGESTED = 100
-"""Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
 REPORT_EVERY_S = 15.0
 """Without a terminal, progress is a line this often."""
@@ -168,23 +165,6 @@ def _program() -> str:
     """What was typed first: `datagen`, also for `python -m datagen`."""
     program = Path(sys.argv[0])
     return program.parent.name if program.name == "__main__.py" else program.name
-
-
-def choose(what: str, value: str, choices: Collection[str]) -> str:
-    """`value`, when it is one of `choices`.
-
-    Args:
-        what: What is chosen, such as `preset`, or `WHERE: preset`.
-
-    Raises:
-        HyalineError: it is not; the nearest choice is suggested.
-    """
-    if value in choices:
-        return value
-    near = difflib.get_close_matches(value[:MAX_SUGGESTED], choices, n=1, cutoff=0.5)
-    hint = f"did you mean {near[0]!r}? Choose" if near else "choose"
-    where, colon, kind = what.rpartition(": ")
-    raise HyalineError(f"{where}{colon}no {kind} {shown(value)}; {hint} from {', '.join(sorted(choices))}")
 
 
 def track(

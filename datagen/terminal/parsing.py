@@ -14,11 +14,12 @@ import io
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.records import shown
 
 Command = Callable[..., None]
 
@@ -29,13 +30,8 @@ HELP_WIDTH = 80
 MAIN = "choices"
 """The parameter whose record's flags help lists among the command's own; any other makes a group of its name."""
 
-REASONS = {
-    r"Error parsing (\S+): .*invalid literal for int\(\) with base 10: (.*)": r"\1: is \2; expected a whole number",
-    r"Error parsing (\S+): .*could not convert string to float: (.*)": r"\1: is \2; expected a number",
-    r"Missing value for argument '(\S+)'.*": r"\1: needs a value",
-    r".*(?:required|Missing from).*?: (\S+).*": r"\1 is missing",
-}
-"""What tyro 1.0 says about words that it rejects, and how we say it; anything else is passed on."""
+MAX_SUGGESTED = 100
+"""Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,11 +46,9 @@ class CommandGroup:
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
     """What its names are called in messages."""
-    moved: Mapping[str, str] = field(default_factory=dict)
-    """What replaces the commands and flags of earlier versions, by their words, such as `datagen build --edit`."""
 
 
-def group(about: str, commands: Mapping[str, Command | CommandGroup], moved: Mapping[str, str]) -> CommandGroup:
+def group(about: str, commands: Mapping[str, Command | CommandGroup]) -> CommandGroup:
     """The commands of a program."""
 
     def line(name: str) -> str:
@@ -62,9 +56,25 @@ def group(about: str, commands: Mapping[str, Command | CommandGroup], moved: Map
         text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command) or ""
         return text.partition("\n\n")[0]
 
-    return CommandGroup(
-        about=about, names=lambda: list(commands), line=line, choose=lambda name, _: commands[name], moved=moved
-    )
+    return CommandGroup(about=about, names=lambda: list(commands), line=line, choose=lambda name, _: commands[name])
+
+
+def choose(what: str, value: str, choices: Collection[str]) -> str:
+    """`value`, when it is one of `choices`.
+
+    Args:
+        what: What is chosen, such as `preset`; or `WHERE: preset`, in a file.
+
+    Raises:
+        UsageError: it is not; the nearest choice is suggested. In a file, it is a HyalineError.
+    """
+    if value in choices:
+        return value
+    near = difflib.get_close_matches(value[:MAX_SUGGESTED], choices, n=1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? Choose" if near else "choose"
+    where, colon, kind = what.rpartition(": ")
+    kind_of_error = HyalineError if where else UsageError
+    raise kind_of_error(f"{where}{colon}no {kind} {shown(value)}; {hint} from {', '.join(sorted(choices))}")
 
 
 def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> Callable[[], None]:
@@ -76,17 +86,14 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
     """
     if list(words[:1]) == [COMPLETION]:
         _print_completion(program, command, words[1:])
-    moved: Mapping[str, str] = {}
     while isinstance(command, CommandGroup):
-        moved = {**moved, **command.moved}
         if not words or words[0] in HELP:
             print(_list_commands(program, command))
             sys.exit(0 if words else 2)
         name, *words = words
-        if name not in command.names():
-            raise _unknown(program, command.word, name, command.names(), moved)
+        choose(f"{program} {command.word}", name, command.names())
         program, command = f"{program} {name}", command.choose(name, words)
-    given = collect(program, command, words, moved)
+    given = collect(program, command, words)
     return functools.partial(command, *given.args, **given.kwargs)
 
 
@@ -97,7 +104,7 @@ class Given(NamedTuple):
     kwargs: dict[str, Any]
 
 
-def collect(program: str, command: Command, words: Sequence[str], moved: Mapping[str, str] | None = None) -> Given:
+def collect(program: str, command: Command, words: Sequence[str]) -> Given:
     """The arguments that words give to a command's function; raises what `parse` does."""
     import tyro
 
@@ -110,54 +117,35 @@ def collect(program: str, command: Command, words: Sequence[str], moved: Mapping
     shown, refused = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(refused):
-            words = _words_first(command, words)
-            found, unknown = tyro.cli(
+            return tyro.cli(
                 given,
                 prog=program,
                 description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0],
-                args=words,
+                args=_words_first(command, words),
                 config=_config(),
-                return_unknown_args=True,
             )
-    except HyalineError as error:
-        raise _with_flag(error, command) from None
+    except HyalineError as error:  # A field of a record is named in it, which may not be its flag.
+        name, colon, rest = str(error).partition(": ")
+        flag = next((flag for flag, field in flags_of(command).items() if colon and field == name), None)
+        raise error if flag is None else type(error)(f"--{flag}: {rest}") from None
     except SystemExit as end:
-        if not end.code:
-            # A record within a record makes a group of a dotted name.
-            text = re.sub(r"^ \w+\.(\w+ options)", r" \1", shown.getvalue().rstrip(), flags=re.MULTILINE)
-            print("\n".join(map(_wrapped, text.splitlines())))
-            raise
-        # tyro may take a mistyped flag for a value.
-        _check_flags(program, command, words, moved or {})
-        raise UsageError(f"{program}: {_reason(refused.getvalue())}. {_see(program)}") from None
-    if unknown:
-        _check_flags(program, command, unknown, moved or {})
-        raise UsageError(f"{program}: {unknown[0]!r} is one word too many. {_see(program)}")
-    return found
+        if end.code:
+            raise UsageError(f"{program}: {_in_one_line(refused.getvalue())}. See `{program} --help`") from None
+        print("\n".join(map(_wrapped, shown.getvalue().rstrip().splitlines())))
+        raise
 
 
-def _with_flag(error: HyalineError, command: Command) -> HyalineError:
-    """Replaces a field's name at the start of a record's error by its flag."""
-    name, colon, rest = str(error).partition(": ")
-    flag = next((flag for flag, field in flags_of(command).items() if colon and field == name), None)
-    return error if flag is None else type(error)(f"--{flag}: {rest}")
-
-
-def _check_flags(program: str, command: Command, words: Sequence[str], moved: Mapping[str, str]) -> None:
-    """Raises a UsageError for the first word that looks like a flag and is none."""
-    words_by_flag = [name for name, _, about in _items(command) if about["is_positional"]]
-    flags = [f"--{flag}" for flag in (*flags_of(command), *words_by_flag)]
-    known = {*flags, *(f"--no-{flag[2:]}" for flag in flags), *HELP}
-    for word in words:
-        name = word.partition("=")[0]
-        if re.fullmatch(r"--?[A-Za-z].*", name) and name not in known:
-            raise _unknown(program, "flag", name, flags, moved)
+def _in_one_line(box: str) -> str:
+    """What tyro 1.0 says in blocks: a title, what is wrong, perhaps the flag that was meant, and where to find help."""
+    _, wrong, *more = re.split("-{3,}", box)
+    near = next((part.split("\n")[2].strip() for part in more if "Perhaps you meant" in part), None)
+    return " ".join(wrong.split()).rstrip(".") + (f"; did you mean {near}" if near else "")
 
 
 def _words_first(command: Command, words: Sequence[str]) -> list[str]:
-    """The words with positional ones first: `--scene X` becomes X if the command takes a word `scene`."""
+    """The words with positional ones first: `--dataset X` becomes X if the command takes a word `dataset`."""
     first: dict[str, str] = {}
-    flags = {f"--{name}" for name, _, about in _items(command) if about["is_positional"]}
+    flags = {flag for name, _, about in _items(command) if about["is_positional"] for flag in _as_flags(command, name)}
     rest, left = [], list(words)
     while left:
         flag, equals, value = left.pop(0).partition("=")
@@ -166,6 +154,12 @@ def _words_first(command: Command, words: Sequence[str]) -> list[str]:
         else:
             rest.append(flag + equals + value)
     return [*first.values(), *rest]
+
+
+def _as_flags(command: Command, word: str) -> list[str]:
+    """The flags that may replace a positional word: its name, and --scene for what a scene's name may mean."""
+    is_scene = word in ("dataset", "what") and "scene" not in inspect.signature(command).parameters
+    return [f"--{word}", *(["--scene"] if is_scene else [])]
 
 
 def flags_of(documented: type | Command) -> dict[str, str]:
@@ -218,10 +212,13 @@ def describe(documented: type | Command) -> None:
         elif about.get("is_hidden"):
             annotated[name] = tyro.conf.Suppress[kind]
         else:
+            text = " ".join((texts.get(name) or "").split())
+            if about.get("is_positional") and not isinstance(documented, type):
+                text += f" Also as {' or '.join(_as_flags(documented, name))}."
             shown = tyro.conf.arg(
                 name=about.get("flag") or None,
                 metavar=about.get("metavar"),
-                help=" ".join((texts.get(name) or "").split()),
+                help=text,
                 help_behavior_hint=_default,
             )
             annotated[name] = Annotated[kind, shown]
@@ -278,37 +275,8 @@ def _list_commands(program: str, commands: CommandGroup) -> str:
 
 
 def _wrapped(line: str) -> str:
-    """A line of text as lines of the width of help; those of tyro's blocks, which begin with a blank, fit already."""
-    return line.rstrip() if line.startswith(" ") else textwrap.fill(line, HELP_WIDTH)
-
-
-def _unknown(program: str, word: str, given: str, known: Sequence[str], moved: Mapping[str, str]) -> UsageError:
-    """What to say about a command or flag that does not exist: what replaces it, or what was probably meant."""
-    places = (f"{program} {given}", f"{program.rpartition(' ')[0]} {given}", given)
-    if now := next((moved[place] for place in places if place in moved), None):
-        return UsageError(f"{program} {given} {now}")
-    near = difflib.get_close_matches(given[:100], known, n=1, cutoff=0.7)
-    hint = f"; did you mean {near[0]}?" if near else "."
-    return UsageError(f"{program}: no {word} {given[:100]}{hint} {_see(program)}")
-
-
-def _see(program: str) -> str:
-    return f"See `{program} --help`"
-
-
-def _reason(said: str) -> str:
-    """What tyro said in a block, as one line: without its title, and the help of the flag."""
-    _, text, *_ = [" ".join(part.split()) for part in re.split(r"-{3,}", said)]
-    line = text.rstrip(". ")
-    if choice := re.fullmatch(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", line):
-        names = sorted(set(re.findall(r"'([^']*)'", choice[3])) - {"None"})
-        near = difflib.get_close_matches(choice[1][:100], names, n=1)
-        hint = f"did you mean {near[0]}? Expected" if near else "expected"
-        return f"{choice[2]}: is {choice[1]!r}; {hint} {', '.join(names[:-1])} or {names[-1]}"
-    for pattern, ours in REASONS.items():
-        if match := re.fullmatch(pattern, line):
-            return match.expand(ours)
-    return line
+    """A line of text as lines of the width of help; tyro has wrapped those of its boxes, but not the description."""
+    return line if line.startswith(" ") else textwrap.fill(line, HELP_WIDTH)
 
 
 def _print_completion(program: str, command: Command | CommandGroup, words: Sequence[str]) -> None:

@@ -26,8 +26,7 @@ def commands() -> CommandGroup:
         "secret": secret,
         "hide": hide,
     }
-    moved = {"hyaline-bench submit": "is gone: `hyaline-bench score METHOD` reads the runs' folders themselves"}
-    return group("Score methods on the benchmark, and publish the leaderboard.", by_name, moved)
+    return group("Score methods on the benchmark, and publish the leaderboard.", by_name)
 
 
 def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:

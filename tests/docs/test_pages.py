@@ -137,7 +137,10 @@ def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
 
 PROGRAMS = "datagen|proxies|model|report|eval report|hyaline-bench|python -m benchmarks"
 COMMAND = re.compile(rf"(?:`|^)((?:{PROGRAMS}) (?!= )[^`\n#|;&>()]+)", re.MULTILINE)
-UNFINISHED = re.compile(r"is missing|needs a value|no command NAME|no method (METHOD|NAME|alpha-blend|first-surface|-)")
+UNFINISHED = re.compile(
+    r"^\S+: Missing |: Missing (value|from)|no \w+ command 'NAME'"
+    r"|no model train method '(METHOD|NAME|alpha-blend|first-surface|-)"
+)
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if "notes" not in page.parts], ids=lambda page: page.name)

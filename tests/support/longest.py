@@ -10,7 +10,6 @@ LONGEST = (
     "datagen/render/test_render.py",
     "model/run/test_interrupted.py",
     "datagen/scene/importers/test_confined_import.py",
-    "model/view/test_visitors.py",
     "model/fit/test_kinds.py",
     "reliability/test_hostile_files.py",
     "eval/page/test_page_in_browser.py",

@@ -92,7 +92,7 @@ def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> Non
         ("--family table", "--family, --count: only for random scenes; type `datagen build random`"),
         ("--scene random --count 0", "--count: is 0; expected at least 1"),
         ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
-        ("--scene random --edit remove:ball", "datagen build --edit is now `datagen add DATASET --edit`"),
+        ("--scene random --edit remove:ball", "datagen build: Unrecognized options: --edit, remove:ball"),
         ("--scene random-12", "scene random-12: is not a random scene; expected a name like random-0007"),
     ],
 )

@@ -66,6 +66,28 @@ def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
     assert (said.returncode, said.stdout) == (0, "set()\n"), said.stderr
 
 
+def test_help_says_the_choices_of_a_flag_and_that_a_scene_has_a_flag_too() -> None:
+    text = " ".join(call("datagen build --help").out.split())
+    assert "--preset {tiny,small,demo,standard,paper}" in text and "Also as --scene." in text
+    assert "--kind {box,ellipsoid,hull,lowpoly,wrap,blocks,noise}" in call("proxies make --help").out
+    assert "--format {table,markdown,csv,latex}" in call("report --help").out
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("datagen build --preset dmeo", "datagen build nowhere", "datagen build --family cup random"),
+        *("proxies make --kind sphere", "model train papr", "report --format html", "datagen build --sceen x"),
+        *("datagen bulid", "datagen export one --format cvs", "model train paper --norm x"),
+    ],
+)
+def test_a_wrong_choice_and_a_wrong_flag_end_with_2_and_one_line(line: str, tmp_path: Path) -> None:
+    write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
+    answer = call(line)
+    assert answer.status == 2 and answer.out == ""
+    assert answer.err.startswith("error: ") and answer.err.count("\n") == 1
+
+
 @pytest.mark.parametrize("line", ["datagen", "proxies", "model", "model train"])
 def test_a_bare_command_prints_its_help(line: str) -> None:
     bare = call(line)
@@ -83,7 +105,7 @@ def test_a_word_may_be_given_as_a_flag_by_its_name(line: str) -> None:
 def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
     asked = parsed("datagen add one --edit no-glass --edit remove:vase --larger 2 --larger 4 --no-twins --angles")
     assert asked["choices"] == AddChoices(edit=("no-glass", "remove:vase"), larger=(2, 4), angles=True)
-    with pytest.raises(UsageError, match="'4' is one word too many"):
+    with pytest.raises(UsageError, match="Unrecognized options: 4"):
         parsed("datagen add one --larger 2 4")
 
 

@@ -166,7 +166,7 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     assert [item.name for item in open_dataset(made / "data" / "without").objects] == ["floor"]
     refused = call("datagen add edit --edit remove:ball --spp 8")
     assert (refused.status, refused.out) == (2, "")
-    assert "error: datagen add: no flag --spp" in refused.error
+    assert "error: datagen add: Unrecognized options: --spp" in refused.error
 
 
 def test_the_report_scores_edits_by_region(
