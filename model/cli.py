@@ -65,11 +65,6 @@ def _train_command(method: str, words: Sequence[str]) -> Command:
 
 
 def _train_method(method: str, asked: "Asked") -> None:
-    if asked.cluster.launcher is not None:
-        from model.run.jobs import train_in_job
-
-        out = train_in_job(method, asked)
-        return _end(out, run=out)
     from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.run_folder import told_finished
     from model.run.train_flags import configure, find_finished, folder_name
@@ -323,7 +318,7 @@ def sweep(
         dry_run: Print all commands and an estimate of the CPU time, and do nothing.
     """
     from model.run.experiments import read_experiment
-    from model.run.sweep import find_devices, finish, print_experiment, run_experiment
+    from model.run.sweep import find_devices, finish, print_experiment, run_experiment, train_in_jobs
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed, preset=preset)
     if dry_run:
@@ -331,11 +326,7 @@ def sweep(
     if cluster.launcher is None:
         failures = run_experiment(asked, devices=find_devices(jobs))
     else:
-        from model.run.jobs import train_experiment_in_jobs
-
-        if jobs != 1:
-            raise UsageError("--jobs: is for runs on this machine; leave it out with --launcher slurm")
-        failures = train_experiment_in_jobs(asked, cluster)
+        failures = train_in_jobs(asked, cluster)
     finish(asked, failures)
     next_command("eval report")
 

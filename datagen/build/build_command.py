@@ -92,7 +92,7 @@ def _build_scene(
     config = fit_to_scene(config, scene, size)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
-        _build_in_jobs(name, root, config, choices, size, launch, imports)
+        _build_in_jobs(name, root, choices, size, launch, imports)
     made = build_dataset(
         scene,
         root,
@@ -114,14 +114,6 @@ def _build_scene(
     return made
 
 
-SAMPLE_S = 2e-6
-"""CPU time of a build per pixel and sample, peeling included: 619 s for the demo on a slow processor."""
-CEILING_FACTOR = 8
-"""So many times the samples to start from are expected, at most, until a test view reaches its --ceiling."""
-DRAWING_S = 60
-"""CPU time to draw a random scene, unwrap it and compile its kernels: 4 to 25 s on a usual processor."""
-
-
 def _build_seeds_in_jobs(choices: BuildChoices, count: int, size: SizeChoices, launch: ShardChoices) -> None:
     """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded.
 
@@ -135,21 +127,13 @@ def _build_seeds_in_jobs(choices: BuildChoices, count: int, size: SizeChoices, l
         part = dataclasses.replace(choices, seed=first, count=seeds)
         jobs[f"seeds {first} to {first + seeds - 1}"] = _job_words(RANDOM, part, size, ImportChoices())
     root = choices.out or DATA_ROOT / RANDOM
-    failures = run_in_jobs(
-        "datagen",
-        jobs,
-        root.parent / f"{root.name}-jobs",
-        launch,
-        cpus=choices.workers,
-        cpu_s=each * (DRAWING_S + _sampling_s(_configure(choices, size))),
-    )
+    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
     raise_failures(str(root), failures, len(jobs))
 
 
 def _build_in_jobs(
     scene: str,
     root: Path,
-    config: DatasetConfig,
     choices: BuildChoices,
     size: SizeChoices,
     launch: ShardChoices,
@@ -162,27 +146,14 @@ def _build_in_jobs(
     """
     words = _job_words(scene, choices, size, imports)
     parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
-    failures = run_in_jobs(
-        "datagen",
-        {f"part {part}": [*words, "--shard", part] for part in parts},
-        root.parent / f"{root.name}-jobs",
-        launch,
-        cpus=choices.workers,
-        cpu_s=_sampling_s(config) / launch.shards,
-    )
+    jobs = {f"part {part}": [*words, "--shard", part] for part in parts}
+    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
     raise_failures(str(root), failures, launch.shards)
 
 
 def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: ImportChoices) -> list[str]:
     kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
     return ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
-
-
-def _sampling_s(config: DatasetConfig) -> float:
-    """The CPU time that a slow processor takes for the samples of a dataset."""
-    tests = config.interpolating.samples + config.extrapolating.samples
-    samples = config.train.samples + tests * (1 if config.ceiling_db is None else CEILING_FACTOR)
-    return SAMPLE_S * samples * config.resolution.pixels
 
 
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:

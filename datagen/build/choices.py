@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from datagen.disk.errors import UsageError
 from datagen.machine.launch import LaunchChoices
 
 PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
@@ -69,6 +70,11 @@ class ShardChoices(LaunchChoices):
 
     shards: int = 4
     """Number of jobs; each builds one part of all views, or with --count of all scenes."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.shards < 1:
+            raise UsageError(f"--shards: is {self.shards}; expected at least 1")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,16 +36,14 @@ from typing import cast
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_toml, shown
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import choose
-from datagen.terminal.parsing import flags_of
 from model.methods.table import METHODS
 from model.run.train_flags import Asked, flags_of_method, folder_name, parse_train
 from model.settings.run_flags import RUNS
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 
-KEPT_FLAGS = ("out", "label", "overwrite", *flags_of(LaunchChoices))
+KEPT_FLAGS = ("out", "label", "overwrite")
 """Flags that an experiment may not set: runs go to the default folder of `model train`, stopped runs resume, and where
 runs are trained is for `model sweep` to say."""
 

@@ -1,7 +1,7 @@
 """Sweeps: all runs of an experiment, and the commands before and after them.
 
-Each run is trained in a process of its own, one per device or several side by side, or in a Slurm job of its own
-(`model/run/jobs.py`). A sweep keeps no state: the runs' own folders show what is finished, so a sweep that was stopped
+Each run is trained in a process of its own, one per device or several side by side, or in a Slurm job of its own. A
+sweep keeps no state: the runs' own folders show what is finished, so a sweep that was stopped
 or killed continues when it is started again, and ends in the same bytes.
 """
 
@@ -16,10 +16,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from datagen.disk.errors import HyalineError
-from datagen.machine.launch import own_command
+from datagen.machine.launch import LaunchChoices, own_command, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import say, tell
 from model.run.experiments import Experiment, estimate_cpu_hours
+from model.settings.run_flags import RUNS
 
 MODULES = {"hyaline-bench": "eval.bench"}
 """Packages of programs that are called differently."""
@@ -125,6 +126,14 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
             children.stop()
             raise
     return tuple(failure for failure in results if failure is not None)
+
+
+def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> tuple[Failure, ...]:
+    """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
+    run_commands(experiment, experiment.needs)
+    jobs = {command_line(words): ["train", *words] for words in experiment.runs}
+    failures = run_in_jobs("model", jobs, RUNS / "jobs", launch)
+    return tuple(Failure(command=command, reason=reason) for command, reason in failures.items())
 
 
 def find_devices(jobs: int) -> tuple[str | None, ...]:

@@ -4,13 +4,12 @@ import dataclasses
 import functools
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, collect, flags_of
 from model.methods.protocol import MethodConfig
@@ -33,7 +32,6 @@ class Asked:
     run: RunFlags
     method: MethodConfig
     optimisation: Optimisation
-    cluster: LaunchChoices = field(default_factory=LaunchChoices)
 
 
 def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked], None]) -> Command:
@@ -52,9 +50,8 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
         choices: RunFlags = RunFlags(),  # noqa: B008
         renderer: MethodConfig = usual,
         optimisation: Optimisation = optimised,
-        cluster: LaunchChoices = LaunchChoices(),  # noqa: B008
     ) -> None:
-        then(method, Asked(dataset=dataset, run=choices, method=renderer, optimisation=optimisation, cluster=cluster))
+        then(method, Asked(dataset=dataset, run=choices, method=renderer, optimisation=optimisation))
 
     train.__annotations__ |= {"renderer": type(usual), "optimisation": type(optimised)}
     dataset = "A dataset's folder, or its name under data/. Default: the only one there."

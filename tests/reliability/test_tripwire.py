@@ -53,7 +53,6 @@ TRIPS = (
     Trip(line=BUILD, start="scene", taken=("data/one/transforms_train.json",)),
     Trip(line=f"{BUILD} --overwrite", start="scene", taken=("data/one/images/train/0000.png", "data/one/dataset.json")),
     Trip(line=f"{BUILD} --shard 1/2", start="scene", taken=("data/one/scene/scene.json",)),
-    Trip(line=f"{BUILD} --launcher local", start="scene", taken=("data/one-jobs/1_submission.sh",)),
     Trip(line=f"{BUILD} --views 2 --overwrite", taken=("data/one/images/train/0001.png",)),
     Trip(line="datagen add data/one --larger 2", taken=("data/one/variants/x2/images/interpolating/0000.png",)),
     Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),

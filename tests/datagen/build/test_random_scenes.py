@@ -56,13 +56,13 @@ def test_a_scene_that_fails_is_named_and_does_not_stop_the_others(here: Path) ->
 def test_the_launcher_gives_each_job_a_run_of_seeds(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: dict[str, int] = {}
 
-    def run_here(program: str, jobs: dict[str, list[str]], folder: Path, *_: object, **__: object) -> tuple[()]:
+    def run_here(program: str, jobs: dict[str, list[str]], folder: Path, _: object) -> dict[str, str]:
         assert folder == Path("many-jobs")
         for name, words in jobs.items():
             answer = call(shlex.join([program, *words]))
             assert answer.status == 0, answer.err
             seen[name] = len(answer.out.split())
-        return ()
+        return {}
 
     monkeypatch.setattr("datagen.build.build_command.run_in_jobs", run_here)
     line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"

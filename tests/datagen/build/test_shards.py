@@ -17,7 +17,6 @@ from support.commands import run
 from support.synthetic import synthetic_scene
 
 from datagen.build.build import _start_beside_others, open_or_start
-from datagen.build.choices import ShardChoices
 from datagen.build.shards import Shard, parse_shard
 from datagen.build.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig, square
@@ -108,7 +107,6 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
 
 
 @pytest.mark.slow
-@pytest.mark.full  # The quick run has the same by way of Slurm below.
 def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "jobs"
     answer = build(scene_folder, out, "--launcher", "local", "--shards=2")
@@ -132,61 +130,6 @@ def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, t
     assert Path(failed.partition("; log: ")[2]).is_file()
     assert "Traceback" not in answer.err
     assert tree(out) == tree(built)
-
-
-# Stand-ins for Slurm's programs: both tasks of the array run here, at once; a wrong partition is refused.
-SLURM = {
-    "sbatch": """#!/bin/sh
-if grep -q partition=wrong "$1"; then echo "sbatch: error: invalid partition specified: wrong" >&2; exit 1; fi
-script=$(cat "$1") # submitit moves the file as soon as this program ends.
-for task in 0 1; do
-  SLURM_JOB_ID=$((100 + task)) SLURM_ARRAY_JOB_ID=77 SLURM_ARRAY_TASK_ID=$task SLURM_PROCID=0 SLURM_LOCALID=0 \\
-  SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh -c "$script" >/dev/null 2>&1 &
-done
-echo "Submitted batch job 77"
-""",
-    "srun": """#!/bin/sh
-while [ "${1#--}" != "$1" ]; do
-  case "$1" in --output) out=$2; shift;; --error) err=$2; shift;; esac
-  shift
-done
-name() { echo "$1" | sed "s/%A/77/; s/%a/$SLURM_ARRAY_TASK_ID/; s/%t/0/"; }
-exec "$@" >"$(name "$out")" 2>"$(name "$err")"
-""",
-    "squeue": """#!/bin/sh
-for task in 0 1; do echo "77_$task|RUNNING|None"; done
-""",
-    "scancel": "#!/bin/sh\n",
-}
-
-
-@pytest.mark.slow
-def test_the_launcher_sends_parts_to_slurm(
-    built: Path, scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "bin").mkdir()
-    for name, script in SLURM.items():
-        (tmp_path / "bin" / name).write_text(script)
-        (tmp_path / "bin" / name).chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}:{os.environ['PATH']}")
-    monkeypatch.setattr("datagen.machine.launch.QUEUE_EVERY_S", 0.5)
-    out = tmp_path / "out"
-    asked = ("--launcher", "slurm", "--shards", "2", "--slurm-time", "30", "--slurm-cpus", "2")
-
-    answer = build(scene_folder, out, *asked, "--slurm-partition", "wrong")
-    assert answer.status == 1
-    assert answer.err.splitlines()[-1].startswith("error: --launcher slurm: the cluster took no job (")
-    assert "invalid partition specified: wrong" in answer.err.splitlines()[-1] and not out.exists()
-
-    answer = build(scene_folder, out, *asked, "--slurm-partition", "many", "--slurm-gpus", "1")
-    assert answer.status == 0, answer.err
-    assert "(slurm, jobs 2; each: CPUs 2, minutes 30)" in answer.err and "slurm: 2 running" in answer.err
-    assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err
-    assert tree(out) == tree(built)
-    submitted = (tmp_path / "out-jobs/77_submission.sh").read_text()
-    options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1", "--requeue")
-    for option in options:
-        assert f"#SBATCH {option}\n" in submitted
 
 
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
@@ -250,9 +193,6 @@ def test_a_part_that_cannot_be_is_refused(text: str) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--shards", "3"), "--shards: goes with --launcher; give that, too, or leave it out"),
-        (("--launcher", "local", "--slurm-gpus", "1"), "--slurm-gpus: goes with --launcher slurm; leave it out"),
-        (("--launcher", "local", "--shards", "0"), "--shards: is 0; expected at least 1"),
         (("--launcher", "local", "--shard", "1/2"), "--launcher: builds all parts; leave out --shard"),
         (("--shard", "1/2", "--overwrite"), "--overwrite: cannot be combined with --shard; delete"),
         (("--launcher", "local"), 'submitit, which is not installed; `pip install "hyaline-glass[cluster]"` brings it'),
@@ -275,8 +215,3 @@ def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_pat
     assert answer.status == 1
     assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.error
     assert tree(tmp_path) == {"images/thesis.png": b"precious"}
-
-
-def test_the_choices_of_a_launch_are_checked() -> None:
-    with pytest.raises(HyalineError, match="--slurm-time: is 0; expected at least 1"):
-        ShardChoices(launcher="slurm", slurm_time=0)

@@ -1,91 +1,54 @@
-"""Tests of jobs with stand-ins for Slurm's programs; tests/slurm has those with a real one."""
+"""Tests of commands as jobs: on this machine, and what is handed to Slurm, with a stand-in for its sbatch."""
 
+import shutil
 from pathlib import Path
 
 import pytest
+from support.commands import call
 
-from datagen.disk.errors import HyalineError
-from datagen.machine import launch
-from datagen.machine.launch import LaunchChoices, estimate_minutes, run_in_jobs
-
-# The n-th call of squeue gives the n-th of the answers, where `run` runs the job and `fail` is no answer at all.
-SLURM = {
-    "sbatch": """#!/bin/sh
-cp "$1" {folder}/script
-echo "Submitted batch job 5"
-""",
-    "srun": """#!/bin/sh
-while [ "${{1#--}}" != "$1" ]; do
-  case "$1" in --output|--error) shift;; esac
-  shift
-done
-exec "$@" 2>>{folder}/jobs/5_0_log.err
-""",
-    "squeue": """#!/bin/sh
-echo >>{folder}/calls
-state=$(sed -n "$(wc -l <{folder}/calls)p" {folder}/answers)
-case "$state" in
-  fail) exit 1;;
-  run) state=COMPLETED; SLURM_JOB_ID=5 SLURM_PROCID=0 SLURM_LOCALID=0 SLURM_NODEID=0 SLURM_JOB_NUM_NODES=1 \\
-    SLURM_NTASKS=1 SLURM_JOB_NODELIST=here sh {folder}/script >/dev/null 2>&1;;
-esac
-[ -z "$state" ] || echo "5|$state|None"
-""",
-    "scancel": "#!/bin/sh\n",
-}
+from datagen.build.choices import ShardChoices
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.machine.launch import LaunchChoices, run_in_jobs
 
 
-@pytest.mark.parametrize(
-    ("answers", "words", "reason", "said"),
-    [
-        (["RUNNING", "NODE_FAIL", "PENDING", "RUNNING", "run"], ["--version"], None, "one: requeued by Slurm"),
-        (["RUNNING", "FAILED", "COMPLETING", "PENDING", "run"], ["--version"], None, "one: requeued by Slurm"),
-        (["run"] * 2, ["verify", "nowhere"], "data/nowhere: no dataset", "one: failed (job 5; 0 left)"),
-        (["TIMEOUT"] * 2, [], "it reached its time limit (--slurm-time 7); what it finished is kept", "1 timeout"),
-        (["RUNNING", "fail", "OUT_OF_MEMORY", "fail", "OUT_OF_MEMORY"], [], "it ran out of memory; type", "1 running"),
-        (["RUNNING", *[""] * 6], [], "ended without a result", "1 running"),
-    ],
-)
-def test_a_job_has_failed_when_slurm_says_so_twice(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    answers: list[str],
-    words: list[str],
-    reason: str | None,
-    said: str,
-) -> None:
-    for name, script in SLURM.items():
-        (tmp_path / name).write_text(script.format(folder=tmp_path))
-        (tmp_path / name).chmod(0o755)
-    (tmp_path / "answers").write_text("\n".join(answers) + "\n")
-    monkeypatch.setenv("PATH", str(tmp_path), prepend=":")
-    monkeypatch.setattr(launch, "POLL_S", 0.01)
-    monkeypatch.setattr(launch, "QUEUE_EVERY_S", 0.01)
-    choices = LaunchChoices(launcher="slurm", slurm_time=7)
-    failures = run_in_jobs("datagen", {"one": words}, tmp_path / "jobs", choices, cpus=3, cpu_s=1)
-    assert said in capsys.readouterr().err
-    assert len((tmp_path / "calls").read_text()) == len(answers)
-    if reason is None:
-        assert failures == ()
-    else:
-        (failure,) = failures
-        assert failure.reason.startswith(reason) and failure.log == tmp_path / "jobs" / "5_0_log.err"
-    script = (tmp_path / "script").read_text()
-    for line in ("#SBATCH --time=7", "#SBATCH --cpus-per-task=3", "#SBATCH --requeue", "--cpus-per-task=3 "):
-        assert line in script
+@pytest.mark.slow
+def test_each_job_runs_a_command_and_a_failure_has_its_reason_and_log(tmp_path: Path) -> None:
+    jobs = {"good": ["scenes"], "bad": ["verify", "nothing"]}
+    failures = run_in_jobs("datagen", jobs, tmp_path / "jobs", LaunchChoices(launcher="local"))
+    assert set(failures) == {"bad"}
+    reason, _, log = failures["bad"].rpartition("; log: ")
+    assert (
+        reason.startswith("data/nothing: no dataset; make one with `datagen build") and reason in Path(log).read_text()
+    )
 
 
-@pytest.mark.parametrize("missing", ["sbatch", "squeue"])
-def test_a_machine_that_submits_no_jobs_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
-    for name in set(SLURM) - {missing}:
-        (tmp_path / name).write_text("#!/bin/sh\n")
-        (tmp_path / name).chmod(0o755)
+def test_jobs_for_slurm_ask_for_what_was_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    programs = tmp_path / "bin"
+    programs.mkdir()
+    for name in ("srun", "sacct"):
+        (programs / name).write_text("#!/bin/sh\n")
+    (programs / "sbatch").write_text(
+        f"#!/bin/sh\n{shutil.which('cp')} $1 {tmp_path}/script; echo no partition >&2; exit 1\n"
+    )
+    for path in programs.iterdir():
+        path.chmod(0o755)
+    monkeypatch.setenv("PATH", str(programs))
+    chosen = LaunchChoices(launcher="slurm", slurm_partition="many", slurm_time=30, slurm_cpus=2, slurm_gpus=1)
+    with pytest.raises(HyalineError, match=r"^--launcher slurm: the cluster took no job .*no partition"):
+        run_in_jobs("datagen", {"one": ["scenes"], "two": ["scenes"]}, tmp_path / "jobs", chosen)
+    options = ("--array=0-1%2", "--partition=many", "--time=30", "--cpus-per-task=2", "--gpus-per-node=1")
+    assert all(f"#SBATCH {option}\n" in (tmp_path / "script").read_text() for option in options)
     monkeypatch.setenv("PATH", str(tmp_path))
-    with pytest.raises(HyalineError, match=f"^--launcher slurm: no {missing} on this machine; run this on one that"):
-        run_in_jobs("datagen", {}, tmp_path / "jobs", LaunchChoices(launcher="slurm"), cpus=1, cpu_s=1)
-    assert not (tmp_path / "jobs").exists()
+    with pytest.raises(HyalineError, match=r"^--launcher slurm: the cluster took no job"):
+        run_in_jobs("datagen", {"one": ["scenes"]}, tmp_path / "jobs", chosen)
 
 
-def test_a_limit_is_three_times_the_estimate_and_half_an_hour() -> None:
-    assert [estimate_minutes(0, 1), estimate_minutes(1200, 1), estimate_minutes(1200, 4)] == [30, 90, 45]
+def test_choices_of_jobs_that_cannot_be_are_one_line() -> None:
+    with pytest.raises(UsageError, match=r"^--slurm-time, --slurm-cpus: expected at least 1"):
+        LaunchChoices(launcher="slurm", slurm_time=0)
+    with pytest.raises(UsageError, match=r"^--shards: is 0; expected at least 1"):
+        ShardChoices(launcher="local", shards=0)
+    answer = call("datagen build --slurm-gpus 2 --shards 3")
+    assert answer.status == 2
+    assert answer.err == "error: --slurm-gpus, --shards: need --launcher; give that, too, or leave them out\n"
+    assert call("model train paper --launcher slurm").status == 2

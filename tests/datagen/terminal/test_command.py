@@ -86,7 +86,6 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --ceiling x", 2, "datagen build: Error parsing --ceiling: "),
         ("datagen build --shard 5/4", 1, "shard: is 5/4; expected a part from 1/4 to 4/4"),
         ("datagen build --workers 0", 1, "workers: is 0; expected 1 to 1024"),
-        ("datagen build --slurm-gpus 2", 2, "--slurm-gpus: goes with --launcher; give that, too, or leave it out"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
         ("datagen import", 2, "datagen import: Missing from datagen import: FILE "),

@@ -7,11 +7,9 @@ import pytest
 from support.commands import call
 
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.parsing import flags_of
 from model.cli import main
 from model.methods.table import BUILT_IN, METHODS
-from model.run.jobs import words_of
 from model.run.train_flags import flags_of_method, folder_name, parse_train
 from model.settings.run_flags import RunFlags
 
@@ -60,7 +58,7 @@ def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geomet
 def test_every_flag_of_a_method_means_one_thing_and_marks_the_folder(method: str) -> None:
     record = METHODS.find(method)
     optimisation = type(record().optimisation())
-    parts = [flags_of(part) for part in (RunFlags, record, optimisation, LaunchChoices)]
+    parts = [flags_of(part) for part in (RunFlags, record, optimisation)]
     assert sum(map(len, parts)) == len(flags_of_method(method))
     for part in (record, optimisation):
         for item in dataclasses.fields(part):
@@ -78,8 +76,6 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     records = (usual.run, usual.method, usual.optimisation, getattr(usual.optimisation, "loss", usual.run))
     tried = 0
     for name in flags_of_method(method).values():
-        if hasattr(usual.cluster, name):
-            continue  # No result depends on those.
         record = next(part for part in records if hasattr(part, name))
         kind = {item.name: item.type for item in dataclasses.fields(record)}[name]
         impossible: list[float] = []
@@ -110,22 +106,6 @@ def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str
     answer = call(f"model train {words}")
     assert answer.status == status
     assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
-
-
-@pytest.mark.parametrize(
-    "words",
-    [
-        "paper",
-        "paper-best mine --geometry box --seed 3 --no-snapshots --out here --steps 7",
-        "light-path mine --shells 2 --perceptual 0.05 --vgg-weights random --device cpu",
-        "dnr-authors --batch 4096 --lr 0.5",
-    ],
-)
-def test_the_words_of_a_job_ask_for_the_same_run(words: str) -> None:
-    method, *flags = words.split()
-    asked = parse_train(method, (*flags, "--launcher", "slurm", "--slurm-time", "9"))
-    again = words_of(method, asked)
-    assert parse_train(again[0], again[1:]) == dataclasses.replace(asked, cluster=LaunchChoices())
 
 
 def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:

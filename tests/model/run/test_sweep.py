@@ -7,10 +7,12 @@ import subprocess
 import sys
 import threading
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
 import torch
+from support import commands
 from support.synthetic import write_synthetic_dataset
 from support.training import call
 
@@ -75,7 +77,7 @@ def test_a_grid_is_every_combination_in_the_order_of_the_file(tmp_path: Path) ->
         ('[[runs]]\nmethod = "paper"\nzero-layer = "yes"', "zero-layer is 'yes'; expected true or false"),
         ('[[runs]]\nmethod = "paper"\nsteps = false', "steps is False; expected a number or text"),
         ('[[runs]]\nmethod = "paper"\nout = "here"', "out cannot be set in an experiment; leave it out"),
-        ('[[runs]]\nmethod = "paper"\nslurm-time = 9', "slurm-time cannot be set in an experiment; leave it out"),
+        ('[[runs]]\nmethod = "paper"\nout = "here"', "out cannot be set in an experiment; leave it out"),
         ('[[runs]]\nmethod = "paper"\nseed = []', "seed is an empty list; expected at least one value"),
         ("[[runs]]\nseed = 1", 'key "method" is missing'),
         ('about = "nothing"', "has no runs; expected at least one"),
@@ -369,3 +371,19 @@ def test_devices_are_those_that_may_be_seen(
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
     assert sweep.find_devices(jobs) == devices
+
+
+def test_a_sweep_in_jobs_has_one_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[Mapping[str, Sequence[str]]] = []
+
+    def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], place: Path, launch: object) -> dict[str, str]:
+        assert (program, place) == ("model", Path("runs/jobs"))
+        sent.append(jobs)
+        return {list(jobs)[-1]: "it was cancelled"}
+
+    monkeypatch.setattr("model.run.sweep.run_in_jobs", run_in_jobs)
+    block = '[[runs]]\ndataset = "synthetic"\nmethod = "paper"\nsteps = 3\nseed = [0, 1]\n'
+    write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=8, train_views=1)
+    answer = commands.call(f"model sweep {write(tmp_path, block)} --launcher slurm")
+    assert [shlex.join(["model", *words]) for words in sent[0].values()] == list(sent[0])
+    assert answer.status == 1 and "1 of 2 runs are finished" in answer.err and "it was cancelled" in answer.err
