@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
+from hyaline_import.foreign import Axis, z_up_from
+from hyaline_import.importing import Imported, import_scene
 from jaxtyping import Float
 
 from benchmarks.blender_child import NOT_INSTALLED, UNREADABLE
@@ -25,8 +27,6 @@ from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.importers.foreign import Axis, z_up_from
-from datagen.scene.importers.importing import Imported, import_scene
 from datagen.scene.rig import make_cameras
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.command import say

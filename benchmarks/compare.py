@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from hyaline_web.page.export import export_run
+from hyaline_web.page.packing import Quality
 from jaxtyping import UInt8
 
 from benchmarks.browser import open_file, running_browser, watched_page
@@ -31,8 +33,6 @@ from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
 from model.run.predict import check_can_draw, load_renderer, predict_pixels, show_edited_scene
 from model.run.run_folder import RunRecord, read_run
-from model.web.export import export_run
-from model.web.packing import Quality
 
 
 @dataclass(frozen=True, kw_only=True)

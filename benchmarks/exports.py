@@ -14,14 +14,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from hyaline_export.formats import export_dataset
+from hyaline_export.source import ExportView, Source
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
-from datagen.export.formats import export_dataset
-from datagen.export.source import ExportView, Source
 from datagen.terminal.command import say
 
 LOADERS = Path(__file__).with_name("exports_child.py")

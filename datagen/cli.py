@@ -5,8 +5,10 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_photos.capture.choices import CaptureChoices
+
 from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
-from datagen.capture.choices import CaptureChoices
 from datagen.data.paths import (
     BUILT_IN_SCENES,
     DATA_ROOT,
@@ -17,7 +19,6 @@ from datagen.data.paths import (
     train_command,
 )
 from datagen.disk.errors import UsageError
-from datagen.import_dataset.choices import DatasetImportChoices
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
@@ -130,9 +131,10 @@ def import_file(
         overwrite: Replace an existing imported scene.
         resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.
     """
+    from hyaline_import.confined_import import check_free, import_files, write_imported
+    from hyaline_import.foreign_files import scene_name
+
     from datagen.data.config import parse_resolution
-    from datagen.scene.foreign_files import scene_name
-    from datagen.scene.importers.confined_import import check_free, import_files, write_imported
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
@@ -161,7 +163,7 @@ def import_dataset(
         out: Folder to write. Default: data/NAME.
         overwrite: Replace an existing dataset.
     """
-    from datagen.import_dataset.import_dataset import plan_import, write_import
+    from hyaline_import.datasets.import_dataset import plan_import, write_import
 
     plan = plan_import(folder, choices)
     dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
@@ -191,8 +193,8 @@ def capture(
         out: Folder to write. Default: data/NAME.
         overwrite: Replace an existing dataset.
     """
-    from datagen.capture.capture import plan_capture
-    from datagen.import_dataset.import_dataset import write_import
+    from hyaline_import.datasets.import_dataset import write_import
+    from hyaline_photos.capture.capture import plan_capture
 
     plan = plan_capture(folder, choices)
     dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
@@ -280,8 +282,9 @@ def export(
         points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
         flow: With quantities: also trace refractive flow and attenuation through the glass.
     """
+    from hyaline_export.formats import export_dataset
+
     from datagen.data.dataset import open_dataset
-    from datagen.export.formats import export_dataset
 
     opened = open_dataset(find_dataset(dataset))
     where, hint = export_dataset(opened, format, out, num_points=points, flow=flow)
@@ -297,7 +300,7 @@ def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
         out: File to write, which ends in .tar. Default: exports/NAME.tar.
         overwrite: Replace an existing file.
     """
-    from datagen.export.pack import pack_dataset
+    from hyaline_export.pack import pack_dataset
 
     path = pack_dataset(find_dataset(dataset), out, overwrite=overwrite)
     tell(str(path))
@@ -311,7 +314,7 @@ def unpack(file: Path, /, *, out: Path | None = None) -> None:
         file: A file from `datagen pack`.
         out: Folder to write, new or empty. Default: data/NAME, for NAME.tar.
     """
-    from datagen.export.pack import unpack_archive
+    from hyaline_export.pack import unpack_archive
 
     root = unpack_archive(file, out)
     tell(str(root))
@@ -361,7 +364,7 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 
 def scenes() -> None:
     """List the built-in scenes, and how to generate random ones."""
-    from datagen.scene.random_names import FAMILIES, RANDOM
+    from hyaline_random.names import FAMILIES, RANDOM
 
     for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")

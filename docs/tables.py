@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from eval.papers.claims import DROP, FAR, NEAR, Interval, bootstrap
+from hyaline_paper.claims import DROP, FAR, NEAR, Interval, bootstrap
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs/results"

@@ -56,7 +56,8 @@ def report(
     """
     hush(quiet)
     if results is not None:
-        from eval.bench.leaderboard import TRACKS, track_rows
+        from hyaline_bench.leaderboard import TRACKS, track_rows
+
         from eval.tables.pages import results_index, results_page
 
         text = (

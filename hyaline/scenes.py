@@ -251,8 +251,9 @@ def _checked(
 
 def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Vertices, faces and uv of all objects in a file as one mesh, read in a process of its own."""
+    from hyaline_import.foreign_files import check_ending
+
     from datagen.machine.confined import confined
-    from datagen.scene.foreign_files import check_ending
 
     check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
@@ -261,8 +262,9 @@ def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads a mesh file, in the process that `confined` starts."""
+    from hyaline_import.foreign_files import READERS, ending_of
+
     from datagen.machine.confined import allow_triangles
-    from datagen.scene.foreign_files import READERS, ending_of
     from datagen.scene.remarks import Remarks
 
     parts = READERS.find(ending_of(path))(path, Remarks()).objects

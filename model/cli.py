@@ -130,9 +130,10 @@ def fit(
         seed: Seed of all random numbers.
         overwrite: Start over. By default, finished stages are kept.
     """
+    from hyaline_photos.fit.fit import FitChoices
+    from hyaline_photos.fit.fit import fit as fit_glass
+
     from datagen.data.dataset import open_dataset
-    from model.fit.fit import FitChoices
-    from model.fit.fit import fit as fit_glass
 
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
@@ -263,7 +264,7 @@ def export(
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
     record, opened = open_trained(run, dataset)
     say(f"{run}: writing {out}")
-    from model.web.export import export_run
+    from hyaline_web.page.export import export_run
 
     export_run(run, record, opened, out, quality, truths)
     tell(str(out))
@@ -278,8 +279,9 @@ def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
             THIS_MACHINE` brings the viewer to that one's port 8080.
         device: Where to compute; auto uses a GPU if there is one.
     """
+    from hyaline_web.view.view import show
+
     from datagen.terminal.signals import Stopped
-    from model.view.view import show
 
     if not 0 <= port <= 65535:
         raise UsageError(f"--port: is {port}; expected 0 to 65535")

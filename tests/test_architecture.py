@@ -10,12 +10,12 @@ from collections.abc import Set
 from pathlib import Path
 
 import pytest
+from hyaline_export.formats import FORMATS
+from hyaline_import.datasets.import_dataset import READERS as DATASET_READERS
+from hyaline_import.foreign_files import READERS
+from hyaline_random.names import FAMILIES
 from support.soon import soon
 
-from datagen.export.formats import FORMATS
-from datagen.import_dataset.import_dataset import READERS as DATASET_READERS
-from datagen.scene.foreign_files import READERS
-from datagen.scene.random_names import FAMILIES
 from eval.tables.named import TABLES
 from model.methods.table import METHODS
 
@@ -35,18 +35,18 @@ HOMES = {
     "drjit": {"datagen"},
     "pymeshlab": {"proxies/meshing/meshlab.py"},
     "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
-    "skimage": {"eval", "model/fit/hull.py", "datagen/capture/fusing.py"},
+    "skimage": {"eval", "plugins/hyaline_photos/fit/hull.py", "plugins/hyaline_photos/capture/fusing.py"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {
-        *("datagen/scene/cutouts.py", "datagen/scene/importers/overlaps.py", "datagen/scene/mending.py"),
-        *("datagen/data/meshes.py", "model/fit/handles.py"),
+        *("datagen/scene/cutouts.py", "plugins/hyaline_import/overlaps.py", "datagen/scene/mending.py"),
+        *("datagen/data/meshes.py", "plugins/hyaline_photos/fit/handles.py"),
     },
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
-    "pycolmap": {"datagen/capture/structure.py"},
+    "pycolmap": {"plugins/hyaline_photos/capture/structure.py"},
     "submitit": {"datagen/machine/launch.py"},
-    "viser": {"model/view/server.py", "model/view/stage.py", "model/view/view.py"},
+    "viser": {"plugins/hyaline_web/view/server.py", "plugins/hyaline_web/view/stage.py", "plugins/hyaline_web/view/view.py"},
 }
 
 
@@ -78,14 +78,14 @@ FLOORS = {
 
 PERIPHERY = (
     *(
-        "datagen.export",
-        "datagen.capture",
-        "datagen.import_dataset",
-        "datagen.scene.importers",
-        "datagen.scene.procedural",
+        "hyaline_export",
+        "hyaline_photos.capture",
+        "hyaline_import.datasets",
+        "hyaline_import",
+        "hyaline_random",
     ),
-    *("eval.bench", "eval.papers", "model.methods.authors_code", "model.methods.deepvoxels", "model.methods.dnr"),
-    *("model.view", "model.web"),
+    *("hyaline_bench", "hyaline_paper", "hyaline_paper.authors_code", "hyaline_paper.deepvoxels", "model.methods.dnr"),
+    *("hyaline_web.view", "hyaline_web.page"),
 )
 """What the core finds by a table of plug-ins alone (datagen/terminal/plugins.py)."""
 DOORS = ("datagen/scene/finding.py", "hyaline/")

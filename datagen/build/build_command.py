@@ -3,6 +3,8 @@
 import dataclasses
 from pathlib import Path
 
+from hyaline_random.names import RANDOM, RandomName
+
 from datagen.build.build import build_dataset, refuse_unlit, summary
 from datagen.build.build_variant import build_variant, peel_variants
 from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
@@ -21,7 +23,6 @@ from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.random_names import RANDOM, RandomName
 from datagen.terminal.command import say, say_all
 from datagen.terminal.parsing import flag_words
 from datagen.terminal.preview import preview

@@ -3,21 +3,22 @@
 import dataclasses
 from pathlib import Path
 
-from datagen.data.config import Resolution
-from datagen.data.meshes import is_there
-from datagen.disk.errors import HyalineError
-from datagen.scene.builtin import SCENES, find_builtin
-from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene
-from datagen.scene.foreign_files import (
+from hyaline_import.foreign_files import (
     DEFAULT_RESOLUTION,
     OTHER_ENDINGS,
     READERS,
     check_ending,
     ending_of,
 )
+from hyaline_random.names import RANDOM, parse_random
+
+from datagen.data.config import Resolution
+from datagen.data.meshes import is_there
+from datagen.disk.errors import HyalineError
+from datagen.scene.builtin import SCENES, find_builtin
+from datagen.scene.description import Scene
+from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.random_names import RANDOM, parse_random
 from datagen.terminal.command import say, say_all
 
 
@@ -47,7 +48,7 @@ def find_scene(
         imports: how a file is imported.
     """
     if is_foreign(given):
-        from datagen.scene.importers.confined_import import imported_scene
+        from hyaline_import.confined_import import imported_scene
 
         say(f"scene {given}: importing it")
         scene, told = imported_scene(Path(given), imports, resolution=resolution)
@@ -66,7 +67,7 @@ def find_scene(
     if "/" in given:
         return load_scene(Path(given))
     if (random := parse_random(given)) is not None:
-        from datagen.scene.procedural.drawing import make_random
+        from hyaline_random.drawing import make_random
 
         return make_random(random)
     if given.startswith(RANDOM):

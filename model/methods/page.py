@@ -22,7 +22,7 @@ class MethodPage:
 
     shader: str
     """GLSL with a function `vec3 shade(vec3 o, vec3 d, vec2 row, uint ray)`: linear radiance of the ray from `o` along
-    `d`. It comes after model/web/rays.glsl and networks.glsl and may use all that these define."""
+    `d`. It comes after plugins/hyaline_web/page/rays.glsl and networks.glsl and may use all that these define."""
     defines: dict[str, int | float] = field(default_factory=dict)
     """Numbers by the names that the shader uses for them."""
     textures: NeuralTextures | TexturePyramid

@@ -23,11 +23,11 @@ BUILT_IN = {
     "dnr": "model.methods.dnr.config:DnrConfig",
     "dnr-layers": "model.methods.dnr.config:DnrLayersConfig",
     "dnr-authors": "model.methods.dnr.config:DnrAuthorsConfig",
-    "authors-code": "model.methods.authors_code.config:AuthorsConfig",
+    "authors-code": "hyaline_paper.authors_code.config:AuthorsConfig",
     "light-path": "model.methods.light_path.config:LightPathConfig",
-    "deepvoxels": "model.methods.deepvoxels.config:DeepVoxelsConfig",
-    "deepvoxels-paper": "model.methods.deepvoxels.config:DeepVoxelsPaperConfig",
-    "deepvoxels-original": "model.methods.deepvoxels.config:DeepVoxelsOriginalConfig",
+    "deepvoxels": "hyaline_paper.deepvoxels.config:DeepVoxelsConfig",
+    "deepvoxels-paper": "hyaline_paper.deepvoxels.config:DeepVoxelsPaperConfig",
+    "deepvoxels-original": "hyaline_paper.deepvoxels.config:DeepVoxelsOriginalConfig",
 }
 """The record of each method. A new one is a folder and a line here."""
 

@@ -22,7 +22,7 @@ from datagen.terminal.command import say, tell
 from model.run.experiments import Experiment, estimate_cpu_hours
 from model.settings.run_flags import RUNS
 
-MODULES = {"hyaline-bench": "eval.bench"}
+MODULES = {"hyaline-bench": "hyaline_bench"}
 """Packages of programs that are called differently."""
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hyaline_export.source import Source
 from support.traced_dataset import write_traced_dataset
 
 from benchmarks.exports import (
@@ -23,7 +24,6 @@ from benchmarks.exports import (
 )
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.disk.storage import sha256
-from datagen.export.source import Source
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hyaline_bench.leaderboard import track_rows
 
 from datagen.disk.errors import HyalineError
-from eval.bench.leaderboard import track_rows
 from eval.tables.grids import MISSING
 from eval.tables.pages import results_index, results_page
 

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
 from support.commands import run as command
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
 from datagen.data.images import read_png
-from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig
 from model.run.train import train

@@ -7,13 +7,13 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
+from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
 from support.pretend_cuda import CUDA, Counts, pretended_cuda
 from support.traced_dataset import write_traced_dataset
 from support.training import configured
 
 from datagen.data.dataset import Dataset
 from model.batches.rays import to_device
-from model.methods.deepvoxels.config import DeepVoxelsConfig
 from model.methods.table import open_inputs
 from model.nets.texture import constant_on, places_on
 from model.run.predict import predict_pixels

@@ -8,6 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.datasets.import_dataset import plan_import
 from support.checked import unchecked
 from support.hostile.jsons import changed, places, without
 from support.soon import soon
@@ -15,8 +17,6 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.cameras import look_at
 from datagen.disk.errors import HyalineError
-from datagen.import_dataset.choices import DatasetImportChoices
-from datagen.import_dataset.import_dataset import plan_import
 from datagen.scene.folder import load_scene, save_scene
 from model.run.experiments import read_experiment
 

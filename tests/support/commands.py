@@ -17,7 +17,7 @@ MAINS = {
     "proxies": "proxies.cli",
     "model": "model.cli",
     "report": "eval.cli",
-    "hyaline-bench": "eval.bench.cli",
+    "hyaline-bench": "hyaline_bench.cli",
     "benchmarks": "benchmarks.cli",
 }
 

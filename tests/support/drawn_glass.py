@@ -4,10 +4,9 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
-
-from model.fit.lathe import Axis, evenly
-from model.fit.search import penalty
-from model.fit.shapes import OUTSIDE, Revolution
+from hyaline_photos.fit.lathe import Axis, evenly
+from hyaline_photos.fit.search import penalty
+from hyaline_photos.fit.shapes import OUTSIDE, Revolution
 
 PIXELS = 400
 IS_EVEN = np.arange(PIXELS) % 2 == 0

@@ -5,13 +5,13 @@ import struct
 from pathlib import Path
 
 import numpy as np
+from hyaline_export.files import frame, mask_png, rgba_png, world_keys
+from hyaline_export.source import ROLES, Source
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import npy_bytes
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
-from datagen.export.files import frame, mask_png, rgba_png, world_keys
-from datagen.export.source import ROLES, Source
 from datagen.quantities.surfaces import surfaces_of
 
 

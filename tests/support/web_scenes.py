@@ -201,7 +201,7 @@ def opened_page(
     **window: int,
 ) -> Iterator[Watched]:
     """The page of a renderer in a browser."""
-    from model.web.export import scene_page
+    from hyaline_web.page.export import scene_page
 
     file = folder / "page.html"
     data = scene_page(renderer, config or renderer.config, dataset, TRUTH, quality, label="noise", still=STILL)  # pyright: ignore

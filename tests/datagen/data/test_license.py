@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
+from hyaline_export.formats import FORMATS
 from support import fake_renderer
 from support.builds import FLAGS, build_whole
 from support.commands import call, run
@@ -12,7 +13,6 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.dataset import open_dataset
 from datagen.disk.storage import load_sealed
-from datagen.export.formats import FORMATS
 from datagen.scene.builtin import SCENES
 from datagen.scene.folder import save_scene
 from datagen.scene.textures import ImageTexture

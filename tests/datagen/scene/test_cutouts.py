@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
+from hyaline_import.foreign import ForeignImage
+from hyaline_import.pictures import decoded
 from PIL import Image
 from scipy.ndimage import map_coordinates
 from support.scenes import WHITE, rendered, scene_of
@@ -22,8 +24,6 @@ from datagen.scene.cutouts import Cut, corner_uv_of, cut_out, opacity_of
 from datagen.scene.description import SceneObject
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.images import linear_pixels
-from datagen.scene.importers.foreign import ForeignImage
-from datagen.scene.importers.pictures import decoded
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import ball, sheet
 

@@ -18,7 +18,7 @@ PROGRAMS = {
     "datagen": "datagen.cli",
     "proxies": "proxies.cli",
     "model": "model.cli",
-    "hyaline-bench": "eval.bench.cli",
+    "hyaline-bench": "hyaline_bench.cli",
 }
 
 

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hyaline_export.formats import FORMATS
+from hyaline_random.drawing import draw_scene
+from hyaline_random.names import FAMILIES, RandomName, parse_random
 from support.commands import call
 from support.plugins import install, install_from_guide
 from support.synthetic import write_synthetic_dataset
@@ -17,10 +20,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import open_dataset
 from datagen.disk.errors import HyalineError
-from datagen.export.formats import FORMATS
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.procedural.drawing import draw_scene
-from datagen.scene.random_names import FAMILIES, RandomName, parse_random
 
 OFF = "OFF\n4 4 6\n0 0 0\n1 0 0\n0 1 0\n0 0 1\n3 0 2 1\n3 0 1 3\n3 1 2 3\n3 0 3 2\n"
 ROOT = Path(__file__).resolve().parents[3]

@@ -192,7 +192,7 @@ def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_
 def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    from model.methods.authors_code.config import AuthorsConfig
+    from hyaline_paper.authors_code.config import AuthorsConfig
 
     net = {
         "paper": NET,

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hyaline_paper.authors_code.config import AuthorsConfig
+from hyaline_paper.authors_code.renderer import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
 from support.training import assert_resumes, build, configured
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from model.batches.rays import load_pixels
-from model.methods.authors_code.config import AuthorsConfig
-from model.methods.authors_code.renderer import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
 from model.nets.extrinsics import Extrinsics, spherical_harmonics
 from model.run.predict import load_renderer, predict_pixels, render_predictions
 from model.run.run_folder import TrainConfig

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
+from hyaline_paper.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates, load
 from support.commands import call
 from support.opaque_cube import opaque_cube
 from support.reference import convolve, interpolate
@@ -22,8 +24,6 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from model.batches.view_batches import Views, load_views
-from model.methods.deepvoxels.config import DeepVoxelsConfig
-from model.methods.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates, load
 from model.methods.table import open_inputs
 from model.nets.voxel_grid import (
     VoxelGrid,

@@ -1,0 +1,180 @@
+"""The commands of `hyaline-bench`: floors, scores, the leaderboard, and hidden tests."""
+
+import os
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.terminal.command import choose, next_command, run, say, tell
+from datagen.terminal.parsing import CommandGroup, group
+
+BENCH = Path("bench")
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run("hyaline-bench", commands(), sys.argv[1:])
+
+
+def commands() -> CommandGroup:
+    """All commands of the program."""
+    by_name = {
+        "floors": floors,
+        "score": score,
+        "leaderboard": leaderboard,
+        "secret": secret,
+        "hide": hide,
+    }
+    return group("Score methods on the benchmark, and publish the leaderboard.", by_name)
+
+
+def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
+    """Predict with two methods that learn nothing: the mean training picture, and that of the nearest camera.
+
+    Args:
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        runs: Folder for the predictions.
+        data: Folder with the datasets.
+    """
+    from hyaline_bench.floors import write_floors
+    from hyaline_bench.protocol import load_protocol
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    for folder in write_floors(runs, data, preset, protocol):
+        tell(str(folder))
+    next_command(f"hyaline-bench score --preset {preset}")
+
+
+def score(
+    method: str | None = None,
+    /,
+    *,
+    preset: str = "demo",
+    track: str | None = None,
+    runs: Path = Path("runs"),
+    data: Path = Path("data"),
+    out: Path | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Score a method's predictions of all scenes against the truth, without running any code or network from it.
+
+    The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
+
+    Args:
+        method: Name of the runs' folders. Default: all methods; incomplete ones are left out.
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        track: The method's inputs: pictures (and cameras), masks, proxies, shapes or materials. Default: from its
+            run.json.
+        runs: Folder with the runs.
+        data: Folder with the datasets, DATA/SCENE, including their truth.
+        out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
+        overwrite: Replace the scores of other predictions.
+    """
+    from eval.tables.grids import TABLE_WIDTH
+    from eval.tables.looks import grid_text
+    from hyaline_bench.leaderboard import scene_grid
+    from hyaline_bench.protocol import left_out, load_protocol
+    from hyaline_bench.score import score_runs
+    from hyaline_bench.submission import find_runs
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    if out is not None and method is None:
+        raise UsageError("--out: goes with a method; name one")
+    found = find_runs(runs, data, preset, protocol)
+    if not found:
+        raise HyalineError(
+            f"{runs}: has no predictions of the {preset} datasets; make some with `model sweep bench --preset {preset}`"
+        )
+    names = sorted(found) if method is None else [choose("method", method, found)]
+    places = {name: out or BENCH / preset / "scores" / f"{name}.json" for name in names}
+    for name in names:
+        with left_out() if method is None else nullcontext():
+            scored = score_runs(found[name], places[name], protocol, preset=preset, track=track, overwrite=overwrite)
+            sys.stdout.write(grid_text(scene_grid(scored, protocol), "table", width=TABLE_WIDTH) + "\n")
+            say(f"{places.pop(name)}: track {scored.track}, {len(scored.scenes)} scenes")
+    if stale := [str(place) for place in places.values() if place.exists()]:
+        raise HyalineError(f"{', '.join(stale)}: from other predictions or code; pass --overwrite, or remove them")
+    if len(places) == len(names):
+        raise HyalineError(f"{runs}: no method could be scored at {preset}; the lines above say why")
+    next_command(f"hyaline-bench leaderboard --preset {preset}")
+
+
+def leaderboard(
+    scores: Path | None = None,
+    /,
+    *,
+    preset: str = "demo",
+    track: str | None = None,
+    out: Path | None = None,
+) -> None:
+    """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
+
+    Args:
+        scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
+        preset: Without SCORES: size of the datasets, tiny, small, demo or standard.
+        track: Instead of writing the page, print this track's tables as Markdown, as docs/results has them.
+        out: Folder for index.html. Default: bench/PRESET/leaderboard.
+    """
+    from eval.page.page import PAGE
+    from eval.page.report_folder import write_report
+    from hyaline_bench.leaderboard import leaderboard_page, track_page
+    from hyaline_bench.protocol import load_protocol
+    from hyaline_bench.score import read_scores
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    if track is not None:
+        choose("track", track, protocol.tracks)
+    folder = scores or BENCH / preset / "scores"
+    found = read_scores(folder)
+    if not found:
+        raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
+    if track is not None:
+        sys.stdout.write(track_page(track, found, protocol))
+        return
+    place = out or BENCH / found[0].preset / "leaderboard"
+    for path in write_report(place, {PAGE: lambda: leaderboard_page(found, protocol)}):
+        say(f"wrote {path}: {len(found)} submissions")
+    tell(str(place / PAGE))
+
+
+def secret(file: Path, /, *, preset: str = "demo") -> None:
+    """For verifiers: print the commitment of a secret, and the commands that build its hidden scenes.
+
+    Args:
+        file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
+        preset: Size of the hidden datasets: small, demo or standard.
+    """
+    from hyaline_bench.hidden import commitment_of, read_secret, verifier_commands
+    from hyaline_bench.protocol import load_protocol
+
+    protocol = load_protocol()
+    if not protocol.hidden_scenes(preset):
+        raise UsageError(f"--preset: {preset} has no hidden scenes; expected small, demo or standard")
+    text = read_secret(file)
+    tell(f"# commitment: {commitment_of(text)}")
+    for line in verifier_commands(text, preset, protocol):
+        tell(line)
+
+
+def hide(dataset: Path, /, *, scene: str, out: Path = Path()) -> None:
+    """For verifiers: split a dataset into one to publish, without the truth of its test views, and one for scoring.
+
+    Args:
+        dataset: Folder of a dataset with a secret seed.
+        scene: Name of the hidden scene, such as hidden-0.
+        out: Folder for public/SCENE-PRESET and truth/SCENE-PRESET.
+    """
+    from datagen.data.dataset import open_dataset
+    from hyaline_bench.hidden import hide_truth
+    from hyaline_bench.protocol import load_protocol
+
+    for folder in hide_truth(open_dataset(dataset), scene, out, load_protocol()):
+        tell(os.fspath(folder))
+
+
+if __name__ == "__main__":
+    main()

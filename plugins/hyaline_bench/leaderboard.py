@@ -1,0 +1,256 @@
+"""The leaderboard: the tables of each track, as one HTML page that needs no server, or as Markdown."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from statistics import fmean
+
+from datagen.data.config import TEST_SPLITS
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
+from datagen.pages.html import anchor, document, prose, section, tag
+from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
+from eval.tables.looks import grid_text, html_table, markdown_escaped
+from eval.tables.pages import Row
+from hyaline_bench.protocol import ALL, Protocol, load_protocol
+from hyaline_bench.score import COSTS, Scored, Summary, read_scores, summarise
+
+TRACKS = "bench"
+"""Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
+
+NOTES = (
+    "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
+    "percentile bootstrap over scenes. Below ceiling: distance to the PSNR that the noise of the truth allows. Median "
+    "and worst: of the scenes. 10°, 20°, 40° and edits: of all built-in scenes. Hidden: of all hidden scenes; everyone "
+    "can build the truth of the others. Edits: whole pictures are compared, although an edit changes few pixels.",
+    "CPU min, GB, frames/s: of training and prediction, means over scenes (memory: the largest), where the run's "
+    "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with other scenes "
+    "than the first come after those with the same: their averages cannot be compared.",
+)
+
+
+OTHERS = (
+    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
+    "docs/bench.md says."
+)
+"""What the command of a page does not make."""
+
+
+def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
+    """The page of scored submissions, all of one preset: the tables of each track."""
+    check_comparable(found, protocol)
+    title = f"hyaline-bench {protocol.version}, {found[0].preset}"
+    sections, links = [], []
+    for track, told in protocol.tracks.items():
+        inside = [scored for scored in found if scored.track == track]
+        tables = [html_table(grid) for grid in _grids(inside, protocol)] if inside else [tag("p", "No submission yet.")]
+        sections.append(section(f"Track: {track}", tag("p", prose(told)), *tables, id_=anchor("track", track)))
+        links.append(tag("li", tag("a", track, href=f"#{anchor('track', track)}")))
+    notes = [tag("p", note, class_="note") for note in (protocol.about, *NOTES)]
+    navigation = tag("nav", tag("ul", *links), aria_label="Tracks")
+    return document(title, tag("h1", title), *notes, *sections, navigation=navigation)
+
+
+def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
+    """The page of one track in Markdown."""
+    check_comparable(found, protocol)
+    inside = [scored for scored in found if scored.track == track]
+    if not inside:
+        raise HyalineError(f"{track}: the track has no submission")
+    preset = inside[0].preset
+    return "\n".join(
+        [
+            f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
+            "Allowed inputs:\n",
+            *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
+            "",
+            f"```\nmodel sweep {'bench-fitted' if track == 'masks' else 'bench'} --preset {preset}",
+            f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
+            f"{OTHERS}\n",
+            *(f"{markdown_escaped(note)}\n" for note in NOTES),
+            *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)),
+        ]
+    )
+
+
+def _grids(inside: Sequence[Scored], protocol: Protocol) -> list[Grid]:
+    """A track's tables: the methods, each scene's PSNR, and every score with dataset, seed and processor time."""
+    scenes = [scene_grid(scored, protocol) for scored in inside]
+    return [track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol), *scenes]
+
+
+def _told(track: str, protocol: Protocol) -> list[str]:
+    """What the track allows, and the tracks before it."""
+    names = list(protocol.tracks)
+    allowed = [protocol.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
+    return [text[0].upper() + text[1:] for text in allowed]
+
+
+def track_rows(folder: Path) -> dict[Row, str]:
+    """For the list of pages: a row for each track that has submissions, and the page's text."""
+    found, protocol = read_scores(folder), load_protocol()
+    rows: dict[Row, str] = {}
+    for track in protocol.tracks:
+        inside = [scored for scored in found if scored.track == track]
+        if not inside:
+            continue
+        scenes = max(len(scored.scenes) for scored in inside)
+        seeds = {scene.seed for scored in inside for scene in scored.scenes.values() if scene.seed is not None}
+        rows[
+            (
+                f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
+                f"{scenes} datasets",
+                "scores",
+                str(len(seeds)) if seeds else MISSING,
+                ", ".join(sorted({scored.code for scored in inside})),
+            )
+        ] = track_page(track, found, protocol)
+    return rows
+
+
+def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
+    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset."""
+    preset = found[0].preset
+    for scored in found:
+        if (scored.version, scored.preset) != (protocol.version, preset):
+            raise HyalineError(
+                f"{scored.name}: was scored with protocol {scored.version} at {shown(scored.preset)}; expected "
+                f"{protocol.version} at {preset}, as the others"
+            )
+    digests: dict[str, str] = {}
+    for scored in found:
+        for scene, result in scored.scenes.items():
+            if digests.setdefault(scene, result.dataset) != result.dataset:
+                raise HyalineError(
+                    f"{scored.name}: was scored on another dataset of {scene} ({result.dataset[:12]}, others on "
+                    f"{digests[scene][:12]}); predict and score it again on the one that the protocol names"
+                )
+
+
+def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
+    """One row a submission: the most scenes first, those with the same scenes together, then the highest PSNR."""
+    ranked = _ranked(found, protocol)
+    equal = [scored for scored in ranked if set(scored.scenes) == set(ranked[0].scenes)]
+    others = {key: short for key, short in protocol.columns().items() if key != ALL}
+    numbers = ("PSNR dB ↑", "below ceiling dB ↓", "median dB ↑", "worst dB ↑")
+    return Grid(
+        title=title,
+        columns=(
+            Column(group="method", is_number=False),
+            Column(group="scenes"),
+            Column(group=numbers[0]),
+            Column(group="95 % interval", is_number=False),
+            *(Column(group=name) for name in numbers[1:]),
+            Column(group="worst scene", is_number=False),
+            *(Column(group=f"{short} ↑") for short in (*others.values(), "hidden")),
+            Column(group="CPU min ↓"),
+            Column(group="GB ↓"),
+            Column(group="frames/s ↑"),
+            Column(group="seed"),
+            Column(group="code", is_number=False),
+        ),
+        rows=tuple(_row(scored, list(others), protocol) for scored in ranked),
+        best=frozenset({(0, 2)}) if len(equal) > 1 else frozenset(),
+    )
+
+
+def _ranked(found: Sequence[Scored], protocol: Protocol) -> list[Scored]:
+    def rank(scored: Scored) -> tuple[int, list[str], float, str]:
+        summary = summarise(scored, ALL, protocol.bootstrap)
+        return -len(scored.scenes), sorted(scored.scenes), 0.0 if summary is None else -summary.mean, scored.name
+
+    return sorted(found, key=rank)
+
+
+def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str, ...]:
+    total = len(protocol.all_scenes(scored.preset))
+    public, hidden = (names(scored.preset) for names in (protocol.public_scenes, protocol.hidden_scenes))
+    built_in = [scene for scene in public if scene in protocol.scenes]
+    columns = [
+        summarise(scored, column, protocol.bootstrap, among=None if column in TEST_SPLITS else built_in)
+        for column in others
+    ]
+    columns.append(summarise(scored, ALL, protocol.bootstrap, among=hidden) if hidden else None)
+    seeds = sorted({scene.seed for scene in scored.scenes.values() if scene.seed is not None})
+    return (
+        scored.name,
+        f"{len(scored.scenes)}/{total}",
+        *_summary_cells(summarise(scored, ALL, protocol.bootstrap)),
+        *(format_number(None if column is None else column.mean, 2) for column in columns),
+        *_cost_cells(scored),
+        ", ".join(map(str, seeds)) or MISSING,
+        scored.code,
+    )
+
+
+def _summary_cells(summary: Summary | None) -> tuple[str, ...]:
+    if summary is None:
+        return (MISSING,) * 6
+    interval = MISSING if summary.low is None else f"{summary.low:.2f} to {summary.high:.2f}"
+    gap, worst = format_number(summary.gap, 2), f"{summary.worst:.2f}"
+    return f"{summary.mean:.2f}", interval, gap, f"{summary.median:.2f}", worst, summary.worst_scene
+
+
+def _cost_cells(scored: Scored) -> tuple[str, ...]:
+    """Processor minutes, gigabytes and frames a second; a scene that lacks one leaves it out of the mean."""
+    scenes = scored.scenes.values()
+    cpu, memory, frames = ([scene.costs[key] for scene in scenes if key in scene.costs] for key in COSTS)
+    return (
+        format_number(fmean(cpu) / 60 if cpu else None, 2),
+        format_number(max(memory) / 1e9 if memory else None, 2),
+        format_number(fmean(frames) if frames else None, 2),
+    )
+
+
+def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
+    """The scores of each scene, with the digest of its dataset, the seed and the processor time."""
+    columns = protocol.columns()
+    rows = [
+        (
+            name,
+            scene.dataset[:12],
+            MISSING if scene.seed is None else str(scene.seed),
+            format_number(scene.costs.get("cpu_seconds"), 0),
+            format_number(scene.gap_db(ALL), 2),
+            *(format_number(scene.psnr_db(column) if scene.values(column) else None, 2) for column in columns),
+        )
+        for name, scene in scored.scenes.items()
+    ]
+    packed = f"packed by hyaline {scored.packed_by}, " if scored.packed_by else ""
+    return Grid(
+        title=f"{scored.name}: each scene",
+        columns=(
+            *(Column(group=text, is_number=False) for text in ("scene", "dataset")),
+            *(Column(group=text) for text in ("seed", "CPU s ↓", "below ceiling dB ↓")),
+            *(Column(group=f"{short} ↑") for short in columns.values()),
+        ),
+        rows=tuple(rows),
+        notes=(f"Submission {scored.submission[:12]}, {packed}scored by {scored.scored_by}.",),
+    )
+
+
+def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
+    """Scenes by methods."""
+    scenes = [scene for scene in protocol.all_scenes(found[0].preset) if any(scene in each.scenes for each in found)]
+    values = [[_psnr_db(scored, scene) for scored in found] for scene in scenes]
+    return Grid(
+        title="PSNR of each scene, dB",
+        columns=(Column(group="scene", is_number=False), *(Column(group=scored.name) for scored in found)),
+        rows=tuple(
+            (scene, *(format_number(value, 2) for value in row)) for scene, row in zip(scenes, values, strict=True)
+        ),
+        best=_best(values),
+    )
+
+
+def _psnr_db(scored: Scored, scene: str) -> float | None:
+    return scored.scenes[scene].psnr_db(ALL) if scene in scored.scenes else None
+
+
+def _best(values: Sequence[Sequence[float | None]]) -> frozenset[tuple[int, int]]:
+    """Places of the highest value of each row, after a first column of names."""
+    best = set()
+    for place, row in enumerate(values):
+        known: Mapping[int, float] = {column: value for column, value in enumerate(row) if value is not None}
+        if len(known) > 1:
+            best.add((place, 1 + max(known, key=lambda column: known[column])))
+    return frozenset(best)

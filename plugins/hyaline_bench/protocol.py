@@ -1,0 +1,221 @@
+"""The benchmark's protocol: scenes, sizes, splits, edits and tracks, from protocol.toml."""
+
+import functools
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from hyaline_paper.known import FITTED_MATERIALS
+
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import NO_GEOMETRY
+from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
+from datagen.data.variants import ANGLES
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, from_json, load_toml
+from datagen.scene.edits import edits_name, parse_edit
+from datagen.terminal.command import choose, say
+from eval.score.runs import Run
+
+PROTOCOL = Path(__file__).with_name("protocol.toml")
+
+ALL, EDITS = "all", "edits"
+"""Columns besides the splits: the mean over all cameras' splits, and over the test splits of both edits."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """The size of a preset's datasets."""
+
+    resolution: int
+    train: SplitConfig
+    test: SplitConfig
+    scenes: tuple[str, ...] = ()
+    """The scenes that belong to the preset; empty for all."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Random:
+    """The random scenes that everybody can build."""
+
+    first_seed: int
+    count: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """The scenes that only a verifier can build."""
+
+    count: int
+    commitment: str
+    """SHA-256 of the verifier's secret; empty while no round is open."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bootstrap:
+    """How intervals over scenes are found."""
+
+    resamples: int
+    seed: int
+    confidence: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Protocol:
+    """The content of protocol.toml."""
+
+    version: int
+    about: str
+    presets: dict[str, Size]
+    scenes: dict[str, tuple[str, ...]]
+    """The built-in scenes, and the edits of each."""
+    random: Random
+    hidden: Hidden
+    splits: dict[str, str]
+    """The splits that every submission predicts, and where their cameras are."""
+    tracks: dict[str, str]
+    """What a method may be told, from least to most."""
+    bootstrap: Bootstrap
+
+    def size(self, preset: str) -> Size:
+        return self.presets[choose("preset", preset, self.presets)]
+
+    def public_scenes(self, preset: str) -> list[str]:
+        """The scenes of a preset that everybody can build."""
+        seeds = range(self.random.first_seed, self.random.first_seed + self.random.count)
+        every = [*self.scenes, *(f"random-{seed:04d}" for seed in seeds)]
+        return [name for name in every if name in (self.size(preset).scenes or every)]
+
+    def hidden_scenes(self, preset: str) -> list[str]:
+        """The names under which hidden scenes are published; none in a preset that lists its scenes."""
+        return [] if self.size(preset).scenes else [f"hidden-{place}" for place in range(self.hidden.count)]
+
+    def all_scenes(self, preset: str) -> list[str]:
+        return [*self.public_scenes(preset), *self.hidden_scenes(preset)]
+
+    def edit_variants(self, scene: str) -> list[str]:
+        """The names of the variants with a scene's edits."""
+        return [edits_name((parse_edit(edit),)) for edit in self.scenes.get(scene, ())]
+
+    def variant_splits(self, scene: str) -> dict[str, Sequence[Split]]:
+        """The variants to predict beside the scene itself, and their splits."""
+        if scene not in self.scenes:
+            return {}  # The cameras of random scenes leave no room 40 degrees outside.
+        splits: dict[str, Sequence[Split]] = {ANGLES: [split for split in ANGLE_SPLITS if split in self.splits]}
+        return splits | dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)
+
+    def columns(self) -> dict[str, str]:
+        """What is averaged over scenes, with a short title."""
+        short = {"interpolating": "inter", "extrapolating": "extra"}
+        angles = {split: f"{degrees:.0f}°" for split, degrees in ANGLE_SPLITS.items()}
+        return {ALL: "all", **{split: (short | angles)[split] for split in self.splits}, EDITS: EDITS}
+
+
+@functools.cache
+def load_protocol() -> Protocol:
+    """The protocol of this version."""
+    return from_json(Protocol, cast(Json, load_toml(PROTOCOL)), where=str(PROTOCOL))
+
+
+@contextmanager
+def left_out() -> Iterator[None]:
+    """Says what is wrong with a dataset, a run or a method, and goes on with the next one."""
+    try:
+        yield
+    except HyalineError as error:
+        say(f"left out: {error}")
+
+
+def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
+    """True for a dataset of one of the preset's scenes.
+
+    Raises:
+        HyalineError: it has the preset's name, but another size, seed or depth of paths.
+    """
+    config = dataset.config
+    if config.preset != preset or config.scene not in protocol.all_scenes(preset) or dataset.parent is not None:
+        return False
+    size = protocol.size(preset)
+    asked = DatasetConfig(
+        scene=config.scene,
+        preset=preset,
+        resolution=square(size.resolution),
+        train=size.train,
+        interpolating=size.test,
+        extrapolating=size.test,
+    )
+    if config != asked:
+        raise HyalineError(
+            f"{dataset.root}: not what hyaline-bench {protocol.version} names for {preset}: {size.resolution} pixels, "
+            f"{size.train.views} + {size.test.views} + {size.test.views} views, {size.train.spp} and {size.test.spp} "
+            f"samples per pixel, seed {asked.seed}, paths of {asked.max_depth} segments; build it again with `datagen "
+            f"build {config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`, or keep it "
+            "elsewhere"
+        )
+    return True
+
+
+TOLD = {
+    "masks": ("mask",),
+    "proxies": ("proxies", "proxy"),
+    "shapes": ("shape", "mesh", "true geometry"),
+    "materials": ("material", "refraction", "everything"),
+}
+"""What the words of a foreign method's `knowledge` contain that belongs to each track, from least to most."""
+
+
+def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
+    """The first track that allows what a run was told, by its record; None if the record does not say."""
+    least = _least_by_geometry(run, tracks)
+    if run.seal is not None:
+        return least  # `model train` words its knowledge by the same geometry and materials.
+    words = (run.knowledge or "").lower()
+    named = [track for track, parts in TOLD.items() if any(part in words for part in parts)]
+    return max([*named, *([] if least is None else [least])], key=list(tracks).index, default=None)
+
+
+def _least_by_geometry(run: Run, tracks: Mapping[str, str]) -> str | None:
+    pictures, masks, proxies, shapes, materials = tracks
+    geometry, told = run.geometry, run.told
+    if geometry is None:
+        return None
+    if is_fitted(geometry):
+        if run.uses_materials and (told is None or told):
+            return materials  # Of other objects at least, such as varnish on a floor.
+        return shapes if told or geometry == FITTED_MATERIALS else masks
+    if run.uses_materials:
+        return materials
+    if geometry == NO_GEOMETRY:
+        return pictures
+    kind = geometry.partition("-")[0]
+    if geometry == TRUTH or kind in (MIXED, "noise"):  # A mixture may hold true meshes; noise may be less than a pixel.
+        return shapes
+    return proxies if kind in PROXY_KINDS else None
+
+
+def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
+    """The track of a run: the one that was asked for, if it may be told that much there, or the first that fits.
+
+    The record of a foreign method is a promise, so its track must be asked for, unless it was told pictures alone.
+    """
+    least = least_track(run, tracks)
+    if asked is None:
+        is_own = run.seal is not None
+        if least is None or not (is_own or run.geometry == NO_GEOMETRY):
+            raise HyalineError(
+                f"{run.folder}: run.json does not show all inputs of the method; name the track with --track, "
+                f"one of {', '.join(tracks)}"
+            )
+        return least
+    choose("track", asked, tracks)
+    order = list(tracks)
+    if least is not None and order.index(asked) < order.index(least):
+        raise HyalineError(
+            f"{run.folder}: uses inputs ({run.knowledge or run.geometry}) that the track {asked} does not allow; "
+            f"submit it to {least}"
+        )
+    return asked

@@ -1,0 +1,322 @@
+"""Scores of a submission against the truth: each scene's, and what they average to."""
+
+import dataclasses
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.config import Split
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import refuse_file
+from datagen.disk.records import Json, from_json, load_json, shown, to_json
+from datagen.disk.storage import commit_sealed, dump_json, load_sealed, sha256
+from datagen.machine.doctor import code_version
+from datagen.terminal.command import say
+from datagen.terminal.command import track as progress
+from datagen.terminal.signals import replacing_at_the_end
+from eval.score.metrics import mean_of
+from eval.score.runs import Run, prediction_digests, prediction_path, read_costs
+from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
+from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, left_out, load_protocol
+from hyaline_bench.submission import list_predictions
+
+COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
+"""What scores repeat of a run's costs.json."""
+MEAN_ABOVE_CEILING, ABOVE_CEILING = 1.0, 3.0
+"""dB by which a split's mean and a single picture's score may exceed the noise ceiling, which is an estimate. Against
+pictures of 64 times the samples, those of `pool` with 32 x 32 pixels are off by 0.6 dB (standard deviation)."""
+MAX_WORDS = 200
+"""Characters of a run's texts that scores repeat."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SplitResult:
+    """The scores of one split, or of one split after an edit."""
+
+    metrics: dict[str, float | None]
+    """Means over the split's pictures, by the metric's key; None if undefined."""
+    psnr_db: tuple[float | None, ...]
+    """PSNR of each picture; None, in files of earlier versions, if it equals the truth."""
+    ceiling_db: float | None
+    """PSNR of the truth's own noise; None if it is unknown."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneResult:
+    """The scores of one scene, and how they came about."""
+
+    dataset: str
+    """Digest of the dataset."""
+    seed: int | None
+    num_parameters: int | None
+    costs: dict[str, float]
+    """What the run's costs.json has of `COSTS`."""
+    splits: dict[str, SplitResult]
+    """By split; `EDIT/SPLIT` after an edit."""
+
+    def values(self, column: str) -> list[SplitResult]:
+        """The splits that a column averages."""
+        if column == ALL:
+            return [result for name, result in self.splits.items() if "/" not in name]
+        if column == EDITS:
+            return [result for name, result in self.splits.items() if "/" in name]
+        return [self.splits[column]] if column in self.splits else []
+
+    def psnr_db(self, column: str) -> float | None:
+        return _mean([result.metrics["psnr_db"] for result in self.values(column)])
+
+    def gap_db(self, column: str) -> float | None:
+        """How far the PSNR is below the noise ceiling."""
+        pairs = [(result.ceiling_db, result.metrics["psnr_db"]) for result in self.values(column)]
+        return _mean([None if ceiling is None or psnr is None else ceiling - psnr for ceiling, psnr in pairs])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """A scored submission."""
+
+    version: int
+    """Version of the protocol."""
+    preset: str
+    name: str
+    track: str
+    method: str | None
+    knowledge: str | None
+    """What the method was told besides pictures and cameras, by its record."""
+    submission: str
+    """Digest of the predictions; in files of earlier versions, that of the archive that they came in."""
+    packed_by: str = ""
+    """Version of the code that packed the archive, in files of earlier versions."""
+    scored_by: str
+    """Version of the code that scored it."""
+    scenes: dict[str, SceneResult]
+    truths: str = ""
+    """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
+
+    @property
+    def code(self) -> str:
+        """The version that tables name."""
+        return self.packed_by or self.scored_by
+
+
+@dataclass(frozen=True, kw_only=True)
+class Summary:
+    """A column's PSNR over scenes in dB."""
+
+    mean: float
+    low: float | None
+    """Ends of the mean's confidence interval; None for a single scene."""
+    high: float | None
+    median: float
+    worst: float
+    worst_scene: str
+    gap: float | None
+    """Mean distance to the noise ceiling; None if one is unknown."""
+
+
+@replacing_at_the_end()
+def score_runs(
+    runs: Mapping[str, Run], out: Path, protocol: Protocol, *, preset: str, track: str | None, overwrite: bool
+) -> Scored:
+    """Scores a method's runs, by scene, and writes the result; what was scored before is read again.
+
+    Args:
+        track: None: the first track that allows what the method was told, by its record.
+
+    Raises:
+        HyalineError: predictions are damaged or incomplete, or `out` has other scores.
+    """
+    order = list(protocol.tracks)
+    track = max((choose_track(run, track, protocol.tracks) for run in runs.values()), key=order.index)
+    if withheld := [scene for scene, run in runs.items() if run.dataset.withheld]:
+        say(f"left out: {', '.join(withheld)}: a verifier keeps the truth of their test views")
+    runs = {scene: run for scene, run in runs.items() if scene not in withheld}
+    if not runs:
+        raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
+    parts = {scene: _parts(run, protocol) for scene, run in runs.items()}
+    asked = [part for of_scene in parts.values() for part in of_scene]
+    pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
+    submission = sha256(b"".join(pictures))
+    arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
+    truths = sha256(b"".join(array.tobytes() for array in arrays))
+    if out.is_file() and not overwrite:
+        before = read_scored(out)
+        same = before.submission == submission and before.truths == truths and before.track == track
+        if same and before.scored_by == code_version():
+            say(f"{out}: is finished")
+            return before
+    refuse_file(out, overwrite=overwrite)
+    first = next(iter(runs.values()))
+    every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
+    scenes = {scene: _score_scene(run, parts[scene]) for scene, run in every}
+    scored = Scored(
+        version=protocol.version,
+        preset=preset,
+        name=first.name,
+        track=track,
+        method=None if first.method is None else first.method[:MAX_WORDS],
+        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
+        submission=submission,
+        scored_by=code_version(),
+        scenes=scenes,
+        truths=truths,
+    )
+    commit_sealed(out, cast(dict[str, Json], to_json(scored)))
+    return scored
+
+
+def read_scored(path: Path) -> Scored:
+    """A scored submission from its file."""
+    content = load_sealed(path)
+    content.pop("failures", None)  # Files of earlier versions have pictures of the worst views.
+    return from_json(Scored, cast(Json, content), where=str(path))
+
+
+def read_scores(folder: Path) -> list[Scored]:
+    """The scored submissions in a folder, named by their files if two have one name.
+
+    A file of another version, or of a track that the protocol does not have, is named and left out.
+    """
+    found: dict[str, Scored] = {}
+    for path in sorted(folder.glob("*.json")):
+        with left_out():
+            scored, protocol = read_scored(path), load_protocol()
+            if scored.version != protocol.version:
+                raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
+            if scored.track not in protocol.tracks:
+                known = ", ".join(protocol.tracks)
+                raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
+            found[path.stem] = scored
+    if len({scored.name for scored in found.values()}) == len(found):
+        return list(found.values())
+    return [dataclasses.replace(scored, name=name) for name, scored in found.items()]
+
+
+Part = tuple[Run, Split, Truth]
+"""The predictions of a dataset or a variant on one split, and their truth."""
+
+
+def _parts(run: Run, protocol: Protocol) -> list[Part]:
+    """What is scored of a run; means over some edits cannot be compared, so there are all or none."""
+    listed = list_predictions(run, protocol)
+    edits = {part.dataset.name for part, _ in listed if part.dataset.edit is not None}
+    has_all = edits == set(protocol.edit_variants(run.dataset.config.scene))
+    return [
+        (part, split, read_truth(part.dataset, split))
+        for part, splits in listed
+        if has_all or part.dataset.edit is None
+        for split in splits
+    ]
+
+
+def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
+    splits: dict[str, SplitResult] = {}
+    for part, split, truth in parts:
+        scores = score_run(part, {split: truth}).splits[split]
+        assert scores is not None, "list_predictions lists splits that are there"
+        home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
+        splits[f"{home}{split}"] = _result(part, split, truth, scores)
+    return SceneResult(
+        dataset=run.dataset.seal,
+        seed=run.seed,
+        num_parameters=run.num_parameters,
+        costs={key: value for key, value in _costs(run).items() if key in COSTS},
+        splits=splits,
+    )
+
+
+def _costs(run: Run) -> dict[str, float]:
+    """A run's costs; says which of them are no numbers, so that its scores lack them."""
+    path, costs = run.folder / "costs.json", read_costs(run.folder)
+    with left_out():
+        found = load_json(path) if path.is_file() else {}
+        for key in sorted({*COSTS} & {*found} - {*costs}):
+            raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
+    return costs
+
+
+def _result(run: Run, split: Split, truth: Truth, scores: SplitScores) -> SplitResult:
+    """A split's scores.
+
+    Raises:
+        HyalineError: pictures are nearer to the truth than the truth's own noise lets any method come.
+    """
+    limits = {}
+    for view, psnr in zip(run.dataset.views(split), scores.images["psnr_db"], strict=True):
+        limits[prediction_path(run, split, view.index)] = (psnr, view.record.ceiling_db, ABOVE_CEILING)
+    mean = scores.mean("psnr_db")
+    limits[run.folder / "predictions" / split] = (mean, truth.ceiling_db, MEAN_ABOVE_CEILING)
+    for path, (psnr, ceiling, above) in limits.items():
+        assert ceiling is not None and psnr is not None, "the benchmark's datasets are rendered here"
+        if psnr > ceiling + above:
+            raise HyalineError(
+                f"{path}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {ceiling:.1f} dB; expected pictures "
+                "that do not know the truth's noise"
+            )
+    means = {metric.key: scores.mean(metric.key) for metric in METRICS}
+    return SplitResult(
+        # A glass PSNR may be infinite where few pixels see glass.
+        metrics={key: None if value == math.inf else value for key, value in means.items()},
+        psnr_db=tuple(scores.images["psnr_db"]),
+        ceiling_db=truth.ceiling_db,
+    )
+
+
+# Averages
+
+
+def summarise(
+    scored: Scored, column: str, bootstrap: Bootstrap, *, among: Collection[str] | None = None
+) -> Summary | None:
+    """A column over the scenes that have it; None if there are none, or a score is undefined.
+
+    Args:
+        among: only these scenes, each of which must have the column.
+    """
+    scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
+    if among is not None:
+        scenes = {name: scene for name, scene in scenes.items() if name in among}
+        if len(scenes) < len(among):
+            return None
+    known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
+    if not known or len(known) < len(scenes):
+        return None
+    values = np.array(list(known.values()))
+    low, high = mean_interval(values, bootstrap)
+    worst = min(known, key=lambda name: known[name])
+    return Summary(
+        mean=float(values.mean()),
+        low=low,
+        high=high,
+        median=float(np.median(values)),
+        worst=known[worst],
+        worst_scene=worst,
+        gap=_mean([scene.gap_db(column) for scene in scenes.values()]),
+    )
+
+
+def mean_interval(
+    values: Float[np.ndarray, "scene"],
+    bootstrap: Bootstrap,
+) -> tuple[float, float] | tuple[None, None]:
+    """The percentile bootstrap's interval of the mean; None for a single value.
+
+    Source: Efron and Tibshirani 1993, chapter 13.
+    """
+    if len(values) < 2:
+        return None, None
+    rng = np.random.default_rng(bootstrap.seed)
+    means = rng.choice(values, (bootstrap.resamples, len(values))).mean(axis=1)
+    tail = (1 - bootstrap.confidence) / 2
+    low, high = np.quantile(means, [tail, 1 - tail])
+    return float(low), float(high)
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    """The mean; None if there are none, or one is missing."""
+    return mean_of(values) if None not in values else None

@@ -1,0 +1,539 @@
+"""Tests of the benchmark from predictions to the leaderboard, and of what it refuses."""
+
+import dataclasses
+import json
+import math
+import os
+import re
+import shutil
+import signal
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.stats
+from hyaline_bench.floors import nearest_view
+from hyaline_bench.leaderboard import check_comparable, track_grid
+from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track
+from hyaline_bench.score import mean_interval, read_scored, summarise
+from support.builds import tree
+from support.commands import call, run
+from support.synthetic import look_at
+
+from datagen.data.cameras import Cameras
+from datagen.data.dataset import open_dataset
+from datagen.data.images import png_bytes, read_png
+from datagen.data.variants import open_variant
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import seal_bytes
+from datagen.terminal.signals import Stopped
+from eval.score.runs import open_run
+
+SCORES = Path("bench/tiny/scores/nearest-view.json")
+MEAN = Path("bench/tiny/scores/mean-picture.json")
+
+
+@pytest.fixture
+def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_protocol: Protocol) -> Path:
+    """A copy of both datasets, as the working directory."""
+    shutil.copytree(made / "data", tmp_path / "here" / "data")
+    monkeypatch.chdir(tmp_path / "here")
+    return tmp_path / "here"
+
+
+@pytest.fixture
+def predicted(here: Path) -> Path:
+    """The same with the floors' predictions."""
+    run("hyaline-bench floors --preset tiny")
+    return here
+
+
+def psnr(one: np.ndarray, other: np.ndarray) -> float:
+    return 10 * math.log10(255**2 / np.mean((one.astype(float) - other) ** 2))
+
+
+# From predictions to the leaderboard
+
+
+def test_floors_are_scored_and_shown(predicted: Path, small_protocol: Protocol) -> None:
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 0 and "nearest-view: each scene" in answer.out
+    scored = read_scored(SCORES)
+    assert (scored.track, scored.preset, len(scored.scenes)) == ("pictures", "tiny", 2)
+    for name, scene in scored.scenes.items():
+        dataset = open_dataset(Path(f"data/{name}-tiny"))
+        assert scene.dataset == dataset.seal
+        angles = open_variant(dataset, "angles")
+        values, gaps = [], []
+        parts = [(dataset, "interpolating"), (dataset, "extrapolating"), (angles, "extrapolating-10deg")]
+        for source, split in parts if name == "synthetic" else parts[:2]:
+            folder = Path(f"runs/{name}-tiny/nearest-view") / ("variants/angles" if source is angles else "")
+            own = [
+                psnr(read_png(folder / "predictions" / split / f"{view.index:04d}.png"), view.image)
+                for view in source.views(split)
+            ]
+            values.append(np.mean(own))
+            noise = 1e-5 if source is dataset else 1e-4
+            gaps.append(-10 * np.log10(noise + 1 / 6 / 255**2) - np.mean(own))
+        assert scene.psnr_db(ALL) == pytest.approx(np.mean(values))
+        assert scene.gap_db(ALL) == pytest.approx(np.mean(gaps))
+    edited = summarise(scored, EDITS, small_protocol.bootstrap)
+    assert edited is not None and edited.worst_scene == "synthetic" and edited.low is None
+    one, other = (scene.psnr_db(ALL) for scene in scored.scenes.values())
+    summary = summarise(scored, ALL, small_protocol.bootstrap)
+    assert summary is not None and one is not None and other is not None
+    assert (summary.low, summary.worst, summary.high) == pytest.approx(
+        (min(one, other), min(one, other), max(one, other))
+    )
+
+    run("hyaline-bench leaderboard --preset tiny")
+    page = Path("bench/tiny/leaderboard/index.html").read_text()
+    assert f">{summary.mean:.2f}<" in page and page.count("No submission yet.") == 4
+    assert page.count('class="sortable"') == 4  # The track, its scenes by methods, and each method's scenes.
+    assert "default-src 'none'; img-src data:" in page and "http:" not in page and "https:" not in page
+    printed = call("hyaline-bench leaderboard --preset tiny --track pictures").out
+    assert printed.startswith("# hyaline-bench 1, tiny: pictures\n")
+    assert f"| synthetic | {read_scored(MEAN).scenes['synthetic'].psnr_db(ALL):.2f} | " in printed
+    assert f"| synthetic | {open_dataset(Path('data/synthetic-tiny')).seal[:12]} | " in printed
+    answer = call("hyaline-bench leaderboard --preset tiny --track shapes")
+    assert answer.status == 1 and "shapes: the track has no submission" in answer.error
+    before = tree(predicted)
+    for command in ("floors", "score", "leaderboard"):
+        run(f"hyaline-bench {command} --preset tiny")
+    assert tree(predicted) == before
+
+
+def test_a_foreign_method_names_its_track_and_need_not_predict_edits(predicted: Path) -> None:
+    for name in ("synthetic", "random-7100"):
+        folder = Path(f"runs/{name}-tiny/mine")
+        shutil.copytree(f"runs/{name}-tiny/mean-picture", folder)
+        (folder / "run.json").unlink()
+        (folder / "costs.json").write_text('{"cpu_seconds": 90, "frames_per_second": 5}')
+    shutil.rmtree("runs/synthetic-tiny/mine/variants/remove-pane")
+    assert "name the track with --track" in call("hyaline-bench score mine --preset tiny").error
+    Path("runs/gone/mine/predictions/interpolating").mkdir(parents=True)
+    answer = call("hyaline-bench score mine --preset tiny --track masks --out scores/mine.json")
+    assert answer.status == 0 and "left out: runs/gone/mine: no dataset at data/gone" in answer.err
+    scored = read_scored(Path("scores/mine.json"))
+    assert scored.track == "masks" and not scored.scenes["synthetic"].values(EDITS)
+    assert scored.scenes["synthetic"].costs == {"cpu_seconds": 90, "frames_per_second": 5}
+    run("hyaline-bench leaderboard scores --preset tiny --out page")
+    row = re.search(r"<tr><th.*?>mine<.*?</tr>", Path("page/index.html").read_text())
+    assert row is not None and ">1.50<" in row[0] and ">5.00<" in row[0]
+    again = call("hyaline-bench score mine --preset tiny --track shapes --out scores/mine.json")
+    assert again.status == 1 and "is there already; pass --overwrite" in again.error, "another track is another score"
+
+
+def test_predictions_for_other_data_are_not_scored(predicted: Path) -> None:
+    for path in Path("runs").glob("*/nearest-view/run.json"):
+        path.write_text(path.read_text().replace('"dataset_seal": "', '"dataset_seal": "0'))
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 0 and "the predictions are for other data" in answer.err
+    assert not SCORES.exists() and MEAN.exists()
+    assert "no method 'nearest-view'" in call("hyaline-bench score nearest-view --preset tiny").error
+    shutil.copytree("data", "kept")
+    shutil.rmtree("data/random-7100-tiny")
+    for path in Path("runs").glob("random-*/mean-picture/run.json"):
+        path.write_text(path.read_text().replace("data/random", "kept/random"))
+    answer = call("hyaline-bench score mean-picture --preset tiny --out new.json")
+    assert answer.status == 0 and "which is not in data; set --data" in answer.err
+    assert set(read_scored(Path("new.json")).scenes) == {"synthetic"}
+
+
+def test_a_second_dataset_of_a_scene_is_left_out(predicted: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    before = tree(predicted)
+    shutil.copytree("data/synthetic-tiny", "data/synthetic")
+    shutil.copytree("runs/synthetic-tiny", "runs/synthetic")
+    for path in Path("runs/synthetic").glob("*/run.json"):
+        path.write_text(path.read_text().replace("data/synthetic-tiny", "data/synthetic"))
+    run("hyaline-bench floors --preset tiny")
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 0 and "left out: runs/synthetic/mean-picture: is a second run" in answer.err
+    shutil.rmtree("data/synthetic")
+    shutil.rmtree("runs/synthetic")
+    assert tree(predicted) == before
+
+
+def test_scores_of_earlier_predictions_are_named_and_replaced_on_demand(predicted: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    before = SCORES.read_bytes()
+    shutil.copy(
+        "runs/synthetic-tiny/nearest-view/predictions/interpolating/0000.png",
+        "runs/synthetic-tiny/nearest-view/predictions/interpolating/0001.png",
+    )
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 1 and f"{SCORES}: from other predictions or code; pass --overwrite" in answer.error
+    assert SCORES.read_bytes() == before
+    run("hyaline-bench score --preset tiny --overwrite")
+    assert SCORES.read_bytes() != before
+
+
+def test_truth_that_came_later_asks_for_new_scores(predicted: Path) -> None:
+    variant = Path("data/synthetic-tiny/variants/remove-pane")
+    shutil.move(variant, "kept")
+    run("hyaline-bench score --preset tiny")
+    assert not read_scored(SCORES).scenes["synthetic"].values(EDITS)
+    shutil.move("kept", variant)
+    answer = call("hyaline-bench score --preset tiny")
+    assert answer.status == 1 and answer.err.count("is there already; pass --overwrite") == 2
+    run("hyaline-bench score --preset tiny --overwrite")
+    assert read_scored(SCORES).scenes["synthetic"].values(EDITS)
+
+
+def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(predicted: Path) -> None:
+    run("hyaline-bench score --preset tiny")
+    content = json.loads(SCORES.read_text())
+    del content["sha256"]
+    folder = SCORES.parent
+    old = {"failures": [{"scene": "synthetic", "truth": "AAAA"}], "packed_by": "0.2.0 (552f5ea4)"}
+    for name, keys in {"newer": {"version": 2}, "magic": {"track": "magic"}, "again": old}.items():
+        (folder / f"{name}.json").write_bytes(seal_bytes(content | keys))
+    answer = call(f"hyaline-bench leaderboard {folder}")
+    assert answer.status == 0 and "3 submissions" in answer.err
+    assert "left out: bench/tiny/scores/newer.json: was scored with protocol 2; expected 1" in answer.err
+    assert "left out: bench/tiny/scores/magic.json: is of the track 'magic'; expected one of pictures" in answer.err
+    # The preset is that of the scores; two submissions of one name are told apart by their files.
+    assert answer.out == "bench/tiny/leaderboard/index.html\n"
+    page = Path("bench/tiny/leaderboard/index.html").read_text()
+    assert "nearest-view: each scene" in page and "again: each scene" in page and "packed by hyaline 0.2.0" in page
+
+
+def test_a_stopped_score_writes_nothing(predicted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise Stopped(signal.SIGTERM)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hyaline_bench.score.score_run", stop)
+        answer = call("hyaline-bench score --preset tiny")
+    assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to go on")
+    assert not SCORES.exists()
+    run("hyaline-bench score --preset tiny")
+
+
+@pytest.mark.parametrize(
+    ("costs", "message"),
+    [
+        ('{"cpu_seconds": "120 s", "machine": "mine"}', "cpu_seconds is '120 s'; expected a number of at least 0"),
+        ('{"peak_memory_bytes": -1}', "peak_memory_bytes is -1; expected a number of at least 0"),
+        ('{"cpu_seconds": NaN}', "NaN"),
+    ],
+)
+def test_costs_that_scores_lack_are_named(predicted: Path, costs: str, message: str) -> None:
+    Path("runs/synthetic-tiny/nearest-view/costs.json").write_text(costs)
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 0 and answer.err.count("left out: ") == 1
+    assert message in answer.err and "runs/synthetic-tiny/nearest-view/costs.json" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("predictions/interpolating/0001.png", r"missing \(1 of 2 are\)"),
+        ("variants/angles", "the protocol asks for extrapolating-10deg"),
+        ("predictions/extrapolating", "the protocol asks for all its views"),
+    ],
+)
+def test_incomplete_predictions_are_not_scored(predicted: Path, file: str, message: str) -> None:
+    path = Path("runs/synthetic-tiny/nearest-view") / file
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and re.search(message, answer.error) and not SCORES.exists()
+    run("hyaline-bench score --preset tiny")  # The other floor is complete.
+    assert MEAN.exists() and not SCORES.exists()
+    shutil.rmtree("runs/synthetic-tiny/mean-picture/predictions/extrapolating")
+    assert "mean-picture.json: from other predictions" in call("hyaline-bench score --preset tiny").error
+    MEAN.unlink()
+    assert "no method could be scored at tiny" in call("hyaline-bench score --preset tiny").error
+
+
+def test_datasets_of_another_size_are_no_part_of_the_benchmark(here: Path, made: Path) -> None:
+    text = (made / "protocol.toml").read_text()
+    (here / "protocol.toml").write_text(text.replace("resolution = 32", "resolution = 64"))
+    with pytest.MonkeyPatch.context() as patch:
+        from hyaline_bench import protocol
+
+        patch.setattr(protocol, "PROTOCOL", here / "protocol.toml")
+        protocol.load_protocol.cache_clear()
+        answer = call("hyaline-bench floors --preset tiny")
+    protocol.load_protocol.cache_clear()
+    assert answer.status == 1 and "left out: " in answer.err and "names for tiny: 64 pixels" in answer.err
+    assert "data: has no dataset of tiny" in answer.error
+
+
+def test_the_command_that_packed_runs_says_what_took_its_place(here: Path) -> None:
+    del here
+    assert "`hyaline-bench score METHOD` reads the runs' folders themselves" in call("hyaline-bench submit mine").error
+
+
+# Hostile folders
+
+PICTURE = Path("runs/synthetic-tiny/nearest-view/predictions/interpolating/0001.png")
+TRUTH = "../../../../../data/synthetic-tiny/images/interpolating/0001.png"
+RECORD = Path("runs/synthetic-tiny/nearest-view/run.json")
+
+
+def huge_png(side: int) -> bytes:
+    """A small file that unpacks to side x side pixels."""
+
+    def chunk(kind: bytes, body: bytes) -> bytes:
+        return len(body).to_bytes(4) + kind + body + zlib.crc32(kind + body).to_bytes(4)
+
+    header = side.to_bytes(4) * 2 + bytes((8, 2, 0, 0, 0))
+    rows = zlib.compress(bytes(side * (1 + 3 * side)), 9)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def linked(target: str) -> Callable[[Path], None]:
+    def link(path: Path) -> None:
+        path.unlink()
+        path.symlink_to(target)
+
+    return link
+
+
+def holding(data: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(data)
+
+
+def as_a_pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def another(name: str) -> Callable[[Path], object]:
+    return lambda path: shutil.copy(path, path.with_name(name))
+
+
+HOSTILE: dict[str, tuple[Path, Callable[[Path], object], str]] = {
+    "a link to a file elsewhere": (PICTURE, linked("/etc/passwd"), "a link out of its folder"),
+    "a link to the truth": (
+        PICTURE,
+        linked(TRUTH),
+        "a link out of its folder",
+    ),
+    "a pipe": (PICTURE, as_a_pipe, "is no regular file|is a pipe"),
+    "a view too many": (PICTURE, another("0002.png"), "not a view of the interpolating split"),
+    "no picture": (PICTURE, holding(b"GIF89a"), "not a PNG"),
+    "another size": (PICTURE, holding(png_bytes(np.zeros((32, 31, 3), np.uint8))), "is 31 x 32 pixels; expected 32"),
+    "a huge picture": (PICTURE, lambda path: path.write_bytes(huge_png(9000)), "is 9000 x 9000 pixels; expected 32"),
+    "an unknown key": (RECORD, holding(b'{"command": "rm"}'), "unknown key 'command'"),
+    "no JSON": (RECORD, holding(b"{"), "not a JSON file"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_folder_is_one_line_and_writes_nothing(predicted: Path, name: str) -> None:
+    path, change, reason = HOSTILE[name]
+    change(path)
+    shutil.rmtree("runs/random-7100-tiny")
+    before = sorted(predicted.rglob("*"))
+    answer = call("hyaline-bench score nearest-view --preset tiny --out new.json")
+    assert answer.status == 1 and answer.err.count("error: ") == 1
+    assert re.search(reason, answer.err), answer.err
+    assert sorted(predicted.rglob("*")) == before
+
+
+# The truth's noise
+
+
+def test_the_truth_itself_is_no_prediction(predicted: Path) -> None:
+    for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
+        PICTURE.with_name(f"{view.index:04d}.png").write_bytes(png_bytes(view.image))
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and "interpolating/0000.png: a PSNR of inf dB is above" in answer.error
+
+
+@pytest.mark.parametrize("split", ["interpolating", "extrapolating", "extrapolating-10deg", "edit"])
+def test_one_near_copy_of_the_truth_among_bad_views_is_refused_by_its_name(predicted: Path, split: str) -> None:
+    dataset = open_dataset(Path("data/synthetic-tiny"))
+    folder = Path("runs/synthetic-tiny/nearest-view")
+    if split == "edit":
+        dataset, folder, split = open_variant(dataset, "remove-pane"), folder / "variants/remove-pane", "interpolating"
+    elif split == "extrapolating-10deg":
+        dataset, folder = open_variant(dataset, "angles"), folder / "variants/angles"
+    near = read_png(dataset.root / "images" / split / "0001.png").copy()
+    near[0, 0, 0] ^= 1
+    path = folder / "predictions" / split / "0001.png"
+    path.write_bytes(png_bytes(near))
+    path.with_name("0000.png").write_bytes(png_bytes(np.zeros_like(near)))
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1 and f"{path}: a PSNR of " in answer.error
+    assert "is above the noise ceiling of " in answer.error and not SCORES.exists()
+
+
+def write_noisy(psnr_db: float) -> None:
+    """Predicts a split with so much noise beside the truth, whose own noise allows 50 dB."""
+    for view in open_dataset(Path("data/synthetic-tiny")).views("interpolating"):
+        noise = np.random.default_rng(view.index).normal(0, 255 * 10 ** (-psnr_db / 20), view.image.shape)
+        picture = np.clip(np.rint(np.clip(view.image, 9, 246) + noise), 0, 255).astype(np.uint8)
+        PICTURE.with_name(f"{view.index:04d}.png").write_bytes(png_bytes(picture))
+
+
+def test_pictures_of_a_perfect_method_are_scored(predicted: Path) -> None:
+    del predicted
+    write_noisy(50)
+    run("hyaline-bench score nearest-view --preset tiny")
+
+
+def test_a_split_that_is_a_little_too_good_everywhere_is_refused(predicted: Path) -> None:
+    del predicted
+    write_noisy(52.2)
+    answer = call("hyaline-bench score nearest-view --preset tiny")
+    assert answer.status == 1
+    assert re.search(r"predictions/interpolating: a PSNR of 5[12]\.\d dB is above the noise ceiling", answer.error)
+
+
+def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Path, small_protocol: Protocol) -> None:
+    run("hyaline-bench score --preset tiny")
+    scored = read_scored(MEAN)
+    scene = dataclasses.replace(scored.scenes["synthetic"], dataset="0" * 64)
+    other = dataclasses.replace(scored, name="other", scenes={**scored.scenes, "synthetic": scene})
+    check_comparable([scored, dataclasses.replace(scored, name="again")], small_protocol)
+    with pytest.raises(HyalineError, match="other: was scored on another dataset of synthetic"):
+        check_comparable([scored, other], small_protocol)
+
+
+# Tracks
+
+
+@pytest.mark.parametrize(
+    ("geometry", "uses_materials", "told", "track"),
+    [
+        ("none", False, None, "pictures"),
+        ("none", True, None, "materials"),
+        ("fitted", True, (), "masks"),
+        ("fitted", True, None, "materials"),
+        ("fitted", True, ("floor",), "materials"),
+        ("fitted", False, None, "masks"),
+        ("fitted", False, ("pane",), "shapes"),
+        ("fitted-hull", True, (), "masks"),
+        ("fitted-materials", True, (), "shapes"),
+        ("ellipsoid", False, None, "proxies"),
+        ("ellipsoid", True, None, "materials"),
+        ("noise-0.001", False, None, "shapes"),
+        ("mixed-b", False, None, "shapes"),
+        ("truth", False, None, "shapes"),
+        ("truth", True, None, "materials"),
+    ],
+)
+def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
+    here: Path,
+    small_protocol: Protocol,
+    geometry: str,
+    uses_materials: bool,
+    told: tuple[str, ...] | None,
+    track: str,
+) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    of_any = dataclasses.replace(
+        open_run(folder, here / "data"), geometry=geometry, uses_materials=uses_materials, told=told
+    )
+    found = dataclasses.replace(of_any, seal="of model train")
+    assert choose_track(found, None, small_protocol.tracks) == track
+    assert choose_track(found, "materials", small_protocol.tracks) == "materials"
+    for lower in list(small_protocol.tracks)[: list(small_protocol.tracks).index(track)]:
+        with pytest.raises(HyalineError, match=f"that the track {lower} does not allow; submit it to {track}"):
+            choose_track(found, lower, small_protocol.tracks)
+    if geometry != "none":  # The record of a foreign method may leave out what it was told.
+        with pytest.raises(HyalineError, match="does not show all inputs of the method; name the track"):
+            choose_track(of_any, None, small_protocol.tracks)
+
+
+@pytest.mark.parametrize("geometry", ["true meshes", "Truth", "masks", ""])
+def test_an_unknown_geometry_has_no_track_of_its_own(here: Path, small_protocol: Protocol, geometry: str) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    found = dataclasses.replace(open_run(folder, here / "data"), geometry=geometry, seal="of model train")
+    with pytest.raises(HyalineError, match="name the track with --track, one of pictures, masks"):
+        choose_track(found, None, small_protocol.tracks)
+    assert choose_track(found, "masks", small_protocol.tracks) == "masks"
+
+
+@pytest.mark.parametrize(
+    ("knowledge", "geometry", "track"),
+    [
+        ("cameras only", "none", "pictures"),
+        ("training pictures, cameras", "none", "pictures"),
+        ("masks of the glass", "none", "masks"),
+        ("Proxies", "none", "proxies"),
+        ("proxy geometry (ellipsoid)", "ellipsoid", "proxies"),
+        ("true geometry", "none", "shapes"),
+        ("cameras, meshes", None, "shapes"),
+        ("materials", "none", "materials"),
+        ("masks and index of refraction", None, "materials"),
+        ("everything", "truth", "materials"),
+    ],
+)
+def test_what_a_foreign_record_says_in_words_counts_for_its_track(
+    here: Path, small_protocol: Protocol, knowledge: str, geometry: str | None, track: str
+) -> None:
+    folder = here / "runs" / "synthetic-tiny" / "one"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text(
+        json.dumps({"knowledge": knowledge} | ({"geometry": geometry} if geometry else {}))
+    )
+    found = open_run(folder, here / "data")
+    tracks = list(small_protocol.tracks)
+    assert choose_track(found, track, small_protocol.tracks) == track
+    for lower in tracks[: tracks.index(track)]:
+        with pytest.raises(HyalineError, match=f"that the track {lower} does not allow; submit it to {track}"):
+            choose_track(found, lower, small_protocol.tracks)
+
+
+def test_the_command_refuses_materials_in_the_track_of_pictures(predicted: Path) -> None:
+    for path in Path("runs").glob("*/nearest-view/run.json"):
+        path.write_text(path.read_text().replace('"training pictures, cameras"', '"materials"'))
+    answer = call("hyaline-bench score nearest-view --preset tiny --track pictures")
+    assert answer.status == 1 and "uses inputs (materials) that the track pictures does not allow" in answer.error
+    run("hyaline-bench score nearest-view --preset tiny")
+    assert read_scored(SCORES).track == "materials"
+
+
+# Floors and averages
+
+
+def test_the_nearest_view_is_chosen_by_cameras_alone() -> None:
+    rng = np.random.default_rng(0)
+    ways = rng.normal(size=(9, 3)) + np.array([0, 0, 2])
+    poses = np.stack([look_at(3 * way / np.linalg.norm(way), np.zeros(3)) for way in ways])
+    train = Cameras(world_from_camera=poses, fov_x=1.0, width=4, height=4)
+    pictures = np.arange(9, dtype=np.uint8)[:, None, None, None] * np.ones((1, 4, 4, 3), np.uint8)
+    shuffled = rng.permutation(9)
+    nudged = poses[shuffled].copy()
+    nudged[:, :3, 3] += 1e-3
+    test = Cameras(world_from_camera=nudged, fov_x=1.0, width=4, height=4)
+    assert nearest_view(pictures, train, test)[:, 0, 0, 0].tolist() == shuffled.tolist()
+    # At one place, the viewing direction decides.
+    turned = np.stack([look_at(np.array([0.0, 0, 3]), np.array(target)) for target in ([0.1, 0, 0], [3.0, 0, 3])])
+    pair = Cameras(world_from_camera=turned, fov_x=1.0, width=4, height=4)
+    asked = Cameras(world_from_camera=turned[1:], fov_x=1.0, width=4, height=4)
+    assert nearest_view(pictures[:2], pair, asked)[0, 0, 0, 0] == 1
+
+
+def test_the_interval_is_that_of_scipys_percentile_bootstrap() -> None:
+    values = np.random.default_rng(1).normal(30, 3, 22)
+    low, high = mean_interval(values, Bootstrap(resamples=20_000, seed=0, confidence=0.95))
+    theirs = scipy.stats.bootstrap(
+        (values,), np.mean, method="percentile", n_resamples=20_000, rng=np.random.default_rng(5)
+    ).confidence_interval
+    assert (low, high) == pytest.approx((theirs.low, theirs.high), abs=0.03)  # Resampling alone spreads by 0.01.
+
+
+def test_the_interval_of_two_scenes_has_a_closed_form_and_one_scene_has_none() -> None:
+    # Resampled means are 20, 24 and 28 with probabilities 1/4, 1/2 and 1/4.
+    bootstrap = Bootstrap(resamples=4000, seed=0, confidence=0.6)
+    assert mean_interval(np.array([20.0, 28.0]), bootstrap) == (20, 28)
+    assert mean_interval(np.array([20.0, 28.0]), dataclasses.replace(bootstrap, confidence=0.4)) == (24, 24)
+    assert mean_interval(np.array([20.0]), bootstrap) == (None, None)
+
+
+def test_rows_with_fewer_scenes_come_last(predicted: Path, small_protocol: Protocol) -> None:
+    run("hyaline-bench score --preset tiny")
+    scored = read_scored(SCORES)
+    few = dataclasses.replace(scored, name="few", scenes={"synthetic": scored.scenes["synthetic"]})
+    rows = track_grid("", [few, scored], small_protocol).rows
+    assert [(row[0], row[1]) for row in rows] == [("nearest-view", "2/4"), ("few", "1/4")]

@@ -1,0 +1,171 @@
+"""Tests of hidden tests: what is published, what stays with the verifier, and that both score alike."""
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_bench.hidden import GREY, hidden_seed
+from hyaline_bench.protocol import Protocol
+from hyaline_bench.score import read_scored
+from support.builds import tree
+from support.commands import call, run
+from support.export_readers import read_nerfstudio, read_picture
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import png_bytes
+from datagen.data.writing import commit_view
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
+from datagen.scene.folder import load_scene
+
+
+@pytest.fixture
+def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_protocol: Protocol) -> Path:
+    """A folder with a dataset, split into both."""
+    shutil.copytree(made / "data" / "random-7100-tiny", tmp_path / "secret")
+    monkeypatch.chdir(tmp_path)
+    run("hyaline-bench hide secret --scene hidden-1")
+    return tmp_path
+
+
+def test_the_published_dataset_is_that_of_the_verifier_without_test_pictures_colours_light_and_seed(here: Path) -> None:
+    source, public, truth = map(open_dataset, map(Path, ("secret", "public/hidden-1-tiny", "truth/hidden-1-tiny")))
+    assert public.seal == truth.seal != source.seal
+    assert (public.config.scene, public.config.seed, public.num_views) == ("hidden-1", 0, source.num_views)
+    published, kept = tree(here / "public/hidden-1-tiny"), tree(here / "truth/hidden-1-tiny")
+    assert published.items() < kept.items()
+    withheld = sorted(set(kept) - set(published))
+    secret_file = r"(images|records)/(interpolating|extrapolating)"
+    assert all(re.match(secret_file, path) for path in withheld)
+    assert len(withheld) == 3 * 4  # PNG, EXR and record of each view.
+    pictures = {sha256(data) for path, data in tree(here / "secret").items() if re.match(secret_file, path)}
+    assert pictures.isdisjoint(map(sha256, published.values()))
+    for split in ("interpolating", "extrapolating"):
+        assert not any(view.is_built for view in public.views(split))
+        assert [view.image_sha256 for view in truth.views(split)] == [view.image_sha256 for view in source.views(split)]
+        assert (public.cameras(split).world_from_camera == source.cameras(split).world_from_camera).all()
+    scene, before = load_scene(public.root / "scene"), load_scene(source.root / "scene")
+    assert scene.objects[1].material.color == GREY and scene.environment.zenith == GREY  # pyright: ignore
+    assert scene.objects[0].material == before.objects[0].material
+    assert not any(b"7100" in data for path, data in published.items() if path.endswith(".json"))
+
+
+def test_a_method_trains_on_what_is_published_and_is_scored_by_the_verifier(here: Path, made: Path) -> None:
+    run("model train paper public/hidden-1-tiny --steps 2 --batch 64 --device cpu --costs")
+    name = "paper-batch64-2-steps"
+    other = call(f"hyaline-bench score {name} --preset tiny --data {made / 'data'} --out none.json")
+    assert other.status == 1 and "which is not in " in other.err
+    answer = call(f"hyaline-bench score {name} --preset tiny --data public --out none.json")
+    assert answer.status == 1 and "a verifier keeps their truth" in answer.error and not Path("none.json").exists()
+    run(f"hyaline-bench score {name} --preset tiny --data truth --out paper.json")
+    scored = read_scored(Path("paper.json"))
+    assert scored.track == "shapes" and scored.scenes["hidden-1"].costs["cpu_seconds"] > 0
+
+
+def test_scenes_without_truth_are_left_out_and_the_others_scored(
+    here: Path, made: Path, small_protocol: Protocol
+) -> None:
+    shutil.copytree(made / "data", "data")
+    shutil.copytree("public/hidden-1-tiny", "data/hidden-1-tiny")
+    run("hyaline-bench floors --preset tiny")
+    answer = call("hyaline-bench score mean-picture --preset tiny --out mine.json")
+    assert answer.status == 0 and "left out: hidden-1: a verifier keeps the truth" in answer.err
+    assert set(read_scored(Path("mine.json")).scenes) == {"synthetic", "random-7100"}
+    # Beside what is published, the truth counts, whatever the folders are called.
+    shutil.copytree("truth/hidden-1-tiny", "data/a-hidden-1-tiny")
+    run("hyaline-bench score mean-picture --preset tiny --out verified.json")
+    verified = read_scored(Path("verified.json"))
+    assert set(verified.scenes) == {"synthetic", "random-7100", "hidden-1"}
+    # Other pictures under the same head give other scores, which the record tells.
+    false = open_dataset(Path("data/a-hidden-1-tiny"))
+    exr = Path("truth/hidden-1-tiny/images/interpolating/0000.exr").read_bytes()
+    picture = png_bytes(np.full((32, 32, 3), 90, np.uint8))
+    commit_view(false, "interpolating", 0, png=picture, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+    run("hyaline-bench score mean-picture --preset tiny --out false.json")
+    scored = read_scored(Path("false.json"))
+    assert scored.scenes["hidden-1"].dataset == verified.scenes["hidden-1"].dataset
+    assert scored.truths != verified.truths
+
+
+def test_no_command_makes_the_test_views_of_a_published_scene(here: Path) -> None:
+    before = tree(here)
+    public = "public/hidden-1-tiny"
+    answer = call(f"datagen verify {public}")
+    assert answer.status == 0 and "a verifier keeps the pictures of its 4 test views" in answer.err
+    refusals = {
+        f"datagen build {public}/scene --preset tiny --out {public}": "scene hidden-1: is not rendered",
+        f"datagen add {public} --edit remove:pane": "only a verifier knows its light and colours",
+        f"datagen film {public} --out film.webp": "only a verifier knows its light and colours",
+        f"datagen export {public} --format huggingface --out hub": "publishes test pictures, which a verifier keeps",
+    }
+    for line, message in refusals.items():
+        answer = call(line)
+        assert answer.status == 1 and message in answer.error
+    with pytest.raises(HyalineError, match="which a verifier of hyaline-bench keeps"):
+        _ = open_dataset(Path(public)).view("interpolating", 0).image
+    assert tree(here) == before
+
+
+def test_what_is_published_can_be_packed_and_exported_with_all_cameras(here: Path) -> None:
+    run("datagen pack public/hidden-1-tiny")
+    run("datagen unpack exports/hidden-1-tiny.tar")
+    assert tree(Path("data/hidden-1-tiny")) == tree(Path("public/hidden-1-tiny"))
+    answer = call("datagen export hidden-1-tiny --format nerfstudio")
+    assert answer.status == 0 and "the test pictures are grey" in answer.err
+    views, splits = read_nerfstudio(Path("exports/hidden-1-tiny-nerfstudio"))
+    assert len(views) == 12 and len(splits["test"]) == 4
+    for name, read in views.items():
+        assert (np.ptp(read_picture(read.file)) == 0) == (name in splits["test"])
+    run("datagen export hidden-1-tiny --format capture")
+    pictures = Path("exports/hidden-1-tiny-capture/images").iterdir()
+    assert sorted(path.stem for path in pictures) == sorted(set(views) - set(splits["test"]))
+
+
+def test_a_secret_is_drawn_once_and_names_the_scenes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_protocol: Protocol
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    answer = call("hyaline-bench secret secret.txt --preset tiny")
+    text = Path("secret.txt").read_text().strip()
+    assert Path("secret.txt").stat().st_mode & 0o777 == 0o600 and re.fullmatch("[0-9a-f]{64}", text)
+    assert answer.out.startswith(f"# commitment: {sha256(text.encode())}\n")
+    assert call("hyaline-bench secret secret.txt --preset tiny") == answer
+    seeds = [int(seed) for seed in re.findall(r"datagen build random-(\d+) --preset tiny", answer.out)]
+    assert [seed % 3 for seed in seeds] == [0, 1]
+    assert seeds == [hidden_seed(text, place, small_protocol) for place in (0, 1)]
+    assert not set(seeds) & {hidden_seed("f" * 64, place, small_protocol) for place in (0, 1)}
+    assert "hyaline-bench hide secret/hidden-1-tiny --scene hidden-1" in answer.out
+    Path("short.txt").write_text("glass")
+    assert (
+        "short.txt: has 5 characters; expected a secret of 64"
+        in call("hyaline-bench secret short.txt --preset tiny").error
+    )
+
+
+def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
+    same_size = write_synthetic_dataset(here / "same size", scene_name="random-7103", sees_nothing=True)
+    before = tree(here)
+    for line, message in (
+        ("hyaline-bench hide secret --scene random-7100", "no scene 'random-7100'"),
+        (
+            f"hyaline-bench hide {other.root} --scene hidden-0",
+            "8 + 2 + 2 views, 4 and 4 samples per pixel, seed 0, paths of 24 segments; `hyaline-",
+        ),
+        (
+            f"hyaline-bench hide '{same_size.root}' --scene hidden-1",
+            "hidden-1-tiny: holds another scene; choose another",
+        ),
+        ("hyaline-bench hide secret/variants/angles --scene hidden-0", "is imported, or a variant"),
+    ):
+        answer = call(line)
+        assert answer.status == 1 and message in answer.error
+    assert tree(here) == before
+
+
+def test_a_damaged_view_is_not_published(here: Path) -> None:
+    path = Path("secret/images/train/0000.png")
+    path.write_bytes(path.read_bytes() + b"!")
+    assert "damaged" in call("hyaline-bench hide secret --scene hidden-0").error

@@ -1,0 +1,123 @@
+"""The formats in which datasets are exported, and the export of one into a new folder."""
+
+import contextlib
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.data.dataset import Dataset
+from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
+from datagen.disk.errors import HyalineError, naming
+from datagen.disk.names import real_path
+from datagen.disk.storage import sync_folder
+from datagen.terminal.command import say
+from datagen.terminal.plugins import Group
+from hyaline_export.source import Source
+
+
+@dataclass(frozen=True, kw_only=True)
+class Format:
+    """A format: what writes its files, and how its tool opens them."""
+
+    files: Callable[[Source], Iterator[tuple[str, bytes]]]
+    """Yields the path of each file in the export, and its bytes."""
+    hint: str
+    """The command that opens the export, with OUT for the folder."""
+    has_flow: bool = False
+    """The format has a place for refractive flow and takes `Source.flow` into account."""
+
+
+FORMATS: Group[Format] = Group(
+    name="hyaline.exports",
+    what="format",
+    built_in={
+        "nerfstudio": "hyaline_export.transforms:NERFSTUDIO",
+        "blender": "hyaline_export.transforms:BLENDER",
+        "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
+        "colmap": "hyaline_export.colmap:COLMAP",
+        "nerfbaselines": "hyaline_export.colmap:NERFBASELINES",
+        "capture": "hyaline_export.transforms:CAPTURE",
+        "quantities": "hyaline_export.samples:QUANTITIES",
+        "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
+    },
+    guide="docs/adding-an-export.md",
+    kind="hyaline_export.formats:Format",
+)
+
+EXPORTS = Path("exports")
+"""Where exports go by default."""
+
+
+def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points: int, flow: bool) -> tuple[Path, str]:
+    """Exports a dataset into a new folder; returns it, and the command of the tool that opens it."""
+    chosen = FORMATS.find(form)
+    source = Source(dataset=dataset, num_points=num_points, flow=flow)
+    out = out or EXPORTS / f"{dataset.name}-{form}"
+    refuse_inside(out, dataset.root)
+    if flow and not chosen.has_flow:
+        raise HyalineError(f"--flow: has no place in the format {form}; leave it out, or use --format quantities")
+    say(f"{out}: exporting {dataset.root} as {form}")
+    with new_folder(out) as folder:
+        for path, data in chosen.files(source):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
+        (folder / "LICENSE.txt").write_text(_license_text(dataset))
+    roles = ", ".join(f"{len(source.of_role(role))} {role}" for role in ("train", "val", "test"))
+    say(f"{out}: {len(source.pictures)} views; {roles}; licence: {dataset.license}")
+    if dataset.withheld:
+        say(f"{out}: the test pictures are grey, since a verifier keeps the true ones; never train on them")
+    return out, chosen.hint.replace("OUT", str(out))
+
+
+def _license_text(dataset: Dataset) -> str:
+    text = f"The data in this folder: {dataset.license}\n"
+    if dataset.license == OWN_LICENSE:
+        text += f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n"
+    return text
+
+
+# New files and folders
+
+
+def refuse_inside(out: Path, root: Path) -> None:
+    """Raises a HyalineError if an output lies in a dataset."""
+    if real_path(out).is_relative_to(real_path(root)):
+        raise HyalineError(f"--out: {out} lies in the dataset {root}; choose a place outside")
+
+
+@contextlib.contextmanager
+def new_folder(out: Path) -> Iterator[Path]:
+    """An empty folder that becomes `out` when the block ends; an error or a signal deletes it.
+
+    Raises:
+        HyalineError: `out` is neither new nor an empty folder.
+    """
+    place = real_path(out)
+    if os.path.lexists(place) and not (place.is_dir() and not any(place.iterdir())):
+        raise HyalineError(f"{out}: is not empty, or not a folder; remove it, or choose another --out")
+    with beside(out) as temporary:
+        temporary.mkdir()
+        yield temporary
+
+
+@contextlib.contextmanager
+def beside(out: Path) -> Iterator[Path]:
+    """A fresh path beside `out`; what is made there becomes `out` when the block ends, and an error deletes it."""
+    place = real_path(out)
+    # Nobody can prepare a file or a link under a name that is drawn only now.
+    temporary = place.with_name(f"{place.name}.{secrets.token_hex(8)}.hyaline-tmp")
+    with naming(out):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            yield temporary
+            for path in (*temporary.rglob("*"), temporary):
+                sync_folder(path)  # Files, too.
+            temporary.replace(place)
+        except BaseException:
+            with contextlib.suppress(OSError):  # The first error says what is wrong.
+                shutil.rmtree(temporary) if temporary.is_dir() else temporary.unlink(missing_ok=True)
+            raise
+        sync_folder(place.parent)

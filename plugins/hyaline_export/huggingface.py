@@ -1,0 +1,148 @@
+"""Hugging Face: pictures with a table of their cameras, and a short dataset card that names every split.
+
+    README.md                   the card: what it is, splits, conventions, limits, licence, citation
+    FOLDER/metadata.jsonl       a line a view: its files, name, lens and pose
+    FOLDER/NAME.png             8-bit sRGB
+    FOLDER/depth/NAME.png       16 bits, millimetres along the axis to the first surface, glass or not; 0: none
+    FOLDER/glass/NAME.png       255 where glass is seen first
+
+FOLDER is train, validation, test_interpolating or test_extrapolating: where a tool does not read the card, it takes the
+splits from these names, and leaves out folders without train, validation or test in theirs.
+"""
+
+import json
+import re
+from collections.abc import Iterator
+from statistics import mean
+
+from datagen.data.transforms import CONVENTION, lens_keys
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+from datagen.terminal.distribution import VERSION
+from hyaline_export.files import depth_png, mask_png, rgb_png
+from hyaline_export.formats import Format
+from hyaline_export.source import ExportView, Source, tracked
+
+HUB_LICENSES = (
+    r"cc0-1\.0|mit|apache-2\.0|cc-by-(2\.[05]|[34]\.0)|cc-by-sa-[34]\.0|cc-by-nd-4\.0|"
+    r"cc-by-nc-[234]\.0|cc-by-nc-sa-[234]\.0|cc-by-nc-nd-[34]\.0"
+)
+"""Those that the hub knows by name, in small letters."""
+
+FOLDERS = {
+    "train": "train",
+    "val": "validation",
+    "interpolating": "test_interpolating",
+    "extrapolating": "test_extrapolating",
+}
+"""The folder of each group of views."""
+
+CARD = """\
+---
+{license}
+pretty_name: {title}
+tags: [transparent-objects, glass, refraction, novel-view-synthesis]
+configs:
+- config_name: default
+  data_files:
+{data_files}
+---
+
+# {name}
+
+{count} pictures of a scene with glass from known cameras, exported by hyaline {version} from the dataset `{seal}`.
+`datasets.load_dataset("FOLDER")` opens them.
+
+| split | views | noise ceiling |
+|---|---:|---:|
+{splits}
+
+`interpolating` lies among the training cameras, `extrapolating` leaves them. The noise ceiling is the PSNR that a
+perfect method would reach in spite of the noise of the pictures.
+
+- {convention}.
+- `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` are in pixels; the upper left one has its centre at (0.5, 0.5).
+- `depth`: millimetres along the axis to the first surface, glass or not; 0: none. `glass`: 255 where glass is seen
+  first. Both are those of the ray through a pixel's centre.
+- Every surface that is seen lies between `near` and `far`, metres along the ray.
+- Shapes, materials, linear radiance and peeled layers are in the packed dataset (`datagen pack`).
+
+Licence: {terms}
+
+```bibtex
+@software{{hyaline,
+  title = {{hyaline: path-traced datasets of transparent objects, deferred neural renderers, and their evaluation}},
+  author = {{{{The hyaline authors}}}},
+  version = {{{version}}},
+}}
+```
+"""
+
+
+def _hugging_face(source: Source) -> Iterator[tuple[str, bytes]]:
+    if source.dataset.withheld:
+        raise HyalineError(
+            "--format huggingface: publishes test pictures, which a verifier keeps; publish `datagen pack`"
+        )
+    groups: dict[str, list[ExportView]] = {}
+    for item in tracked(source.views):
+        groups.setdefault(item.group, []).append(item)
+        folder, found = FOLDERS[item.group], item.quantities
+        yield f"{folder}/{item.name}.png", rgb_png(item)
+        yield f"{folder}/depth/{item.name}.png", depth_png(found.depth_along_axis)
+        yield f"{folder}/glass/{item.name}.png", mask_png(found.glass)
+    for group, items in groups.items():
+        rows = "".join(f"{json.dumps(_row(source, item))}\n" for item in items)
+        yield f"{FOLDERS[group]}/metadata.jsonl", rows.encode()
+    yield "README.md", _card(source, groups).encode()
+
+
+def _row(source: Source, item: ExportView) -> dict[str, Json]:
+    """One line of the table; `datasets` reads what ends in `file_name` as a picture."""
+    return {
+        "file_name": f"{item.name}.png",
+        "depth_file_name": f"depth/{item.name}.png",
+        "glass_file_name": f"glass/{item.name}.png",
+        "name": item.name,
+        **lens_keys(item.view.camera),
+        "near": source.bounds.near,
+        "far": source.bounds.far,
+        "transform_matrix": item.view.camera.world_from_camera.tolist(),
+    }
+
+
+def _card(source: Source, groups: dict[str, list[ExportView]]) -> str:
+    splits = {"validation" if group == "val" else group: items for group, items in groups.items()}
+    return CARD.format(
+        license=_license(source.dataset.license),
+        title=json.dumps(f"{source.dataset.name} (hyaline)"),
+        name=source.dataset.name,
+        data_files="\n".join(
+            f"  - split: {split}\n    path: {FOLDERS[group]}/**" for split, group in zip(splits, groups, strict=True)
+        ),
+        count=len(source.pictures),
+        version=VERSION,
+        seal=source.dataset.seal,
+        splits="\n".join(f"| `{split}` | {len(items)} | {_ceiling(items)} |" for split, items in splits.items()),
+        convention=CONVENTION,
+        terms=source.dataset.license,
+    )
+
+
+def _ceiling(items: list[ExportView]) -> str:
+    ceilings = [record.ceiling_db for record in (item.view.record for item in items) if record.ceiling_db is not None]
+    return f"{mean(ceilings):.1f} dB" if ceilings else "unknown"
+
+
+def _license(terms: str) -> str:
+    """The lines of the card's metadata about it."""
+    lower = terms.lower()
+    if re.fullmatch(HUB_LICENSES, lower):
+        return f"license: {lower}"
+    if lower.startswith("unknown"):
+        return "license: unknown"
+    name = re.sub(r"[^a-z0-9.]+", "-", lower)[:60].strip("-") or "stated"
+    return f"license: other\nlicense_name: {name}\nlicense_link: LICENSE.txt"
+
+
+HUGGING_FACE = Format(files=_hugging_face, hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\"")

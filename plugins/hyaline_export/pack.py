@@ -1,0 +1,148 @@
+"""A dataset as one file: a tar archive whose bytes depend on the dataset alone.
+
+    SCENE/dataset.json     first: it names the files of scene and cameras, and counts the views
+    SCENE/...              all other files of the dataset, sorted by path
+
+Pictures and layers are compressed already; another compression of the archive would save 2 %.
+"""
+
+import io
+import re
+import tarfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import BinaryIO
+
+from datagen.build.verify import verify_dataset
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.layers import DTYPES
+from datagen.data.paths import DATA_ROOT
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.names import NAME, real_path
+from datagen.disk.ownership import DATASET, refuse_file
+from datagen.disk.records import open_regular
+from datagen.disk.storage import MAKE_AGAIN, read_promised
+from datagen.terminal.command import say, say_all, track
+from hyaline_export.formats import EXPORTS, beside, new_folder, refuse_inside
+
+HEAD = DATASET.head
+
+_PROXIES = rf"proxies/{NAME.pattern}/"
+_LAYERS = rf"({_PROXIES})?layers/straight/"
+_ENDINGS = "|".join(f"{name}.npy.blosc" for name in DTYPES) + "|png|exr|mask.png|objects.png|depth.npy|json"
+_VIEWS = re.compile(
+    rf"(images|records|edit-masks|{_LAYERS}(arrays|records))/(?P<split>[\w-]+)/(?P<view>[0-9]{{4,9}})\.({_ENDINGS})"
+)
+_OTHERS = re.compile(
+    rf"{_LAYERS}layers\.json|{_PROXIES}(proxies\.json|meshes/{NAME.pattern}\.ply)|edit-masks/edit-masks\.json"
+)
+"""Files that a dataset may hold besides its metadata and the files that this lists."""
+
+
+def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
+    """Packs a finished dataset, after verifying every byte, into an archive; files that are not its own are left out.
+
+    Returns:
+        The archive: `out`, or by default one in `exports`.
+
+    Raises:
+        HyalineError: the dataset is unfinished or damaged, or `out` is another file.
+    """
+    out = out or EXPORTS / f"{real_path(root).name}.tar"
+    if out.suffix != ".tar":
+        raise UsageError(f"--out {out}: ends in {out.suffix!r}; expected .tar")
+    dataset = open_dataset(root)
+    if dataset.parent is not None:
+        raise HyalineError(f"{root}: is a variant; pack the dataset around it, {dataset.parent.root}")
+    refuse_inside(out, root)
+    refuse_file(out, overwrite=overwrite)
+    say(f"{root}: verifying every byte")
+    found = verify_dataset(root)
+    if found.problems:
+        more = f" (and {len(found.problems) - 1} more problems: `datagen verify`)" if len(found.problems) > 1 else ""
+        raise HyalineError(f"{found.problems[0]}{more}; {MAKE_AGAIN}")
+    say_all(found.remarks)
+    paths = sorted(found.files, key=lambda path: (path != HEAD, path))
+    with (
+        beside(out) as temporary,
+        temporary.open("xb") as file,
+        tarfile.open(fileobj=file, mode="w:", format=tarfile.PAX_FORMAT) as archive,
+    ):
+        for path in track(paths, label="pack", total=len(paths)):
+            data = read_promised(root, path, found.files[path])
+            entry = tarfile.TarInfo(f"{dataset.config.scene}/{path}")  # Without owner and time.
+            entry.size = len(data)
+            archive.addfile(entry, io.BytesIO(data))
+    say(f"{out}: {len(paths):,} files, {out.stat().st_size / 1e6:,.1f} MB; licence: {dataset.license}")
+    return out
+
+
+def unpack_archive(path: Path, into: Path | None) -> Path:
+    """Unpacks a dataset, and returns its folder, which appears when all of it is there and verifies.
+
+    Args:
+        into: the dataset's folder; None: the archive's name without its ending, in `data`.
+
+    Raises:
+        HyalineError: the archive is damaged or was not made by `pack_dataset`, or the folder holds something else.
+    """
+    if into is None and path.stem.startswith("."):
+        raise UsageError(f"{path}: gives the folder no name; set it with --out")
+    into = into or DATA_ROOT / path.stem
+    with open_regular(path) as file, new_folder(into) as folder:
+        count = _extract(path, file, folder)
+        found = verify_dataset(folder)
+        for line in (*found.problems, *(found.remarks if found.verified < count else [])):
+            raise _refusal(path, folder, line)
+    say(f"{into}: {count:,} files; licence: {open_dataset(into).license}")
+    return into
+
+
+def _extract(path: Path, file: BinaryIO, folder: Path) -> int:
+    """Writes an archive's files into an empty folder, if the dataset may hold each of them; returns their number."""
+    heads: dict[str, Dataset] = {}
+    count = 0
+    try:
+        with tarfile.open(fileobj=file, mode="r:") as archive:
+            for count, entry in enumerate(archive, start=1):
+                relative = entry.name.partition("/")[2]
+                prefix = (re.match(rf"variants/{NAME.pattern}/", relative) or [""])[0]
+                if count == 1 and relative != HEAD:
+                    raise HyalineError(
+                        f"{path}: begins with {entry.name!r}; expected {HEAD}, as `datagen pack` writes it (`tar -xf` "
+                        "opens other archives)"
+                    )
+                is_plain = entry.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and not entry.issparse() and entry.size > 0
+                if not is_plain or not _may_hold(heads, prefix, relative.removeprefix(prefix)):
+                    raise HyalineError(
+                        f"{path}: holds {entry.name!r}, which is no file of its dataset; get the archive again"
+                    )
+                archive.extract(entry.replace(name=relative, deep=False), folder, set_attrs=False, filter="data")
+                if relative == prefix + HEAD:
+                    heads[prefix] = open_dataset(folder / prefix)
+    except (tarfile.TarError, ValueError, OverflowError, MemoryError) as error:
+        raise HyalineError(f"{path}: is damaged, or no tar archive ({error}); get the archive again") from None
+    except HyalineError as error:
+        raise _refusal(path, folder, str(error)) from None
+    if not count:
+        raise HyalineError(f"{path}: is empty; expected an archive of `datagen pack`")
+    return count
+
+
+def _may_hold(heads: Mapping[str, Dataset], prefix: str, path: str) -> bool:
+    """Whether a dataset or variant may hold a file, by its metadata, which is unpacked before all else."""
+    if path == HEAD:
+        return prefix not in heads
+    if (dataset := heads.get(prefix)) is None:
+        return False
+    if (view := _VIEWS.fullmatch(path)) is not None:
+        views: dict[str, int] = {**dataset.num_views}
+        return int(view["view"]) < views.get(view["split"], 0)
+    return path in dataset.files or _OTHERS.fullmatch(path) is not None
+
+
+def _refusal(path: Path, folder: Path, reason: str) -> HyalineError:
+    if reason.startswith(str(path)):
+        return HyalineError(reason)
+    reason = reason.replace(f"{folder}/", "").removeprefix(f"{folder}: ").split("; ")[0]
+    return HyalineError(f"{path}: holds no finished dataset ({reason}); get the archive again")

@@ -1,0 +1,101 @@
+"""Tests that an export appears whole in a new folder, or not at all, and touches nothing else."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+from support.builds import tree
+from support.commands import Answer, call
+from support.disk import failing_from, observe, read_state
+from support.synthetic import write_synthetic_dataset
+
+from datagen.terminal.signals import Stopped
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    write_synthetic_dataset(tmp_path / "data" / "table")
+    return tmp_path
+
+
+def export(form: str = "nerfstudio", out: str = "out") -> Answer:
+    return call(f"datagen export table --format {form} --out {out} --points 50")
+
+
+def test_the_command_says_where_it_went_and_how_a_tool_opens_it(here: Path) -> None:
+    del here
+    answer = export("blender")
+    assert answer.status == 0 and answer.out == "out\n"
+    assert "out: 12 views; 7 train, 1 val, 4 test" in answer.err
+    assert answer.error == "next: ns-train nerfacto --data out blender-data"
+
+
+@pytest.mark.parametrize("form", ["nerfstudio", "colmap", "quantities", "huggingface"])
+def test_two_exports_of_a_dataset_are_equal_byte_by_byte(form: str, here: Path) -> None:
+    assert export(form).status == export(form, "again").status == 0
+    assert tree(here / "out") == tree(here / "again") and tree(here / "out")
+
+
+@pytest.mark.parametrize("what", ["an export", "a file in it", "a file", "a link to a full folder"])
+def test_only_a_new_or_empty_folder_is_written(what: str, here: Path) -> None:
+    match what:
+        case "an export":
+            export("colmap")
+        case "a file in it":
+            (here / "out").mkdir()
+            (here / "out" / "notes.txt").write_text("mine")
+        case "a file":
+            (here / "out").write_text("mine")
+        case "a link to a full folder":
+            (here / "out").symlink_to(here / "data")
+    before = tree(here)
+    answer = export()
+    assert answer.status == 1 and "out: is not empty, or not a folder; " in answer.error
+    assert tree(here) == before
+
+
+def test_an_empty_folder_and_a_link_to_one_are_filled(here: Path) -> None:
+    (here / "out").mkdir()
+    (here / "disk").mkdir()
+    (here / "link").symlink_to("disk")
+    assert export().status == export(out="link").status == 0
+    assert (here / "link").is_symlink() and tree(here / "disk") == tree(here / "out")
+
+
+def test_a_killed_export_leaves_no_folder_and_does_not_hinder_the_next(here: Path) -> None:
+    seen = observe(here, lambda: export())
+    whole = {path: data for path, data in seen.states[-1].files.items() if path.startswith("out/")}
+    halfway = seen.states[len(seen.states) // 2]
+    assert not any(path.startswith("out/") for path in halfway.files)
+    left = [path for path in halfway.files if ".hyaline-tmp/" in path]
+    assert left and all(path.startswith("out.") for path in left)
+    for path in left:
+        (here / path).parent.mkdir(parents=True, exist_ok=True)
+        (here / path).write_bytes(halfway.files[path])
+    (here / "out").rename(here / "first")
+    assert export().status == 0
+    assert {f"out/{path}": data for path, data in tree(here / "out").items()} == whole
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5, 0.99])
+def test_a_full_disk_is_one_line_and_leaves_nothing(place: float, here: Path) -> None:
+    changes = observe(here, lambda: export()).changes
+    (here / "out").rename(here / "first")
+    before = read_state(here)
+    with failing_from(here, int(place * len(changes)), "ENOSPC") as refused:
+        answer = export()
+    assert refused and answer.status == 1
+    assert answer.error.startswith("error: out: ") and os.strerror(errno.ENOSPC).lower()[:8] in answer.error
+    assert read_state(here).files == before.files and read_state(here).folders == before.folders
+
+
+def test_a_signal_leaves_nothing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object) -> None:
+        raise Stopped(15)
+
+    monkeypatch.setattr("hyaline_export.transforms.ply_points", stop)
+    before = read_state(here)
+    assert export().status == 143
+    assert read_state(here) == before

@@ -1,0 +1,317 @@
+"""Tests that each export shows the dataset's world: vertices, pictures, depth, masks and points, by its own reader."""
+
+import importlib
+import io
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_export.formats import FORMATS, export_dataset
+from hyaline_export.source import Source
+from PIL import Image
+from support.commands import run
+from support.export_readers import (
+    ReadView,
+    read_blender,
+    read_colmap_text,
+    read_nerfstudio,
+    read_picture,
+    read_ply_points,
+)
+from support.traced_dataset import BALL, write_traced_dataset
+
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.disk.errors import HyalineError
+from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.terminal.distribution import VERSION
+
+POINTS = 600
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("source") / "glasses"
+    write_traced_dataset(root)
+    return open_dataset(root)
+
+
+@pytest.fixture(scope="module")
+def exports(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Every format, exported once."""
+    root = tmp_path_factory.mktemp("exports")
+    for form in FORMATS.built_in:
+        export_dataset(dataset, form, root / form, num_points=POINTS, flow=False)
+    return {form: root / form for form in FORMATS.built_in}
+
+
+def view_of(dataset: Dataset, name: str) -> View:
+    split, _, index = name.rpartition("_")
+    return dataset.view(split, int(index))  # type: ignore[arg-type]
+
+
+def check_vertices(dataset: Dataset, views: dict[str, ReadView]) -> None:
+    """Vertices of the cube and the ball fall on the objects' own pixels, and where the dataset's rays go."""
+    assert views
+    meshes = {item.name: item.mesh for item in surfaces_of(dataset).scene.objects}
+    boxes = 0
+    for name, read in views.items():
+        view = view_of(dataset, name)
+        camera, found = view.camera, quantities(view)
+        vertices = np.concatenate([meshes["cube"].vertices, meshes["ball"].vertices]).astype(np.float64)
+        pixels = read.project(vertices)
+        _, directions = camera.rays()
+        # Beside the ray through its pixel's centre, a vertex lies by less than half a pixel's width.
+        inside = ((pixels >= 0) & (pixels < camera.width)).all(axis=-1)
+        column, row = np.floor(pixels[inside]).astype(int).T
+        towards = vertices[inside] - camera.world_from_camera[:3, 3]
+        towards /= np.linalg.norm(towards, axis=-1, keepdims=True)
+        off = (pixels[inside] - np.stack([column, row], axis=-1) - 0.5) / camera.intrinsics[0, 0]
+        right, up, back = camera.world_from_camera[:3, :3].T
+        ray = directions[row, column] / -(directions[row, column] @ back)[:, None]
+        expected = ray + off[:, :1] * right - off[:, 1:] * up
+        expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
+        assert np.abs(expected - towards).max() * camera.intrinsics[0, 0] < 0.01
+        for thing in ("cube", "ball"):
+            mine = read.project(meshes[thing].vertices.astype(np.float64))
+            mask = found.object_mask(thing)
+            layers = view.layers().object_id
+            everywhere = (layers == dataset.object_id(thing)).any(axis=0)
+            is_whole = mask.sum() == everywhere.sum() and ((mine > 1) & (mine < camera.width - 1)).all()
+            if is_whole:
+                rows, columns = np.nonzero(mask)
+                low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()]) + 1
+                centre = (low + high) / 2 - (mine.min(axis=0) + mine.max(axis=0)) / 2
+                assert np.abs(centre).max() < 0.75, "the middles of both boxes, on a grid of pixels"
+                boxes += 1
+    assert boxes > 0
+
+
+def check_picture(dataset: Dataset, name: str, file: Path, channels: int) -> None:
+    picture = read_picture(file)
+    assert picture.shape[-1] == channels
+    assert np.array_equal(picture[..., :3], view_of(dataset, name).image)
+    assert channels == 3 or (picture[..., 3] == 255).all()
+
+
+def test_nerfstudio_reads_views_splits_depth_and_points(dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["nerfstudio"]
+    views, splits = read_nerfstudio(root)
+    check_vertices(dataset, views)
+    assert {name: len(listed) for name, listed in splits.items()} == {"train": 8, "val": 2, "test": 4}
+    assert sorted(name for listed in splits.values() for name in listed) == sorted(views)
+    for name, read in views.items():
+        check_picture(dataset, name, read.file, channels=3)
+        found = quantities(view_of(dataset, name))
+        depth = read_picture(root / read.frame["depth_file_path"]).astype(np.float64) / 1000
+        assert np.abs(depth - found.depth_along_axis).max() <= 0.0005 + 1e-6
+        assert np.array_equal(read_picture(root / read.frame["mask_file_path"]) == 255, found.glass)
+        # nerfstudio would leave what this key masks out of training.
+        assert "mask_path" not in read.frame
+
+
+def test_near_far_and_box_keep_every_surface(dataset: Dataset, exports: dict[str, Path]) -> None:
+    meta = json.loads((exports["nerfstudio"] / "transforms.json").read_text())
+    low, high = np.array(meta["aabb"])
+    depths = []
+    for split in dataset.splits:
+        for view in dataset.views(split):
+            found = quantities(view)
+            depths += [
+                found.depth_along_ray[~found.background],
+                found.opaque_depth_along_ray[found.opaque_object_id > 0],
+            ]
+            for position in (found.position[~found.background], found.opaque_position[found.opaque_object_id > 0]):
+                assert ((position > low) & (position < high)).all()
+    seen = np.concatenate(depths)
+    # Pictures show more than the rays through the centres of their pixels, and hidden surfaces count, too.
+    assert 0 < meta["near"] < seen.min() < meta["near"] * 1.02 and meta["far"] / 1.06 < seen.max() < meta["far"]
+    assert {(item.near, item.far) for item in map(dataset.cameras, dataset.splits)} == {(meta["near"], meta["far"])}
+
+
+@pytest.mark.parametrize("form", ["blender", "3dgs"])
+def test_blender_reads_every_split(form: str, dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports[form]
+    splits = {split: read_blender(root, split) for split in ("train", "val", "test", *dataset.splits[1:])}
+    assert [len(views) for views in splits.values()] == [8, 2, 4, 2, 2]
+    assert {**splits["interpolating"], **splits["extrapolating"]}.keys() == splits["test"].keys()
+    for views in splits.values():
+        for name, read in views.items():
+            check_picture(dataset, name, read.file, channels=4)
+    check_vertices(dataset, splits["train"])
+    check_vertices(dataset, splits["test"])
+
+
+@pytest.mark.parametrize("form", ["colmap", "nerfbaselines"])
+def test_colmap_reads_cameras_points_and_tracks(form: str, dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports[form]
+    views, points, seen = read_colmap_text(root)
+    check_vertices(dataset, views)
+    assert len(views) == 14 and len(points) == POINTS
+    names, observations = list(views), 0
+    for name, read_view in views.items():
+        check_picture(dataset, name, read_view.file, channels=3)
+        rows = seen[name]
+        positions = np.array([points[int(point)][0] for _, _, point in rows])
+        assert np.abs(read_view.project(positions) - np.array([row[:2] for row in rows])).max() < 1e-4
+        observations += len(rows)
+    tracked = 0
+    for number, (_, _, track) in points.items():
+        for image, place in track.reshape(-1, 2):
+            assert int(seen[names[image - 1]][place][2]) == number
+            tracked += 1
+    assert tracked == observations > 4 * POINTS
+    lists = {name: (root / f"{name}_list.txt").read_text().split() for name in ("train", "val", "test")}
+    assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "val": 2, "test": 4}
+    # Each picture is in one list: nerfstudio refuses a split whose list is missing while another's is there.
+    assert sorted(name for listed in lists.values() for name in listed) == sorted(f"{name}.png" for name in views)
+    if form == "nerfbaselines":
+        info = json.loads((root / "nb-info.json").read_text())
+        assert (info["loader"], info["scene"]) == ("colmap", "glasses")
+
+
+def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict[str, Path]) -> None:
+    for form, file in (("nerfstudio", "sparse_pc.ply"), ("3dgs", "points3d.ply")):
+        position, normal, color = read_ply_points(exports[form] / file)
+        assert len(position) == POINTS and np.abs(np.linalg.norm(normal, axis=-1) - 1).max() < 1e-5
+        on_floor = np.abs(position[:, 2]) < 1e-4
+        center, radius = BALL
+        distance = np.linalg.norm(position - center, axis=-1)
+        on_ball = np.abs(distance - radius) < 0.01
+        assert on_floor.sum() > POINTS / 4 and on_ball.any()
+        assert np.abs(normal[on_floor] - [0, 0, 1]).max() < 1e-5
+        outward = (position[on_ball] - center) / distance[on_ball][:, None]
+        assert (normal[on_ball] * outward).sum(axis=-1).min() > 0.99
+        # The pictures of this dataset have one colour an object.
+        view = dataset.view("train", 0)
+        floor_color = view.image[quantities(view).object_mask("floor")][0]
+        assert (color[on_floor] == floor_color).all()
+
+
+def check_quantities(found: ViewQuantities, files: dict[str, bytes]) -> None:
+    """Every file of a view says what is known of it, by ending."""
+    assert np.array_equal(np.asarray(Image.open(io.BytesIO(files["png"]))), found.view.image)
+    for key, values in {
+        "depth": found.depth_along_axis,
+        "opaque_depth": found.opaque_depth_along_axis,
+        "position": found.position,
+        "normal": found.normal(),
+        "geometric_normal": found.normal("geometric"),
+        "thickness": found.glass_thickness,
+        "albedo": found.albedo,
+        "ior": found.ior,
+    }.items():
+        assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values, equal_nan=True)
+    for key, values in {
+        "object_id": found.object_id,
+        "opaque_object_id": found.opaque_object_id,
+        "material_id": found.material_id,
+        "glass": np.where(found.glass, 255, 0),
+    }.items():
+        assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
+    camera = json.loads(files["camera.json"])
+    assert np.array_equal(camera["transform_matrix"], found.view.camera.world_from_camera)
+
+
+def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset: Dataset, tmp_path: Path) -> None:
+    export_dataset(dataset, "quantities", tmp_path / "out", num_points=1, flow=True)
+    about = json.loads((tmp_path / "out" / "dataset.json").read_text())
+    pictures = sorted((tmp_path / "out").glob("*/*[0-9].png"))
+    folders = [path.parent.name for path in pictures]
+    counts = {name: folders.count(name) for name in set(folders)}
+    assert counts == {"train": 8, "val": 2, "interpolating": 2, "extrapolating": 2}
+    for picture in pictures:
+        files = {path.name.partition(".")[2]: path.read_bytes() for path in picture.parent.glob(f"{picture.stem}.*")}
+        assert files.keys() == about["files"].keys() and all(about["files"].values())
+        found = quantities(view_of(dataset, picture.stem))
+        check_quantities(found, files)
+        if picture.parent.name == "val":
+            ends = found.light_ends
+            arrays = {"flow": ends.flow, "attenuation": ends.attenuation, "end_depth": ends.depth_along_axis}
+            for key, values in {**arrays, "end_position": ends.position}.items():
+                assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values) and values.any()
+            masks = {"has_flow": 255 * ends.has_flow, "has_left": 255 * ends.has_left, "end_object_id": ends.object_id}
+            for key, values in masks.items():
+                assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
+
+
+def test_views_held_out_are_those_that_training_holds_out(dataset: Dataset) -> None:
+    held_out = importlib.import_module("model.run.train").choose_held_out(10, 4)
+    source = Source(dataset=dataset, num_points=1, flow=False)
+    assert [item.view.index for item in source.of_role("val")] == held_out
+    assert [item.view.index for item in source.of_role("train")] == [n for n in range(10) if n not in held_out]
+    assert [item.view.split for item in source.of_role("test")] == ["interpolating"] * 2 + ["extrapolating"] * 2
+
+
+def test_what_cannot_be_exported_is_said(dataset: Dataset, tmp_path: Path) -> None:
+    def export(form: str, out: Path, flow: bool = False) -> None:
+        export_dataset(dataset, form, out, num_points=1, flow=flow)
+
+    with pytest.raises(HyalineError, match="no format 'nerfstudo'; did you mean 'nerfstudio'"):
+        export("nerfstudo", tmp_path / "out")
+    with pytest.raises(HyalineError, match="--flow: has no place in the format colmap"):
+        export("colmap", tmp_path / "out", flow=True)
+    with pytest.raises(HyalineError, match=r"lies in the dataset .*; choose a place outside"):
+        export("colmap", dataset.root / "colmap")
+    with pytest.raises(HyalineError, match="points: is 0; expected 1 to"):
+        Source(dataset=dataset, num_points=0, flow=False)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("form", ["nerfstudio", "blender", "3dgs"])
+def test_instant_ngp_finds_glass_and_cameras_in_its_cube(form: str, dataset: Dataset, tmp_path: Path) -> None:
+    run(f"datagen export {dataset.root} --format {form} --points 20 --out {tmp_path}")
+    glass = np.concatenate([found.position[found.glass] for found in map(quantities, _all_views(dataset))])
+    everywhere = np.array([view.camera.world_from_camera[:3, 3] for view in _all_views(dataset)])
+    files = sorted(tmp_path.glob("transforms*.json"))
+    assert files
+    for file in files:
+        meta = json.loads(file.read_text())
+        scale, offset, side = meta["scale"], np.array(meta["offset"]), meta["aabb_scale"]
+        # What its loader makes of `aabb`, where it reads that (src/nerf_loader.cu).
+        low, high = np.array(meta["aabb"])
+        assert scale == pytest.approx(1 / max(high - low))
+        assert offset == pytest.approx(0.5 - (low + high) / 2 * scale)
+        assert side in {2**power for power in range(8)}
+        places = np.array([frame["transform_matrix"] for frame in meta["frames"]])[:, :3, 3]
+        assert np.abs(glass * scale + offset - 0.5).max() < 0.5
+        assert np.abs(places * scale + offset - 0.5).max() <= side / 2
+        assert side == 1 or np.abs(everywhere * scale + offset - 0.5).max() > side / 4  # No larger than needed.
+
+
+def _all_views(dataset: Dataset) -> list[View]:
+    return [view for split in dataset.splits for view in dataset.views(split)]
+
+
+def test_hugging_face_finds_every_split_with_its_cameras(dataset: Dataset, tmp_path: Path) -> None:
+    run(f"datagen export {dataset.root} --format huggingface --out {tmp_path}")
+    _, head, text = (tmp_path / "README.md").read_text().split("---\n", 2)
+    listed = re.findall(r"- split: (\w+)\n    path: (\w+)/\*\*\n", head)
+    names = []
+    for split, folder in listed:
+        rows = [json.loads(line) for line in (tmp_path / folder / "metadata.jsonl").read_text().splitlines()]
+        pictures = {path.relative_to(tmp_path / folder).as_posix() for path in (tmp_path / folder).rglob("*.png")}
+        assert {row[key] for row in rows for key in row if key.endswith("file_name")} == pictures
+        for row in rows:
+            view = view_of(dataset, row["name"])
+            found = quantities(view)
+            assert split in (view.split, {"train": "validation"}.get(view.split))
+            assert np.array_equal(read_picture(tmp_path / folder / row["file_name"]), view.image)
+            depth = read_picture(tmp_path / folder / row["depth_file_name"]) / 1000
+            assert np.abs(depth - found.depth_along_axis).max() <= 0.0005 + 1e-6
+            assert np.array_equal(read_picture(tmp_path / folder / row["glass_file_name"]) == 255, found.glass)
+            assert np.array_equal(row["transform_matrix"], view.camera.world_from_camera)
+        names += [row["name"] for row in rows]
+    assert [split for split, _ in listed] == ["train", "validation", "interpolating", "extrapolating"]
+    assert len(names) == len(set(names)) == 14
+    # What `imagefolder` goes by when it is not given the card.
+    assert all(re.search(r"(?<![a-z])(train|validation|test)(?![a-z])", folder) for _, folder in listed)
+    assert "| `interpolating` | 2 | 49.0 dB |" in text and "OpenGL" in text
+    assert f"exported by hyaline {VERSION} from the dataset `{dataset.seal}`" in text
+    cite = (Path(__file__).parents[3] / "CITATION.cff").read_text()
+    said = dict(re.findall(r"^(title|version): \"?([^\"\n]+)", cite, re.MULTILINE))
+    author = re.search(r"- name: (.+)", cite)
+    assert author is not None
+    assert all(f"= {{{value}}}" in text for value in (said["title"], said["version"], f"{{{author[1]}}}"))

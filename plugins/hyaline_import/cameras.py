@@ -1,0 +1,318 @@
+"""Cameras of a foreign scene: those of COLMAP or of a transforms file beside the model, and their splits.
+
+Source: COLMAP's documentation of its output format, and the list of its camera models.
+"""
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.cameras import TOLERANCE, Camera, Lens
+from datagen.data.config import MAX_VIEWS
+from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import find_file
+from datagen.disk.records import shown
+from datagen.scene.camera_list import CameraList
+from datagen.scene.remarks import Remarks
+from hyaline_import.foreign import lens_of, read_foreign, rotation_of
+
+NAMES = ("transforms.json", "transforms_train.json")
+
+
+def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
+    """The cameras in a folder or a file, in the axes and units of the model that they belong to."""
+    if given.is_dir() and has_colmap(given):
+        return read_colmap(given, remarks)
+    if given.is_dir():
+        found = next((given / name for name in NAMES if (given / name).is_file()), None)
+        if found is None:
+            raise HyalineError(
+                f"{given}: holds no cameras; expected {' or '.join(NAMES)}, or cameras.bin and images.bin of COLMAP"
+            )
+        given = found
+    if given.suffix.lower() != ".json" or not given.is_file():
+        raise HyalineError(
+            f"--cameras {given}: is not a file; expected around, file, a transforms.json, or a folder of COLMAP's"
+        )
+    file = read_transforms(find_file(given.parent, given.name, where=str(given.parent)))
+    cameras, left_out = [], []
+    for frame in file.frames:
+        cameras.append(file.lens(frame, left_out=left_out).camera(file.pose(frame)))
+    for line in left_out:
+        remarks.approximate("cameras", line)
+    return tuple(cameras)
+
+
+def listed_cameras(
+    cameras: Sequence[Camera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
+) -> CameraList:
+    """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
+
+    Of fewer than three, each split has all.
+    """
+    if not cameras:
+        raise HyalineError(
+            "--cameras file: the file brings no cameras, or only skewed, mirrored or orthographic ones; leave it out"
+        )
+    lens = cameras[0]
+    if not all(camera.is_like(lens) for camera in cameras):
+        angle = math.degrees(lens.fov_x)
+        remarks.approximate(
+            "cameras", f"have several lenses; all of them get the first one's, which sees {angle:.3g} degrees"
+        )
+    rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
+    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
+    for pose, camera in zip(poses, cameras, strict=True):
+        pose[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
+        pose[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
+    if len(poses) < 3:
+        every = lens.cameras(poses)
+        return CameraList(train=every, interpolating=every, extrapolating=every)
+    outermost = int(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0), axis=-1).argmax())
+    others = np.delete(poses, outermost, axis=0)
+    return CameraList(
+        train=lens.cameras(others[np.arange(len(others)) % 8 > 0]),
+        interpolating=lens.cameras(others[::8]),
+        extrapolating=lens.cameras(poses[outermost, None]),
+    )
+
+
+# COLMAP
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapModel:
+    """A camera model: its name, and how many numbers it has; the focal lengths come first, then the middle."""
+
+    name: str
+    numbers: int
+    focals: int = 1
+
+
+MODELS = {
+    0: ColmapModel(name="SIMPLE_PINHOLE", numbers=3),
+    1: ColmapModel(name="PINHOLE", numbers=4, focals=2),
+    2: ColmapModel(name="SIMPLE_RADIAL", numbers=4),
+    3: ColmapModel(name="RADIAL", numbers=5),
+    4: ColmapModel(name="OPENCV", numbers=8, focals=2),
+    6: ColmapModel(name="FULL_OPENCV", numbers=12, focals=2),
+}
+"""By COLMAP's number. The others are of lenses that see wider than a plane shows."""
+IMAGE, POINT = struct.Struct("<I7dI"), 24
+CAMERA = struct.Struct("<IiQQ")
+TRACED = struct.Struct("<Q3d3BdQ")
+"""A point: number, place, colour, error, and how many images show it."""
+FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
+"""Where reconstructions lie in the folders of a capture."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ColmapCamera:
+    """A camera as COLMAP lists it: focal lengths, principal point, distortion."""
+
+    width: int
+    height: int
+    model: ColmapModel
+    values: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Image:
+    name: str
+    camera: int
+    pose: tuple[float, ...]
+    """Quaternion (w, x, y, z) and translation: from the world to the camera, which looks along +z, +y down."""
+
+
+def has_colmap(root: Path) -> bool:
+    """True where a folder holds a reconstruction."""
+    return _place(root) is not None
+
+
+def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
+    """The cameras of a folder, in the order of their pictures' names."""
+    return tuple(_lens(row, remarks, where=where).camera(pose) for row, pose, where in colmap_images(root).values())
+
+
+def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray, "4 4"], str]]:
+    """By the names of the pictures, in order: camera, world_from_camera, and where it is read from."""
+    found = _place(root)
+    assert found is not None, "called only if has_colmap is true"
+    folder, ending = found
+    paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
+    lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
+    if not 1 <= len(images) <= MAX_VIEWS:
+        raise HyalineError(f"{paths[1]}: has {len(images):,} images; expected 1 to {MAX_VIEWS:,}")
+    read = {}
+    for image in sorted(images, key=lambda image: image.name):
+        where = f"{paths[1]}: {shown(image.name)}"
+        if image.camera not in lenses:
+            raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
+        row = lenses[image.camera]
+        if not (row.values[0] > 0 and row.width > 0 and row.height > 0 and np.isfinite(row.values).all()):
+            raise HyalineError(
+                f"{where}: has a focal length of {row.values[0]:g} in pictures {row.width} pixels wide; expected more "
+                "than 0"
+            )
+        read[image.name] = row, _world_from_camera(image, where=where), where
+    return read
+
+
+def colmap_points(root: Path) -> Float[np.ndarray, "point 3"]:
+    """The points of a reconstruction; none without its file."""
+    found = _place(root)
+    assert found is not None, "called only if has_colmap is true"
+    path = found[0] / f"points3D.{found[1]}"
+    if not path.is_file():
+        return np.zeros((0, 3))
+    try:
+        if found[1] == "txt":
+            points = [[float(word) for word in words[1:4]] for words in map(str.split, _lines(path)) if words]
+        else:
+            points, data, at = [], read_foreign(path), 8
+            for _ in range(struct.unpack_from("<Q", data)[0]):
+                _, *place, _, _, _, _, seen = TRACED.unpack_from(data, at)
+                points.append(place)
+                at += TRACED.size + 8 * seen
+        return np.array(points, np.float64).reshape(-1, 3)
+    except (struct.error, ValueError) as error:
+        raise HyalineError(f"{path}: is cut off or damaged ({error}); export it again") from None
+
+
+def _place(root: Path) -> tuple[Path, str] | None:
+    """The folder of a reconstruction, and the ending of its files."""
+    for folder in FOLDERS:
+        for ending in ("bin", "txt"):
+            if all((root / folder / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+                return root / folder, ending
+    return None
+
+
+def _lens(row: ColmapCamera, remarks: Remarks, *, where: str) -> Lens:
+    numbers, focals = row.values, row.model.focals
+    if any(abs(value) > 1e-9 for value in numbers[focals + 2 :]):
+        remarks.approximate("cameras", DISTORTED)
+    if abs(numbers[focals - 1] / numbers[0] - 1) > TOLERANCE:
+        remarks.approximate("cameras", NOT_SQUARE)
+    center = numbers[focals], numbers[focals + 1]
+    return lens_of(numbers[0], row.width, row.height, center, where=where)
+
+
+def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
+    quaternion, place = np.array(image.pose[:4]), np.array(image.pose[4:])
+    length = float(np.linalg.norm(quaternion))
+    if not (0.5 < length < 2 and np.abs(place).max() < 1e12):
+        raise HyalineError(f"{where}: has a rotation of length {length:g}; expected a quaternion of length 1")
+    rotation = rotation_of(np.roll(quaternion / length, -1))
+    matrix = np.eye(4)
+    # COLMAP's cameras look along +z with +y down; OpenGL's look along -z with +y up.
+    matrix[:3, :3] = rotation.T * [1, -1, -1]
+    matrix[:3, 3] = -rotation.T @ place
+    return matrix
+
+
+# Binary
+
+
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
+    try:
+        return _binary_lenses(cameras), _binary_images(images)
+    except (struct.error, ValueError) as error:
+        raise HyalineError(
+            f"{cameras.parent}: its cameras or images are cut off ({error}); export them again"
+        ) from None
+
+
+def _binary_lenses(path: Path) -> dict[int, ColmapCamera]:
+    data = read_foreign(path)
+    lenses, at = {}, 8
+    for _ in range(_count(data, path)):
+        camera, number, width, height = CAMERA.unpack_from(data, at)
+        model = _model(MODELS.get(number), number, where=str(path))
+        values = struct.unpack_from(f"<{model.numbers}d", data, at + CAMERA.size)
+        lenses[camera] = ColmapCamera(width=width, height=height, model=model, values=values)
+        at += CAMERA.size + 8 * model.numbers
+    return lenses
+
+
+def _binary_images(path: Path) -> list[_Image]:
+    data = read_foreign(path)
+    images, at = [], 8
+    for _ in range(_count(data, path)):
+        _, *pose, camera = IMAGE.unpack_from(data, at)
+        end = data.index(b"\0", at + IMAGE.size)
+        name = data[at + IMAGE.size : end].decode(errors="replace")
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + POINT * points
+        if at > len(data):
+            raise ValueError(f"{points:,} points of {shown(name)}")
+        images.append(_Image(name=name, camera=camera, pose=tuple(pose)))
+    return images
+
+
+def _count(data: bytes, path: Path) -> int:
+    (count,) = struct.unpack_from("<Q", data)
+    if count > MAX_VIEWS:
+        raise HyalineError(f"{path}: has {count:,} entries; expected at most {MAX_VIEWS:,}")
+    return count
+
+
+# Text
+
+
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
+    by_name = {model.name: model for model in MODELS.values()}
+    lenses: dict[int, ColmapCamera] = {}
+    listed: list[_Image] = []
+    where = str(cameras)
+    try:
+        for words in map(str.split, _lines(cameras)):
+            if words:
+                model = _model(by_name.get(words[1]), words[1], where=where)
+                values = tuple(map(float, words[4:]))
+                if len(values) != model.numbers:
+                    raise ValueError(f"{len(values)} numbers of a {model.name}")
+                lens = ColmapCamera(width=int(words[2]), height=int(words[3]), model=model, values=values)
+                lenses[int(words[0])] = lens
+        where = str(images)
+        for line in _image_lines(images):
+            if line.strip():
+                *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
+                pose = tuple(map(float, numbers[1:8]))
+                listed.append(_Image(name=name.rstrip(), camera=int(numbers[8]), pose=pose))
+    except (ValueError, IndexError) as error:
+        raise HyalineError(f"{where}: has a line that cannot be read ({error}); export it again") from None
+    return lenses, listed
+
+
+def _image_lines(path: Path) -> list[str]:
+    """The first line of each image. The second lists its points, and some tools leave it out if there are none."""
+
+    def lists_points(line: str) -> bool:
+        words = line.split()
+        return not words or words[-1].lstrip("-").isdigit()
+
+    lines = _lines(path)
+    return lines[::2] if all(map(lists_points, lines[1::2])) else [line for line in lines if not lists_points(line)]
+
+
+def _lines(path: Path) -> list[str]:
+    """All lines except comments; empty ones are kept."""
+    text = read_foreign(path).decode(errors="replace")
+    return [line for line in text.splitlines() if not line.startswith("#")]
+
+
+def _model(model: ColmapModel | None, given: object, *, where: str) -> ColmapModel:
+    if model is None:
+        known = ", ".join(model.name for model in MODELS.values())
+        raise HyalineError(
+            f"{where}: has a camera of model {shown(str(given))}; expected one of {known}; undistort the pictures "
+            "first (`colmap image_undistorter`)"
+        )
+    return model

@@ -1,0 +1,103 @@
+"""Imports as commands make them: in a process of its own, which a hostile file may hang or end, and into a folder that
+import.json makes ours.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+from datagen.data.config import Resolution
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_relative
+from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
+from datagen.disk.records import Json, load_json
+from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
+from datagen.machine.confined import confined
+from datagen.scene.description import EnvironmentMap, Scene
+from datagen.scene.folder import load_scene, save_scene
+from datagen.scene.import_choices import ImportChoices
+from hyaline_import.importing import import_scene
+
+RECORD = "import.json"
+IMPORTED = FolderKind(what="imported scene", head=RECORD, folders=("meshes", "textures", "baked"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ImportedFiles:
+    """The files of an imported scene's folder by their path, the content of import.json, and the lines to report."""
+
+    files: Mapping[str, bytes]
+    record: Mapping[str, Json]
+    told: list[str]
+
+
+def import_files(path: Path, choices: ImportChoices, *, resolution: Resolution) -> ImportedFiles:
+    """The folder of the scene in a foreign file."""
+    with confined(_import, path, choices, resolution, where=str(path)) as folder:
+        scene = folder / "scene"
+        files = {file.relative_to(scene).as_posix(): file.read_bytes() for file in scene.rglob("*") if file.is_file()}
+        answer = load_json(folder / "told.json")
+    record, told = cast(dict[str, Json], answer["record"]), cast(list[str], answer["told"])
+    return ImportedFiles(files=files, record=record, told=told)
+
+
+def imported_scene(path: Path, choices: ImportChoices, *, resolution: Resolution) -> tuple[Scene, list[str]]:
+    """The scene in a foreign file, and the lines to report."""
+    return scene_from(_import, path, choices, resolution, where=str(path))
+
+
+def scene_from(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, list[str]]:
+    """The scene, with its images, and the lines to report that a function saves in a process of its own
+    (`save_answer`)."""
+    with confined(function, *arguments, where=where) as folder:
+        # The process has mended and checked it.
+        scene = load_scene(folder / "scene", is_checked=True)
+        images = {image.path for item in scene.objects for image in item.material.images().values()}
+        if isinstance(scene.environment, EnvironmentMap):
+            images.add(scene.environment.path)
+        baked = {image: (folder / "scene" / image).read_bytes() for image in images}
+        told = cast(list[str], load_json(folder / "told.json")["told"])
+        return dataclasses.replace(scene, folder=None, baked=baked), told
+
+
+def save_answer(folder: Path, scene: Scene, told: Sequence[str], **more: Json) -> None:
+    """What `scene_from` reads."""
+    save_scene(scene, folder / "scene")
+    (folder / "told.json").write_bytes(dump_json({**more, "told": list(told)}))
+
+
+def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolution) -> None:
+    imported = import_scene(path, choices, resolution=resolution)
+    save_answer(folder, imported.scene, imported.told(), record=dict(imported.record))
+
+
+def check_free(root: Path, *, overwrite: bool) -> None:
+    """Rejects a folder that holds something else, before any work is done."""
+    if is_ours(root, IMPORTED):
+        if not overwrite:
+            raise HyalineError(f"{root}: holds an imported scene; pass --overwrite to replace it, or another --out")
+        return
+    refuse_others(root, IMPORTED)
+
+
+def write_imported(files: Mapping[str, bytes], record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
+    """Writes a scene's files and the record of its import; what an earlier import wrote there is removed."""
+    content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
+    with holding(root, IMPORTED):
+        check_free(root, overwrite=overwrite)
+        before = _listed(root) if is_ours(root, IMPORTED) else []
+        refuse_taken(root, IMPORTED, files, before)
+        # A killed command leaves files of ours but not a scene, since scene.json is written last.
+        remove_files(root, [path for path in before if path not in files or path == "scene.json"])
+        begin(root, IMPORTED, seal_bytes(content), files)
+        commit_sealed(root / RECORD, content)
+        for path in sorted(files, key=lambda path: (path == "scene.json", path)):
+            commit(root / path, files[path])
+
+
+def _listed(root: Path) -> list[str]:
+    listed = load_sealed(root / RECORD).get("files")
+    paths = listed if isinstance(listed, list) else []
+    return [check_relative(path, where=str(root / RECORD)) for path in paths if isinstance(path, str)]

@@ -1,0 +1,228 @@
+"""Another project's dataset as one of ours: read, split, write; goes on where it was stopped."""
+
+import hashlib
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from datagen.build.build import open_or_start
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig
+from datagen.data.dataset import Dataset, View
+from datagen.data.depth_range import with_depth_range
+from datagen.data.metadata import Imported, unknown_license
+from datagen.data.writing import commit_imported_view
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, holding
+from datagen.disk.storage import sha256_file
+from datagen.scene.description import Scene
+from datagen.terminal.command import track
+from datagen.terminal.plugins import Group
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name
+from hyaline_import.datasets.pictures import view_files
+from hyaline_import.datasets.surfaces import find_scene
+from hyaline_import.foreign import z_up_from
+from hyaline_import.foreign_files import scene_name
+
+READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
+    name="hyaline.dataset_readers",
+    what="layout",
+    built_in={"transforms": "hyaline_import.datasets.layouts:read_folder"},
+    guide="docs/adding-a-reader.md",
+)
+"""Each gets a folder, and returns None where it is not of its layout."""
+
+PRESET = "imported"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What an import will write, before any picture is decoded."""
+
+    files: Callable[[Split, int], dict[str, bytes]]
+    """The files of a view by their endings."""
+    cameras: dict[Split, Cameras]
+    config: DatasetConfig
+    scene: Scene | None
+    """None without meshes."""
+    imported: Imported
+    stated_license: str | None
+
+
+def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
+    """Reads all of a folder but for its pictures."""
+    foreign = read_foreign_dataset(folder)
+    whole, times = foreign.lens.size, choices.downscale
+    if whole.width % times or whole.height % times:
+        raise HyalineError(f"--downscale: is {times}, and pictures are {whole} pixels; expected a divisor of both")
+    views, lines = split_views(foreign)
+    linear = choices.scale * z_up_from(choices.up)
+    size = Resolution(width=whole.width // times, height=whole.height // times)
+    lens = foreign.lens.fitted(size)
+    cameras: dict[Split, Cameras] = {
+        split: lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
+        for split in SPLITS
+    }
+    name = scene_name(folder.resolve())
+    given = tuple(ForeignSurface(name=surface_name(file), file=file) for file in choices.mesh)
+    surfaces = (*foreign.surfaces, *given)
+    scene, about_scene = find_scene(name, surfaces, cameras, choices) if surfaces else (None, [])
+    if scene is not None:
+        cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    config = imported_config(name, size, views)
+    used = [view for split in SPLITS for view in views[split]]
+    told = (*foreign.remarks, *lines, *about_scene)
+    imported = Imported(
+        layout=foreign.layout,
+        source=folder.resolve().name,
+        source_sha256=digest_of(
+            [*foreign.files, *choices.mesh], f"{choices.downscale} {choices.background} {choices.scale}"
+        ),
+        has_masks=all(view.mask is not None for view in used),
+        has_depth=all(view.depth is not None for view in used),
+        remarks=told,
+    )
+
+    def files(split: Split, index: int) -> dict[str, bytes]:
+        view, kinds = views[split][index], imported
+        return view_files(view, whole, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
+
+    return Plan(
+        files=files, cameras=cameras, config=config, scene=scene, imported=imported, stated_license=foreign.license
+    )
+
+
+def imported_config(name: str, size: Resolution, views: Mapping[Split, Sequence[ForeignView]]) -> DatasetConfig:
+    """The configuration of a dataset of these views."""
+    few = {split: SplitConfig(views=len(views[split]), spp=None) for split in SPLITS}
+    return DatasetConfig(
+        scene=name,
+        preset=PRESET,
+        resolution=size,
+        train=few["train"],
+        interpolating=few["interpolating"],
+        extrapolating=few["extrapolating"],
+    )
+
+
+def read_foreign_dataset(root: Path) -> ForeignDataset:
+    """What a folder names, by the first reader that knows its layout."""
+    if not root.is_dir():
+        raise HyalineError(f"{root}: is not a folder; expected one with transforms_train.json or transforms.json")
+    if (root / DATASET.head).is_file():
+        raise HyalineError(f"{root}: is a hyaline dataset already; pass it to the other commands as it is")
+    for name in READERS.names():
+        if (found := READERS.find(name)(root)) is not None:
+            return found
+    others = ", ".join(READERS.names()[len(READERS.built_in) :])
+    raise HyalineError(
+        f"{root}: has neither transforms_train.json nor transforms.json; expected the layout of RefRef, OpenMaterial, "
+        f"Blender or nerfstudio{f', or of one of the installed readers ({others})' if others else ''}"
+    )
+
+
+def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
+    """Writes what is missing of an import."""
+    with holding(root, DATASET):
+        dataset = open_or_start(
+            plan.scene,
+            root,
+            plan.config,
+            plan.cameras,
+            overwrite=overwrite,
+            imported=plan.imported,
+            stated_license=plan.stated_license or unknown_license(plan.imported.source),
+        )
+        missing = [view for view in _views(dataset) if not view.is_built]
+        total = sum(plan.config.split(split).views for split in SPLITS)
+        for view in track(missing, label="import", total=total, done=total - len(missing)):
+            commit_imported_view(dataset, view.split, view.index, plan.files(view.split, view.index))
+    return dataset
+
+
+def _views(dataset: Dataset) -> Iterator[View]:
+    for split in dataset.splits:
+        yield from dataset.views(split)
+
+
+def _placed(pose: np.ndarray, linear: np.ndarray) -> np.ndarray:
+    """A camera in our world: turned and moved, and not stretched."""
+    placed = pose.copy()
+    placed[:3, :3] = np.rint(linear / np.abs(linear).max()) @ pose[:3, :3]
+    placed[:3, 3] = linear @ pose[:3, 3]
+    return placed
+
+
+def digest_of(files: Sequence[Path], choices: str) -> str:
+    """Names the content of files in their order, and what decides how they are taken over."""
+    digest = hashlib.sha256(choices.encode())
+    for file in files:
+        digest.update(sha256_file(file).encode())
+    return digest.hexdigest()
+
+
+# Splits
+
+OURS = re.compile(r"(?:image_)?(train|interpolating|extrapolating)_(\d{4})")
+"""Names of pictures in what `datagen export` writes."""
+FAR_SHARE = 4
+"""One in this many test views is for extrapolation."""
+
+
+def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView, ...]], list[str]]:
+    """The views of each split, and one line for each decision.
+
+    Pictures that `datagen export` named get back their places. Otherwise the test views farthest from all training
+    cameras become the split `extrapolating`.
+    """
+    if (named := _by_name(foreign)) is not None:
+        return named, []
+    train, val, test = (foreign.views[role] for role in ROLES)
+    lines = []
+    if val and not test:
+        test, lines = val, ["splits: there are no test pictures; those for validation take their place"]
+    elif val:
+        lines.append(f"splits: {len(val)} pictures for validation were left out")
+    if not train or not test:
+        raise HyalineError(
+            f"{foreign.root}: has {len(train)} pictures to train on and {len(test)} to test; expected some of each"
+        )
+    learned = {view.picture for view in train}
+    if (again := next((view.picture for view in test if view.picture in learned), None)) is not None:
+        raise HyalineError(f"{again}: is listed to train on and to test; expected each picture once")
+    if len(test) == 1:
+        return {"train": train, "interpolating": test, "extrapolating": test}, [
+            *lines,
+            "splits: the only test picture is in both test splits",
+        ]
+    places = np.stack([view.world_from_camera[:3, 3] for view in train])
+    away = np.array([np.linalg.norm(places - view.world_from_camera[:3, 3], axis=1).min() for view in test])
+    far = {int(place) for place in np.argsort(-away, kind="stable")[: max(1, len(test) // FAR_SHARE)]}
+    lines.append(
+        f"splits: the {len(far)} test views farthest from any training camera are in extrapolating, the "
+        "other ones in interpolating"
+    )
+    near = tuple(view for place, view in enumerate(test) if place not in far)
+    return {"train": train, "interpolating": near, "extrapolating": tuple(test[place] for place in sorted(far))}, lines
+
+
+def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | None:
+    """The views by the splits in their names; None unless every name has one, and each split some views."""
+    found: dict[Split, dict[int, ForeignView]] = {split: {} for split in SPLITS}
+    for view in (view for role in ROLES for view in foreign.views[role]):
+        match = OURS.fullmatch(view.picture.stem)
+        if match is None:
+            return None
+        views = found[cast(Split, match[1])]
+        if (other := views.setdefault(int(match[2]), view)) is not view:
+            raise HyalineError(
+                f"{other.picture} and {view.picture}: both are view {match[2]} of {match[1]} by their names"
+            )
+    if not all(found.values()):
+        return None
+    return {split: tuple(views[number] for number in sorted(views)) for split, views in found.items()}

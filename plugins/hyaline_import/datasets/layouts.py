@@ -1,0 +1,313 @@
+"""Layouts of other projects' datasets with transforms files, read before any picture is decoded.
+
+    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json with
+                   their index and absorption, if somebody adds them
+    openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
+    blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
+    nerfstudio     transforms.json for all pictures
+
+Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
+"""
+
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, TypeVar, get_args
+
+import numpy as np
+from jaxtyping import Float
+from PIL import ExifTags, Image
+
+from datagen.data.cameras import Lens
+from datagen.data.config import Resolution
+from datagen.data.metadata import license_line
+from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_regular, find_file
+from datagen.disk.records import load_json, open_regular, shown
+from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
+from hyaline_import.fields import Fields
+
+Role = Literal["train", "val", "test"]
+ROLES: tuple[Role, ...] = get_args(Role)
+
+Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
+"""The layouts of `read_folder`."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignView:
+    """One picture and its camera."""
+
+    picture: Path
+    mask: Path | None
+    """Not black where the object is seen."""
+    depth: Path | None
+    world_from_camera: Float[np.ndarray, "4 4"]
+    """OpenGL convention, in the folder's units and axes."""
+    npy_unit: float = 1.0
+    """What 1 in a NumPy file of depth is in the folder's units."""
+
+
+View = TypeVar("View", bound=ForeignView)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForeignSurface:
+    """A mesh of the scene, and what is known of its material."""
+
+    name: str
+    file: Path
+    ior: float | None = None
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1 over the folder's unit."""
+    is_thin: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignDataset:
+    """Everything that a folder names."""
+
+    root: Path
+    layout: str
+    """Its name in the dataset's record of its import."""
+    lens: Lens
+    views: dict[Role, tuple[ForeignView, ...]]
+    surfaces: tuple[ForeignSurface, ...]
+    remarks: tuple[str, ...]
+    """What is left out."""
+    license: str | None = None
+    """The licence in its transforms file, which our exports write."""
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file whose content becomes a part of the dataset."""
+        views = [view for role in ROLES for view in self.views[role]]
+        parts = [part for view in views for part in (view.picture, view.mask, view.depth) if part is not None]
+        return [*parts, *(surface.file for surface in self.surfaces)]
+
+
+ONE_FILE = "transforms.json"
+UNKNOWN, UPRIGHT = 0, 1
+"""EXIF's orientations of pictures that are shown as they are stored."""
+MILLIMETRE = 0.001
+"""nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
+EVERY = 8
+"""Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
+ENDINGS = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
+MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
+
+
+def read_folder(root: Path) -> ForeignDataset | None:
+    """What a folder with transforms files names; None where it has none."""
+    found = transforms_in(root)
+    if not found:
+        return None
+    train = found["train"]
+    layout = "nerfstudio" if train.where.endswith(ONE_FILE) else _layout_of(root, train)
+    views: dict[Role, tuple[ForeignView, ...]] = dict.fromkeys(ROLES, ())
+    views |= {role: _views(root, file, layout) for role, file in found.items()}
+    size = _shared_size([view.picture for role in ROLES for view in views[role]])
+    lens = _lens_for(size, train)
+    for file in found.values():
+        refuse_other_lens(_lens_for(size, file), lens, where=file.where)
+    if layout == "nerfstudio":
+        views = split_listed(train, views["train"])
+    return ForeignDataset(
+        root=root,
+        layout=layout,
+        lens=lens,
+        views=views,
+        surfaces=_surfaces(root),
+        remarks=_left_out(train, layout, views),
+        license=license_line(train.content.get("license")),
+    )
+
+
+def transforms_in(root: Path) -> dict[Role, Transforms]:
+    """The transforms files of a folder by role; a single one for all pictures is that of training."""
+    names: dict[Role, str] = {role: f"transforms_{role}.json" for role in ROLES}
+    names = {role: name for role, name in names.items() if (root / name).is_file()}
+    if "train" not in names:
+        names = {"train": ONE_FILE} if (root / ONE_FILE).is_file() else {}
+    return {role: read_transforms(find_file(root, name, where=str(root))) for role, name in names.items()}
+
+
+def _layout_of(root: Path, train: Transforms) -> Layout:
+    first = train.frames[0]
+    if "mask_file_path" in first or "depth_file_path" in first or (root / "objects.json").is_file():
+        return "refref"
+    return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
+
+
+def _shared_size(pictures: Sequence[Path]) -> Resolution:
+    """The size of all pictures."""
+    sizes = [Resolution(width=width, height=height) for width, height in map(picture_size, pictures)]
+    for picture, size in zip(pictures, sizes, strict=True):
+        if size != sizes[0]:
+            raise HyalineError(f"{picture}: is {size} pixels; expected {sizes[0]}, as {pictures[0]}")
+    return sizes[0]
+
+
+def _lens_for(size: Resolution, file: Transforms) -> Lens:
+    """The lens of all frames, for pictures as large as they are now: they may have been made smaller."""
+    lens = file.shared_lens((size.width, size.height))
+    if abs(lens.height * size.width / lens.width - size.height) > 0.5:
+        raise HyalineError(f"{file.where}: w and h are {lens.width} x {lens.height}; expected {size}, as the pictures")
+    return lens.fitted(size)
+
+
+def find_named(root: Path, frame: Frame, key: str) -> Path:
+    """The file that a frame names, with or without its ending."""
+    where, name = f"{frame.where}.{key}", frame.file(key)
+    for ending in ENDINGS:
+        path = find_file(root, name + ending, where=where)
+        if path.is_file():
+            return path
+    raise HyalineError(f"{where}: names {shown(name)}, which is not in {root}; download the whole scene")
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height of a picture, by its header.
+
+    Raises:
+        HyalineError: it is stored on its side: tools differ on whether they turn it before they find cameras.
+    """
+    with _header(path) as picture:
+        turn = picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
+        if turn not in (UNKNOWN, UPRIGHT):
+            raise HyalineError(
+                f"{path}: is stored turned or mirrored (EXIF orientation {turn}), which some tools undo and others do "
+                "not; turn the pixels (`mogrify -auto-orient`) before masks and cameras are made, or, if these fit the "
+                "stored pixels, delete the tag (`exiftool -Orientation=`)"
+            )
+        return picture.size
+
+
+@contextmanager
+def _header(path: Path) -> Iterator[Image.Image]:
+    """The picture of a file, not decoded."""
+    try:
+        with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
+            yield picture
+    except HyalineError:
+        raise
+    except Exception as error:
+        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__})") from error
+
+
+def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
+    """The mask of `train/images/000.png` is `train/mask/000.png`."""
+    picture = find_named(root, frame, "file_path").relative_to(root)
+    mask = root / picture.parts[0] / "mask" / picture.name
+    if not mask.is_file():
+        return None
+    check_regular(mask, root, where=frame.where)
+    return mask
+
+
+def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, ...]:
+    views = []
+    unit = MILLIMETRE if layout == "nerfstudio" else 1.0
+    for frame in file.frames:
+        mask = depth = None
+        if layout == "openmaterial":
+            mask = _openmaterial_mask(root, frame)
+        elif "mask_file_path" in frame:
+            mask = find_named(root, frame, "mask_file_path")
+        if "depth_file_path" in frame and _is_metric(frame, layout):
+            depth = find_named(root, frame, "depth_file_path")
+        picture = find_named(root, frame, "file_path")
+        pose = file.pose(frame)
+        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=pose, npy_unit=unit))
+    return tuple(views)
+
+
+def _is_metric(frame: Frame, layout: Layout) -> bool:
+    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs."""
+    file = frame.text("depth_file_path")
+    return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
+
+
+def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
+    """The views of one file by role: by its lists of names (`train_filenames`), or else every eighth for tests."""
+    if f"{ROLES[0]}_filenames" not in file.content:
+        return split_evenly(views)
+    paths = [frame.file("file_path") for frame in file.frames]
+    found: dict[Role, tuple[View, ...]] = {}
+    for role in ROLES:
+        named = file.content.get(f"{role}_filenames", [])
+        if not isinstance(named, list):
+            raise HyalineError(f"{file.where}: {role}_filenames is {shown(named)}; expected a list of names")
+        wanted = {relative_name(str(name)) for name in named}
+        found[role] = tuple(view for view, path in zip(views, paths, strict=True) if path in wanted)
+    return found
+
+
+def about_unlisted(file: Transforms, found: Mapping[Role, Sequence[ForeignView]]) -> list[str]:
+    """A line if the lists of a file leave out some of its views."""
+    count = len(file.frames) - len({view for role in ROLES for view in found[role]})
+    return [f"splits: {count} of {len(file.frames)} pictures are in none of the file's lists; left out"] * bool(count)
+
+
+def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
+    """Assigns every eighth view, starting with the first, to tests."""
+    train = tuple(view for place, view in enumerate(views) if place % EVERY)
+    return {"train": train, "val": (), "test": tuple(views[::EVERY])}
+
+
+def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
+    """The meshes in the folder: those that objects.json describes, or all in meshes/."""
+    if (root / "objects.json").is_file():
+        path = find_file(root, "objects.json", where=str(root))
+        listed = Fields(load_json(path), str(path))
+        if len(listed.data) > MAX_OBJECTS:
+            raise HyalineError(f"{path}: has {len(listed.data):,} objects; expected at most {MAX_OBJECTS}")
+        return tuple(_described(root, name, listed.fields(name)) for name in listed)
+    folder = root / "meshes"
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
+    for path in files:
+        check_regular(path, root, where=str(root))
+    return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
+
+
+def _described(root: Path, name: str, fields: Fields) -> ForeignSurface:
+    if not re.fullmatch(OBJECT_NAME, name):
+        raise HyalineError(f"{fields.where}: is the name of an object; expected letters, digits, _ and -")
+    file = find_file(root, fields.text("mesh"), where=f"{fields.where}.mesh")
+    if not file.is_file():
+        raise HyalineError(f"{fields.where}.mesh: names {shown(fields.text('mesh'))}, which is not in {root}")
+    ior = fields.number("ior", 0.0) if "ior" in fields else None
+    if ior is not None and not 1 < ior < 10:
+        raise HyalineError(f"{fields.where}.ior: is {ior:g}; expected more than 1, and less than 10")
+    red, green, blue = fields.numbers("absorption_per_metre", (0.0, 0.0, 0.0))
+    return ForeignSurface(name=name, file=file, ior=ior, absorption=(red, green, blue), is_thin=fields.flag("is_thin"))
+
+
+def surface_name(file: Path) -> str:
+    """The name of the object in a file."""
+    return re.sub(r"[^A-Za-z0-9_-]", "_", file.stem).lstrip("-")[:60] or "object"
+
+
+def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
+    lines = []
+    first = train.frames[0]
+    if "depth_file_path" in first and not _is_metric(first, layout):
+        lines.append("depth: its files have no known unit; left out")
+    if layout == "openmaterial":
+        lines.append("masks: show the object, which is taken for glass")
+    if "mask_path" in first:
+        lines.append("mask_path: selects what nerfstudio trains on, not glass; left out")
+    if layout == "nerfstudio" and f"{ROLES[0]}_filenames" not in train.content:
+        lines.append(f"splits: the file has none; each {EVERY}th picture is for tests")
+    if layout == "nerfstudio":
+        lines += about_unlisted(train, views)
+    has_masks = [view.mask is not None for role in ROLES for view in views[role]]
+    if any(has_masks) and not all(has_masks):
+        lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
+    has_depth = [view.depth is not None for role in ROLES for view in views[role]]
+    if any(has_depth) and not all(has_depth):
+        lines.append(f"depth: {has_depth.count(False)} of {len(has_depth)} pictures have none; all of it was left out")
+    return tuple(lines)

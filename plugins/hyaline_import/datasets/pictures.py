@@ -1,0 +1,136 @@
+"""Pictures, masks and depth of other projects, as the files of a dataset's view."""
+
+import io
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+from PIL import Image, ImageCms, UnidentifiedImageError
+
+from datagen.data.config import Resolution
+from datagen.data.images import (
+    MAX_NPY_BYTES,
+    linear_from_srgb,
+    mask_pixels,
+    npy_bytes,
+    png_bytes,
+    read_npy,
+    srgb_from_linear,
+    to_8bit,
+)
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import read_regular
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.datasets.layouts import MILLIMETRE, ForeignView
+from hyaline_import.foreign import MAX_FILE_BYTES
+
+FORMATS = ["PNG", "JPEG", "WEBP"]
+BACKGROUND = {"white": 255.0, "black": 0.0}
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
+"""What a profile of grey or CMYK converts, by the mode of its picture."""
+
+
+def view_files(
+    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool, has_depth: bool
+) -> dict[str, bytes]:
+    """The files of a view, by ending.
+
+    Args:
+        size: of the foreign picture.
+    """
+    files = {".png": png_bytes(picture_of(view, size, choices))}
+    if has_mask:
+        mask = _blocks(mask_of(view, size).astype(np.float64), choices.downscale).mean(axis=(1, 3)) >= 0.5
+        files[".mask.png"] = png_bytes(np.where(mask, 255, 0).astype(np.uint8))
+    if has_depth:
+        depth = _blocks(depth_of(view, size), choices.downscale)
+        middle = choices.downscale // 2
+        files[".depth.npy"] = npy_bytes(depth[:, middle, :, middle] * np.float32(choices.scale))
+    return files
+
+
+def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoices) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture over its background, and as small as asked for."""
+    image = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
+    if choices.downscale == 1:
+        return image
+    linear = _blocks(linear_from_srgb(image.astype(np.float64) / 255), choices.downscale).mean(axis=(1, 3))
+    return to_8bit(srgb_from_linear(linear))
+
+
+def on_background(
+    picture: Image.Image, path: Path, background: Literal["white", "black"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """An 8-bit picture over its background, in sRGB whatever its colour profile."""
+    if picture.mode not in EIGHT_BITS:
+        raise HyalineError(f"{path}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
+    return _over(np.asarray(_in_srgb(picture, path)), BACKGROUND[background])
+
+
+def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
+    """RGBA in sRGB; a picture may have another profile, such as the Display P3 of phones."""
+    rgba = picture.convert("RGBA")
+    if not (icc := picture.info.get("icc_profile")):
+        return rgba
+    mode = "RGB" if icc[16:20] == b"RGB " else PROFILED.get(picture.mode, "RGB")  # The pixels that a profile is for.
+    pixels = rgba.convert("RGB") if mode == "RGB" else picture.convert(mode)
+    try:
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(icc))
+        converted = ImageCms.profileToProfile(pixels, profile, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (OSError, ImageCms.PyCMSError) as error:
+        raise HyalineError(f"{path}: has a colour profile that cannot be used ({error}); convert it to sRGB") from None
+    assert converted is not None, "None is for pictures that are changed in place"
+    converted.putalpha(rgba.getchannel("A"))
+    return converted
+
+
+def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
+    """Pixels that a view's mask shows."""
+    assert view.mask is not None
+    return mask_pixels(opened(view.mask, (size.width, size.height)))
+
+
+def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
+    """Depth in the folder's units: of a NumPy file in the view's unit, or of a PNG in thousandths."""
+    assert view.depth is not None
+    where = str(view.depth)
+    if view.depth.suffix == ".npy":
+        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where) * np.float32(view.npy_unit)
+    else:
+        depth = np.asarray(opened(view.depth, (size.width, size.height))).astype(np.float64) * MILLIMETRE
+    if depth.shape != size.shape or depth.min() < 0:
+        raise HyalineError(f"{where}: is of shape {depth.shape}; expected {size} distances, none below 0")
+    return depth.astype(np.float32)
+
+
+def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
+    """The picture of a file; nothing is decoded of one that has not the width and height it should have."""
+    data = read_regular(path, at_most=MAX_FILE_BYTES)
+    try:
+        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
+            if size is not None and picture.size != size:
+                raise HyalineError(
+                    f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}"
+                )
+            picture.load()
+            return picture
+    except HyalineError:
+        raise
+    except UnidentifiedImageError as error:
+        raise HyalineError(f"{path}: not a picture that can be read (no PNG, JPEG or WebP)") from error
+    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
+    except Exception as error:
+        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__}: {error})") from error
+
+
+def _over(rgba: UInt8[np.ndarray, "h w 4"], background: float) -> UInt8[np.ndarray, "h w 3"]:
+    """The picture over a grey, mixed in sRGB as NeRF's tools do it."""
+    alpha = rgba[..., 3:].astype(np.float64) / 255
+    return np.rint(rgba[..., :3] * alpha + background * (1 - alpha)).astype(np.uint8)
+
+
+def _blocks(values: Float[np.ndarray, "h w *c"], side: int) -> Float[np.ndarray, "row i column j *c"]:
+    height, width = values.shape[:2]
+    return values.reshape(height // side, side, width // side, side, *values.shape[2:])

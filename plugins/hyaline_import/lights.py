@@ -1,0 +1,205 @@
+"""The lamps and skies of foreign files in a scene of ours."""
+
+import dataclasses
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.meshes import Mesh, face_corners, open_edges
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import (
+    EnvironmentMap,
+    Lobe,
+    RectangleLight,
+    SceneObject,
+    SoftEnvironment,
+)
+from datagen.scene.remarks import Remarks
+from datagen.scene.staging import is_enclosed, subject_box
+from datagen.scene.values import Color, as_vector
+from hyaline_import.foreign import ForeignLamp, ForeignLight, ForeignMap
+
+DUST = 1e-9
+"""Rounding error of a rotation, as a share of an edge's largest coordinate."""
+UPRIGHT = 0.9999
+"""Cosine of the largest tilt of an environment map that is ignored."""
+IRRADIANCE = 2.5
+"""Irradiance of all lamps together at the scene's centre. Files have candela and lux, which viewers expose freely."""
+SIDE = 0.15
+"""Side of a lamp's square over its distance from the scene's centre: 9 degrees wide."""
+SHARPNESS = 400.0
+"""Sharpness of a sun's lobe: 7 degrees wide at half maximum."""
+FILL = 0.4
+"""Share of the soft light between the cards that stays."""
+
+
+LEAST_GLOW = 0.5
+"""Radiance from which a surface is a lamp; below, it is a surface that glows a little."""
+LEAST_SIDE = 0.02
+"""Share of a lamp's box below which a side is left out."""
+
+
+def placed_light(
+    light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
+) -> RectangleLight:
+    """A light of the file in our world."""
+    return RectangleLight(
+        corner=as_vector(linear @ light.corner + offset),
+        edge_u=as_vector(_without_dust(linear @ light.edge_u)),
+        edge_v=as_vector(_without_dust(linear @ light.edge_v)),
+        radiance=light.radiance,
+    )
+
+
+def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """The edge without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m."""
+    return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
+
+
+def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
+    """A map of the environment in our world; a tilted one is drawn upright."""
+    middle, up = (linear @ sky.middle, linear @ sky.up)
+    if up[2] < UPRIGHT * np.linalg.norm(up):
+        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
+    return EnvironmentMap(
+        path=f"textures/environment{sky.ending}",
+        scale=sky.scale,
+        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
+    )
+
+
+# Lamps
+
+
+def lit(
+    lamps: Sequence[ForeignLamp],
+    soft: SoftEnvironment,
+    linear: Float[np.ndarray, "3 3"],
+    offset: Float[np.ndarray, "3"],
+    middle: Float[np.ndarray, "3"],
+    remarks: Remarks,
+) -> tuple[SoftEnvironment, tuple[RectangleLight, ...]]:
+    """The sky, and the squares that represent lamps.
+
+    Args:
+        soft: the light; a share of it stays, without its cards.
+        linear: with `offset`, from the file's world to ours.
+        middle: of the scene, in our world.
+    """
+    target = np.linalg.solve(linear, middle - offset)
+    given = [(lamp, _irradiance(lamp, target)) for lamp in lamps]
+    total = sum(sum(light) / 3 for _, light in given)
+    if total <= 0:
+        raise HyalineError("--lights file: the file brings no lamp that shines on the scene; leave it out")
+    remarks.approximate(
+        "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
+    )
+    lobes, squares = [], []
+    for lamp, light in given:
+        if max(light) <= 0:
+            remarks.note(lamp.name, "is a lamp that does not shine on the scene's middle; left out")
+            continue
+        scale = IRRADIANCE / total
+        remarks.approximate(lamp.name, f"is a {lamp.kind} lamp without a size; drawn some degrees wide")
+        if lamp.kind == "directional":
+            # The integral of exp(s (cos - 1)) over the sphere is 2 pi / s.
+            radiance = _times(light, scale * SHARPNESS / (2 * math.pi))
+            lobes.append(Lobe(direction=as_vector(-(linear @ lamp.direction)), radiance=radiance, sharpness=SHARPNESS))
+        else:
+            place = linear @ lamp.position + offset
+            squares.append(_square(place, middle, _times(light, scale / SIDE**2)))
+    sky = dataclasses.replace(
+        soft,
+        zenith=_times(soft.zenith, FILL),
+        horizon=_times(soft.horizon, FILL),
+        ground=_times(soft.ground, FILL),
+        lobes=tuple(lobes),
+        cards=(),
+    )
+    return sky, tuple(squares)
+
+
+def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
+    """Rectangles with the power of a surface that emits light: the sides of a box around a closed one, or one in the
+    middle of an open one, which shines to where its faces look."""
+    corners = face_corners(mesh).astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    points = mesh.vertices.astype(np.float64)
+    frames = (np.eye(3), np.linalg.eigh(across.T @ (across / np.linalg.norm(across, axis=1, keepdims=True)))[1].T)
+    frame = min(frames, key=lambda rows: float(np.prod(np.ptp(points @ rows.T, axis=0) + 1e-6)))
+    low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
+    middle, size = (low + high) / 2 @ frame, high - low
+    sides = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+    if open_edges(mesh):
+        axis = int(size.argmin())
+        sides, size[axis] = [(axis, float(np.sign(across.sum(axis=0) @ frame[axis]) or 1.0))], 0.0
+    areas = {side: float(np.prod(np.delete(size, side[0]))) for side in sides}
+    sides = [side for side in sides if areas[side] > LEAST_SIDE * sum(areas.values())]
+    scale = float(np.linalg.norm(across, axis=1).sum()) / sum(areas[side] for side in sides)
+    found = []
+    for axis, sign in sides:
+        u, v = (size[other] * frame[other] for other in np.delete(np.arange(3), axis))
+        if np.cross(u, v) @ frame[axis] * sign < 0:
+            u, v = v, u
+        corner = middle + sign * size[axis] / 2 * frame[axis] - (u + v) / 2
+        found.append(
+            RectangleLight(
+                corner=as_vector(corner), edge_u=as_vector(u), edge_v=as_vector(v), radiance=_times(radiance, scale)
+            )
+        )
+    return tuple(found)
+
+
+def exposed(
+    lights: tuple[RectangleLight, ...], objects: Sequence[SceneObject], remarks: Remarks
+) -> tuple[RectangleLight, ...]:
+    """The lights as a camera exposes them: where walls keep out the sky, they alone light the scene's middle."""
+    middle = subject_box(objects).mean(axis=0)
+    if not lights or not is_enclosed(objects, middle):
+        return lights
+    total = 0.0
+    for light in lights:
+        u, v = np.array(light.edge_u), np.array(light.edge_v)
+        way = middle - light.corner - (u + v) / 2
+        total += max(float(np.cross(u, v) @ way), 0.0) / float(np.linalg.norm(way)) ** 3 * sum(light.radiance) / 3
+    if total <= 0:
+        return lights
+    remarks.approximate(
+        "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
+    )
+    return tuple(dataclasses.replace(light, radiance=_times(light.radiance, IRRADIANCE / total)) for light in lights)
+
+
+def _irradiance(lamp: ForeignLamp, target: Float[np.ndarray, "3"]) -> Color:
+    """What a lamp gives at a place in the file's world, on what faces it."""
+    if lamp.kind == "directional":
+        return lamp.intensity
+    way = target - lamp.position
+    distance = float(np.linalg.norm(way))
+    if distance <= 0 or float(way @ lamp.direction) < math.cos(min(lamp.cone, math.pi)) * distance - 1e-9:
+        return 0.0, 0.0, 0.0
+    return _times(lamp.intensity, 1 / distance**2)
+
+
+def _square(place: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], radiance: Color) -> RectangleLight:
+    """A square around a place, which shines on a target."""
+    way = target - place
+    distance = float(np.linalg.norm(way))
+    ahead = way / distance
+    u = np.cross(ahead, np.eye(3)[np.abs(ahead).argmin()])
+    u /= np.linalg.norm(u)
+    v = np.cross(ahead, u)
+    side = SIDE * distance
+    return RectangleLight(
+        corner=as_vector(place - side * (u + v) / 2),
+        edge_u=as_vector(side * u),
+        edge_v=as_vector(side * v),
+        radiance=radiance,
+    )
+
+
+def _times(color: Color, factor: float) -> Color:
+    red, green, blue = (factor * c for c in color)
+    return red, green, blue

@@ -1,0 +1,346 @@
+"""From the material of a foreign file to one of ours; whatever it cannot say is a line of import.json.
+
+Formulas: glTF's extensions KHR_materials_transmission, _volume, _ior and _dispersion.
+"""
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.meshes import Mesh
+from datagen.disk.names import file_name
+from datagen.scene.import_choices import Thin
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.substances import MAX_DISPERSION
+from datagen.scene.surfaces import Shape
+from datagen.scene.textures import ImageTexture, Reflectance
+from datagen.scene.values import Color
+from hyaline_import.foreign import ForeignImage, ForeignMaterial
+from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
+
+MIN_ALPHA = 0.001
+"""Smallest GGX alpha that is rendered; below it a surface is smooth."""
+SMOOTH_ALPHA = 0.0025
+"""GGX alpha below which facets are invisible in glass."""
+MATT = 0.6
+"""Perceptual roughness from which on no highlight is seen."""
+BRIGHT_ENOUGH = 0.9
+"""Share of its light that a base must be able to show through its coat; else it is drawn without one."""
+METAL_ENOUGH = 0.5
+"""Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
+MIN_TRANSMITTANCE = 1e-4
+"""Least share of a channel after the attenuation distance; 0 would mean infinite absorption."""
+MAX_MIRRORED = 0.8
+"""Largest share of light that a pane of glass mirrors; its index stays below 10."""
+UNIFORM = 0.05
+"""Standard deviation of an image's values over a surface up to which they are one value."""
+ANGLES, POINTS = 64, 32
+"""Directions that light comes from, and facets a side of the square that each of them meets."""
+FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mapper:
+    """Maps materials; PNGs of the images that it needs gather in `images` by path."""
+
+    metres: float
+    """Metres a unit of the file."""
+    thin: Thin
+    remarks: Remarks
+    images: dict[str, bytes] = field(default_factory=dict)
+    _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
+    _means: dict[ForeignImage, Color] = field(default_factory=dict)
+
+    def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
+        """The material with each factor times the mean of its image over the surface: ours have one value each."""
+        if not foreign.factor_images:
+            return foreign
+        factors: dict[str, float] = {}
+        spread = 0.0
+        for use in foreign.factor_images:
+            values = stored(use.image)[..., use.channel] / 255
+            seen, areas = values.reshape(-1), np.ones(values.size)
+            if has_uv and use.lies_as_color:
+                seen, areas = values_on(mesh, values)
+            # Rounded, so that objects that differ by nothing that one sees share their images.
+            mean = round(float(np.average(seen, weights=areas)), 2)
+            spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
+            given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
+            factor = given[use.factor]
+            factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
+        told = " and ".join(f"{FACTOR_NAMES[name]} {value:.2f}" for name, value in factors.items())
+        if spread > UNIFORM:
+            self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")
+        else:
+            self.remarks.note(where, f"from its image: {told}")
+        return dataclasses.replace(foreign, factor_images=(), **factors)
+
+    def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        """The material of ours that comes nearest, on a surface of this shape."""
+        is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
+        if lets_light_through(foreign):
+            if is_blended:
+                self.remarks.approximate(
+                    where, f"is glass and blended (alpha {foreign.alpha:.2g}); drawn as glass alone"
+                )
+            if foreign.transmission < 1:
+                self.remarks.approximate(
+                    where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
+                )
+            return self._glass(foreign, shape, where=where)
+        if is_blended and foreign.alpha >= SOLID_BLEND:
+            self.remarks.approximate(where, f"is blended with alpha {foreign.alpha:.2g}; drawn opaque")
+        elif is_blended and foreign.metallic >= 0.5:
+            self.remarks.approximate(
+                where,
+                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the "
+                "metal is, and lets the rest through",
+            )
+            return _metal_veil(self._flat_color(foreign, where=where), foreign.alpha)
+        elif is_blended:
+            self.remarks.approximate(
+                where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
+            )
+            tint = _mixed(self._flat_color(foreign, where=where), 1 - foreign.alpha)
+            return ThinDielectric(ior=foreign.ior, tint=tint)
+        if foreign.transmission > 0:
+            what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
+            self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
+        return self._opaque(foreign, shape, where=where)
+
+    def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        ior, color = foreign.ior, self._flat_color(foreign, where=where)
+        says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
+        is_thin = not shape.is_closed or self.thin == "all" or says_thin
+        alpha = min(foreign.roughness**2, 1.0)
+        if is_thin:
+            if not shape.is_closed:
+                what = "its mesh is open: drawn as thin glass, which light crosses without bending"
+                if foreign.is_volume:
+                    self.remarks.approximate(where, f"{what}; --repair may close it")
+                else:
+                    self.remarks.note(where, what)
+            elif foreign.is_volume:
+                self.remarks.approximate(where, "is solid; drawn as thin glass, as --thin all asks for")
+            if alpha > SMOOTH_ALPHA:
+                self.remarks.approximate(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
+            if foreign.dispersion > 0:
+                self.remarks.approximate(where, "its dispersion is left out, since a thin pane bends nothing")
+            if foreign.is_volume and max(self._absorption(foreign)) > 0:
+                self.remarks.approximate(where, "its absorption is left out, since a thin pane has no depth")
+            return ThinDielectric(ior=ior, tint=color)
+        if not foreign.is_volume:
+            self.remarks.note(
+                where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
+            )
+        red, green, blue = (math.sqrt(c) for c in color)  # Light crosses two surfaces, and then is of that colour.
+        if (dispersion := foreign.dispersion) > MAX_DISPERSION:
+            self.remarks.approximate(where, f"has a dispersion of {dispersion:g}; drawn with {MAX_DISPERSION:g}")
+            dispersion = MAX_DISPERSION
+        solid = Dielectric(
+            ior=ior,
+            absorption=self._absorption(foreign),
+            tint=(red, green, blue),
+            priority=foreign.priority,
+            dispersion=dispersion,
+        )
+        return RoughDielectric(**vars(solid), roughness=alpha) if alpha > SMOOTH_ALPHA else solid
+
+    def _absorption(self, foreign: ForeignMaterial) -> Color:
+        """1/m: after the attenuation distance, light is the attenuation colour. Source: KHR_materials_volume."""
+        distance = foreign.attenuation_distance * self.metres
+        red, green, blue = (
+            a / self.metres - math.log(min(max(c, MIN_TRANSMITTANCE), 1.0)) / distance
+            for a, c in zip(foreign.absorption, foreign.attenuation_color, strict=True)
+        )
+        return red, green, blue
+
+    def _opaque(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+        alpha = max(foreign.roughness**2, MIN_ALPHA)
+        if 0.1 < foreign.metallic < 0.9:
+            kind = "metal" if foreign.metallic >= 0.5 else "no metal"
+            self.remarks.approximate(where, f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
+        if foreign.metallic >= 0.5 and metal_share(alpha) < METAL_ENOUGH:
+            self.remarks.approximate(where, "is brighter than metal so rough is drawn; drawn matt, of its colour")
+            return Diffuse(color=self._reflectance(foreign, shape, where=where))
+        if foreign.metallic >= 0.5:
+            roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
+            return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)
+        if foreign.is_base:
+            color = self._reflectance(foreign, shape, where=where)
+            return Plastic(color=color, ior=foreign.ior, roughness=alpha)
+        coat = coat_of(foreign.ior, alpha)
+        if foreign.roughness < MATT:
+            colors = self._colors(foreign, shape, where=where)
+            wanted, shown = (1 - coat.mirrored) * colors, coat.seen(np.minimum(coat.base_of(colors), 1))
+            if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
+                color = self._reflectance(foreign, shape, coat.base_of, where=where)
+                return Plastic(color=color, ior=foreign.ior, roughness=alpha)
+            self.remarks.approximate(
+                where,
+                "is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight",
+            )
+        elif coat.mirrored > 0 and foreign.roughness < 1:
+            self.remarks.note(where, "its sheen, of a roughness of 0.6 or more, is drawn as matt light")
+        return Diffuse(color=self._reflectance(foreign, shape, coat.with_mirrored, where=where))
+
+    def _reflectance(
+        self,
+        foreign: ForeignMaterial,
+        shape: Shape,
+        shaded: Callable[[np.ndarray], np.ndarray] = np.asarray,
+        *,
+        where: str,
+    ) -> Reflectance:
+        """The base colour, or the image of it; as `shaded` makes of it."""
+        if foreign.image is None or not shape.has_uv:
+            if foreign.image is not None:
+                self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
+            color = shaded(self._colors(foreign, shape, where=where))
+            red, green, blue = (min(float(value), 1.0) for value in color)
+            return red, green, blue
+        key = foreign.image, foreign.base_color, shaded
+        if key not in self._paths:
+            # Two materials may have one name.
+            self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
+            pixels = shaded(self._colors(foreign, shape, where=where))
+            self.images[self._paths[key]] = linear_png(np.minimum(pixels, 1))
+        return ImageTexture(path=self._paths[key])
+
+    def _colors(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Float[np.ndarray, "*texels 3"]:
+        """The base colour, or those of its image's texels."""
+        if foreign.image is None or not shape.has_uv:
+            return np.array(self._flat_color(foreign, where=where, is_told=False))
+        return decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color)
+
+    def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
+        """The base colour, times the mean of its image."""
+        if foreign.image is None:
+            return foreign.base_color
+        if is_told:
+            self.remarks.approximate(where, "has an image where only one colour can be; drawn in its mean colour")
+        if foreign.image not in self._means:
+            self._means[foreign.image] = mean_color(decoded(foreign.image))
+        red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign.image], strict=True))
+        return red, green, blue
+
+
+def lets_light_through(foreign: ForeignMaterial) -> bool:
+    """True for glass: metal lets nothing through, whatever its transmission."""
+    return foreign.transmission * (1 - foreign.metallic) >= 0.5
+
+
+def _metal_veil(color: Color, alpha: float) -> ThinDielectric:
+    """A pane that at normal incidence mirrors and lets through as much as metal that covers this share of it."""
+    mirrored = min(alpha * sum(color) / 3, MAX_MIRRORED)
+    # With reflections to and fro inside of it, a pane mirrors 2 r / (1 + r), where one surface mirrors r.
+    root = math.sqrt(mirrored / (2 - mirrored))
+    share = (1 - alpha) / (1 - mirrored)
+    return ThinDielectric(ior=(1 + root) / (1 - root), tint=(share, share, share))
+
+
+def _mixed(color: Color, share: float) -> Color:
+    """White, as far as a blended surface is not there, and else its colour."""
+    red, green, blue = (share + (1 - share) * c for c in color)
+    return red, green, blue
+
+
+# Clear coats
+
+
+@dataclass(frozen=True, kw_only=True)
+class Coat:
+    """The clear coat of `Plastic`: shares of light, averaged over all directions from which it comes evenly.
+
+    Other renderers give the colour of a surface as it is seen, but for what its highlight mirrors. Ours is that of a
+    base below a coat, out of which only some of the light finds its way: a base of 0.5 shows 0.28.
+    """
+
+    mirrored: float
+    """Share of light from outside that the coat mirrors."""
+    passed: float
+    """Share that passes the coat both ways over a white base, without reflections back onto the base."""
+    returned: float
+    """Share of the base's scattered light that is reflected back onto it."""
+
+    def seen(self, base: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """What light from everywhere shows of a base, without what the coat mirrors."""
+        return self.passed * base / (1 - self.returned * base)
+
+    def base_of(self, color: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """The base that is seen in a colour where the coat mirrors nothing; above 1 where there is none."""
+        wanted = (1 - self.mirrored) * color
+        return wanted / (self.passed + self.returned * wanted)
+
+    def with_mirrored(self, color: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+        """A matt colour that is as bright as this one with what the coat mirrors."""
+        return self.mirrored + (1 - self.mirrored) * color
+
+
+@functools.lru_cache(maxsize=256)
+def coat_of(ior: float, alpha: float) -> Coat:
+    """The coat of index `ior` and GGX roughness `alpha`, as Mitsuba's `roughplastic` tabulates it.
+
+    Facets that throw light onto others lose it there: white below a coat of alpha 0.35 shows 0.61 of the light.
+    """
+    mirrored, through = _shares(ior, alpha)
+    returned, _ = _shares(1 / ior, alpha)
+    return Coat(mirrored=mirrored, passed=(through / ior) ** 2, returned=returned)
+
+
+@functools.lru_cache(maxsize=256)
+def metal_share(alpha: float) -> float:
+    """The share of even light that facets of white metal mirror; they lose what they throw onto each other."""
+    return _shares(1e6, alpha)[0]
+
+
+def _shares(eta: float, alpha: float) -> tuple[float, float]:
+    """How much of even light facets mirror, and let through to the side of relative index `eta`.
+
+    Source: visible facets as in Heitz 2018, "Sampling the GGX Distribution of Visible Normals"; Smith's shadowing.
+    """
+    cosine = (np.arange(ANGLES) + 0.5)[:, None, None] / ANGLES
+    u, v = np.meshgrid((np.arange(POINTS) + 0.5) / POINTS, (np.arange(POINTS) + 0.5) / POINTS)
+    wi = np.stack(np.broadcast_arrays(np.sqrt(1 - cosine**2), 0.0, cosine), axis=-1)
+    stretched = _unit(wi * (alpha, alpha, 1))
+    # A point of the disk that is seen along the stretched direction.
+    radius, angle = np.sqrt(u), 2 * np.pi * v
+    x, y = radius * np.cos(angle), radius * np.sin(angle)
+    lean = (1 + stretched[..., 2]) / 2
+    y = (1 - lean) * np.sqrt(1 - x**2) + lean * y
+    across = np.zeros_like(stretched)
+    across[..., 1] = 1.0
+    facet = (
+        x[..., None] * across
+        + y[..., None] * np.cross(stretched, across)
+        + np.sqrt(np.maximum(1 - x**2 - y**2, 0))[..., None] * stretched
+    )
+    m = _unit(np.concatenate([alpha * facet[..., :2], np.maximum(facet[..., 2:], 1e-6)], axis=-1))
+    cos_i = np.clip((wi * m).sum(axis=-1), 0, 1)
+    cos_t = np.sqrt(np.maximum(1 - (1 - cos_i**2) / eta**2, 0))
+    with np.errstate(invalid="ignore"):
+        s, p = (cos_i - eta * cos_t) / (cos_i + eta * cos_t), (cos_t - eta * cos_i) / (cos_t + eta * cos_i)
+    fresnel = np.where(cos_t > 0, (s**2 + p**2) / 2, 1.0)
+    mirrored = 2 * cos_i * m[..., 2] - wi[..., 2]
+    refracted = wi[..., 2] / eta - m[..., 2] * (cos_i / eta - cos_t)
+    weights = 2 * cosine / ANGLES / POINTS**2
+    return (
+        float((weights * fresnel * _unshadowed(mirrored, alpha)).sum()),
+        float((weights * (1 - fresnel) * _unshadowed(refracted, alpha)).sum()),
+    )
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _unshadowed(cosine: np.ndarray, alpha: float) -> np.ndarray:
+    """Share that other facets do not hide from a direction; none below the surface."""
+    tangent2 = 1 / np.maximum(cosine, 1e-6) ** 2 - 1
+    return np.where(cosine > 0, 2 / (1 + np.sqrt(1 + alpha**2 * np.maximum(tangent2, 0))), 0.0)

@@ -1,0 +1,389 @@
+"""Wavefront OBJ files with their MTL files: one surface for each object (or group) and material.
+
+Source: the OBJ and MTL specifications of 1995, and MTL's physically based extension of 2013.
+"""
+
+import math
+import re
+from dataclasses import dataclass, field
+from itertools import pairwise, takewhile
+from pathlib import Path
+
+import numpy as np
+
+from datagen.data.meshes import unfolded
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_relative, find_file
+from datagen.disk.records import shown
+from datagen.scene.images import opened_image
+from datagen.scene.remarks import Remarks
+from datagen.scene.substances import SUBSTANCES
+from datagen.scene.values import Color
+from hyaline_import.foreign import (
+    MAX_SURFACES,
+    MAX_TRIANGLES,
+    PLAIN,
+    Factor,
+    FactorImage,
+    ForeignImage,
+    ForeignMaterial,
+    ForeignObject,
+    ForeignScene,
+    read_foreign,
+    substance_of,
+)
+
+MAX_BYTES = 1 << 28
+WIDTHS = {"v": 3, "vt": 2, "vn": 3}
+"""Numbers of a position, of uv and of a normal; a corner names them in this order."""
+MAX_MTL_BYTES = 1 << 24
+MAX_CORNERS = 10_000
+"""The most corners of one polygon."""
+PBR_KEYS = ("pr", "pm", "ps", "pc")
+"""Keys of the physically based extension. With them, Blender writes the weight of transmission as Tf."""
+GLASS_MODELS = (4, 6, 7, 9)
+"""Illumination models whose transparency is glass, by their names in the specification."""
+MAX_OPAQUE = 0.9
+"""Dissolve from which on a surface is opaque."""
+USUAL_IOR = 1.5
+DEFAULTS: dict[str, tuple[float | str, ...]] = {
+    "-blendu": ("on",),
+    "-blendv": ("on",),
+    "-boost": (0,),
+    "-mm": (0, 1),
+    "-o": (0, 0, 0),
+    "-s": (1, 1, 1),
+    "-t": (0, 0, 0),
+    "-texres": ("",),
+    "-clamp": ("off",),
+    "-bm": (1,),
+    "-imfchan": ("",),
+    "-cc": ("off",),
+}
+"""The words that follow each option of an image if it changes nothing."""
+VECTORS = ("-o", "-s", "-t")
+"""Options whose second and third number may be left out."""
+COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
+NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+IGNORED = {
+    "map_bump": "a bump map",
+    "bump": "a bump map",
+    "norm": "a normal map",
+    "disp": "a displacement map",
+    "map_ks": "a map of highlights",
+    "map_ke": "a map of glow",
+    "map_ns": "a map of glossiness",
+    "map_ps": "a map of sheen",
+    "map_tr": "a map of transparency (map_Tr)",
+    "refl": "a map of reflections",
+}
+COATS = {"pc": "a clear coat", "ps": "sheen"}
+"""Weights of what is left out."""
+FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
+Entry = dict[str, list[str]]
+"""The words of a material of an MTL by their key."""
+Corner = tuple[int, int, int]
+"""Places of position, uv and normal in an OBJ; -1 for none."""
+
+
+@dataclass
+class _Text:
+    """What was read of a file so far."""
+
+    numbers: dict[str, list[tuple[float, ...]]] = field(default_factory=lambda: {key: [] for key in WIDTHS})
+    """Positions, uv and normals."""
+    names: dict[str, str] = field(default_factory=lambda: {"o": "", "g": "", "usemtl": ""})
+    """The object, group and material of the next faces."""
+    faces: dict[tuple[str, str], list[tuple[Corner, Corner, Corner]]] = field(default_factory=dict)
+    """Polygons by the names of their object and of their material, as triangles around their first corners."""
+    fans: dict[tuple[str, str], list[int]] = field(default_factory=dict)
+    """The number of triangles of each of these polygons."""
+    materials: dict[str, ForeignMaterial] = field(default_factory=dict)
+    num_faces: int = 0
+
+
+def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names."""
+    text, has_colors = _Text(), False
+    data = read_foreign(path, at_most=MAX_BYTES)
+    for number, line in enumerate(lines_of(data, where=str(path)), start=1):
+        words = line.split()
+        if not words:
+            continue
+        key, rest, where = words[0], words[1:], f"{path}: line {number}"
+        if key in WIDTHS:
+            # The v of a texture may be left out.
+            words = [*rest[:2], "0"] if key == "vt" else rest
+            text.numbers[key].append(floats(words, WIDTHS[key], where=where))
+            has_colors |= key == "v" and len(words) >= 6
+        elif key == "f":
+            _add_face(text, rest, where=where)
+        elif key in text.names:
+            text.names[key] = " ".join(rest)
+        elif key == "mtllib" and has_materials:
+            _add_materials(text, path, rest, remarks, where=where)
+        elif key in ("l", "p", "curv", "surf"):
+            remarks.approximate(path.name, "has points, lines or curves, which are left out")
+    if not text.faces:
+        raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
+    if has_colors:
+        remarks.approximate(path.name, "has colours at its vertices, which are left out")
+    return ForeignScene(objects=tuple(_objects(text, path, remarks)), up="y")
+
+
+def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
+    """Adds the materials of one file, whose name may have spaces, or of several."""
+    names = [file_named(words)]
+    if _find(path, names[0], where=where) is None:
+        each = [file_named([word]) for word in words]
+        names = each if any(_find(path, name, where=where) for name in each) else names
+    for name in names:
+        if (found := _find(path, name, where=where)) is not None:
+            text.materials |= read_mtl(found, remarks)
+        else:
+            remarks.approximate(
+                path.name, f"names {shown(name)}, which is not in its folder; drawn without these materials"
+            )
+
+
+def _find(path: Path, name: str, *, where: str) -> Path | None:
+    """The file of this name in the folder of another; None if it is not there, or the name is a path out of it."""
+    try:
+        check_relative(name, where=where)
+    except HyalineError:  # Exporters write paths of the machine that they run on.
+        return None
+    found = find_file(path.parent, name, where=where)
+    return found if found.exists() else None
+
+
+def _add_face(text: _Text, words: list[str], *, where: str) -> None:
+    """A polygon as triangles around its first corner; `unfolded` mends those of concave ones."""
+    place = text.names["o"] or text.names["g"], text.names["usemtl"]
+    if not 3 <= len(words) <= MAX_CORNERS:
+        raise HyalineError(f"{where}: is a face of {len(words)} corners; expected 3 to {MAX_CORNERS}")
+    corners = [_corner(text, word, where=where) for word in words]
+    if place not in text.faces and len(text.faces) >= MAX_SURFACES:
+        raise HyalineError(f"{where}: begins surface {MAX_SURFACES + 1:,}; expected at most {MAX_SURFACES:,}")
+    text.num_faces += len(corners) - 2
+    if text.num_faces > MAX_TRIANGLES:
+        raise HyalineError(f"{where}: is triangle {text.num_faces:,}; expected at most {MAX_TRIANGLES:,}")
+    triangles = pairwise(corners[1:])
+    text.faces.setdefault(place, []).extend((corners[0], second, third) for second, third in triangles)
+    text.fans.setdefault(place, []).append(len(corners) - 2)
+
+
+def _corner(text: _Text, word: str, *, where: str) -> Corner:
+    parts = word.split("/")
+    if len(parts) > 3 or not parts[0]:
+        raise HyalineError(f"{where}: has the corner {shown(word)}; expected v, v/vt, v//vn or v/vt/vn")
+    parts += [""] * (3 - len(parts))
+    place, uv, normal = (
+        _index(part, len(listed), where=where) for part, listed in zip(parts, text.numbers.values(), strict=True)
+    )
+    return place, uv, normal
+
+
+def _index(word: str, count: int, *, where: str) -> int:
+    """A place counted from 0; in the file they count from 1, or backwards from the last."""
+    if not word:
+        return -1
+    try:
+        index = int(word) if len(word) < 12 else 0
+    except ValueError:
+        index = 0
+    if index == 0 or not -count <= index <= count:
+        raise HyalineError(f"{where}: names {shown(word)} of {count}; expected 1 to {count}, or -{count} to -1")
+    return index - 1 if index > 0 else count + index
+
+
+def _objects(text: _Text, path: Path, remarks: Remarks) -> list[ForeignObject]:
+    objects = []
+    arrays = [np.array(listed, np.float64) for listed in text.numbers.values()]
+    for (name, material), faces in text.faces.items():
+        fans = np.array(text.fans[name, material])
+        if material and material not in text.materials:
+            remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
+        corners = np.array(faces, np.int64).reshape(-1, 3)
+        used, index = np.unique(corners, axis=0, return_inverse=True)
+        has_uv, has_normals = (used[:, 1] >= 0).all(), (used[:, 2] >= 0).all()
+        positions = arrays[0][used[:, 0]]
+        objects.append(
+            ForeignObject(
+                name=name or material or path.stem,
+                positions=positions,
+                faces=unfolded(positions, index.reshape(-1, 3), fans),
+                normals=arrays[2][used[:, 2]] if has_normals else None,
+                uv=arrays[1][used[:, 1]] if has_uv else None,
+                material=text.materials.get(material, PLAIN),
+            )
+        )
+    return objects
+
+
+def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
+    """The materials of a file by name."""
+    entries: dict[str, Entry] = {}
+    entry: Entry = {}
+    for line in lines_of(read_foreign(path, at_most=MAX_MTL_BYTES), where=str(path)):
+        words = line.split()
+        if not words:
+            continue
+        if words[0] == "newmtl":
+            entry = entries.setdefault(" ".join(words[1:]), {})
+        else:
+            entry[words[0].lower()] = words[1:]
+    return {name: _material(name, entry, path, remarks) for name, entry in entries.items()}
+
+
+def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignMaterial:
+    where = f"{path}: material {name}"
+
+    def number(key: str, default: float) -> float:
+        return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
+
+    for key, what in IGNORED.items():
+        if key in entry:
+            remarks.approximate(name, f"has {what}, which is left out")
+    for key, what in COATS.items():
+        if number(key, 0.0) > 0:
+            remarks.approximate(name, f"has {what}, which is left out")
+    if entry.get("d", [])[:1] == ["-halo"]:
+        remarks.approximate(name, "is more opaque at its outline (d -halo), which is left out")
+        entry = {**entry, "d": entry["d"][1:]}
+    model, named = int(number("illum", 2.0)), substance_of(name)
+    transparency, ior = number("tr", 0.0), number("ni", SUBSTANCES.get(named or "", USUAL_IOR))
+    # A lone Tr 1 says nothing: MeshLab and OpenMVS write it for opaque scans.
+    dissolve = number("d", 1 - transparency if transparency < 1 else 1.0)
+    has_picture = bool(entry.get("map_kd"))
+    filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
+    is_weight = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
+    transmission = max(filtered) if is_weight else 0.0
+    is_hinted = transparency > 0 or "ni" in entry or "glass" in name.lower() or named is not None
+    if _is_glass(dissolve, model, is_hinted=is_hinted, is_denied=has_picture or ior <= 1.001):
+        transmission = 1.0
+    is_glass = transmission >= 0.5
+    told = {f"illum {model}": model in GLASS_MODELS, "Tf": len(set(filtered)) > 1, "Tr": transparency >= 1}
+    if transmission == 0 and any(told.values()) and not has_picture:
+        keys = " and ".join(key for key, is_told in told.items() if is_told)
+        remarks.note(name, f"{keys} alone does not make it glass; drawn opaque, and --material makes it glass")
+    if is_glass and named and "ni" not in entry:
+        remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {ior:g}")
+    if is_glass and not 1.001 < ior < 10:
+        remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
+    if is_glass and entry.get("map_d"):
+        remarks.approximate(name, "is glass with a map of opacity (map_d), which is left out")
+    # Phong's exponent as a microfacet alpha, whose square root is the roughness.
+    glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
+    highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
+    is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
+    image = _image(name, entry, path, remarks, key="map_kd")
+    is_tinted = is_glass and not is_weight
+    base_color = filtered if is_tinted else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
+    if max(base_color) == 0 and (is_tinted or image is not None):
+        base_color = (1.0, 1.0, 1.0)  # Rhino writes Tf 0 for any glass, and Maya Kd 0 beside a picture.
+    opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
+    factor_images = tuple(
+        FactorImage(factor=factor, image=found, channel=0)
+        for key, factor in FACTOR_MAPS.items()
+        if (found := _image(name, entry, path, remarks, key=key)) is not None
+    )
+    # An image replaces the factor.
+    numbers: dict[Factor, float] = {
+        "metallic": number("pm", 0.0),
+        "roughness": number("pr", 0.0 if is_glass else glossy),
+        **{use.factor: 1.0 for use in factor_images},
+    }
+    return ForeignMaterial(
+        emission=_color(entry, "ke", (0, 0, 0), where=where),
+        name=name,
+        base_color=base_color,
+        image=image,
+        alpha_mode="opaque" if opacity is None else "blend",
+        opacity=opacity,
+        metallic=min(max(numbers["metallic"], 0.0), 1.0),
+        roughness=1.0 if is_matt else min(max(numbers["roughness"], 0.0), 1.0),
+        transmission=transmission,
+        factor_images=factor_images,
+        ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
+    )
+
+
+def _is_glass(dissolve: float, model: int, *, is_hinted: bool, is_denied: bool) -> bool:
+    """True for glass, by the keys of which each means something else in the files of some program.
+
+    | the file says | glass | reason |
+    |---|---|---|
+    | `d` below 0.9 or `Tr` above 0.1 | yes | Blender, 3ds Max, Rhino |
+    | `illum` 4, 6, 7, 9 with `map_Kd` or `Ni` 1 | no | Maya writes `illum` 4 and `Ni` 1 for everything |
+    | `illum` 4, 6, 7, 9 with `d` below 1, `Tr`, `Ni`, or a name of glass | yes | written by hand |
+    | `illum` 4, 6, 7, 9 alone | no | Cinema 4D writes `illum` 7 for everything |
+    | none of these | no, but one `Tf` beside `Pr`, `Pm`, `Ps` or `Pc` is Blender's weight of transmission | |
+    """
+    return dissolve < MAX_OPAQUE or (model in GLASS_MODELS and not is_denied and (dissolve < 1 or is_hinted))
+
+
+def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:
+    if key not in entry:
+        return default
+    if entry[key][:1] in (["spectral"], ["xyz"]):
+        raise HyalineError(f"{where}: {key} is {entry[key][0]}; expected three numbers, export it with RGB colours")
+    words = entry[key] if len(entry[key]) > 1 else entry[key] * 3
+    red, green, blue = (min(max(value, 0.0), 1.0) for value in floats(words, 3, where=f"{where}: {key}"))
+    return red, green, blue
+
+
+def file_named(words: list[str]) -> str:
+    """The path that the words of a line name: with or without quotes around it, with either kind of slash."""
+    name = " ".join(words)
+    if len(name) > 1 and name[0] == name[-1] == '"':
+        name = name[1:-1]
+    return name.replace("\\", "/").removeprefix("./")
+
+
+def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -> ForeignImage | None:
+    words = list(entry.get(key, []))
+    if not words:
+        return None
+    while words and words[0] in DEFAULTS:
+        option, *words = words
+        values = words[: len(DEFAULTS[option])]
+        values = list(takewhile(NUMBER.fullmatch, values)) if option in VECTORS else values
+        words = words[len(values) :]
+        given = tuple(float(value) if NUMBER.fullmatch(value) else value for value in values)
+        if given != DEFAULTS[option][: len(given)]:
+            remarks.approximate(name, f"has an image with the option {option}, which is left out")
+    found = _find(path, file := file_named(words), where=f"{path}: material {name}")
+    if found is None:
+        remarks.approximate(name, f"has the image {shown(file)}, which is not in its folder; drawn without it")
+        return None
+    image = ForeignImage(name=name, data=read_foreign(found))
+    try:
+        with opened_image(image.data, where=f"has the image {shown(file)}"):
+            return image
+    except HyalineError as error:
+        remarks.approximate(name, f"{error}; drawn without it")
+        return None
+
+
+def floats(words: list[str], count: int, *, where: str) -> tuple[float, ...]:
+    """The first `count` words as finite numbers."""
+    try:
+        values = tuple(map(float, words[:count]))
+    except ValueError:
+        values = ()
+    if len(values) < count or not all(map(math.isfinite, values)):
+        raise HyalineError(f"{where}: is {shown(' '.join(words))}; expected {count} finite numbers")
+    return values
+
+
+def lines_of(data: bytes, *, where: str) -> list[str]:
+    """The lines of a text in UTF-8 or Latin-1, without comments; those that end in a backslash go on in the next."""
+    if b"\0" in data:
+        raise HyalineError(f"{where}: holds zero bytes; expected text")
+    try:
+        text = data.decode()
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    # A comment may end in a backslash, as folders of Windows do.
+    text = COMMENT.sub("", text.replace("\r\n", "\n").replace("\r", "\n"))
+    return text.replace("\\\n", " ").splitlines()

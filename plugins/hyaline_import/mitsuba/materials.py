@@ -1,0 +1,272 @@
+"""BSDFs of a Mitsuba scene, in the terms of foreign materials."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import shown
+from datagen.scene.remarks import Remarks
+from datagen.scene.values import Color
+from hyaline_import.foreign import ForeignImage, ForeignMaterial, read_foreign
+from hyaline_import.gltf.materials import mirrored
+from hyaline_import.mitsuba.nodes import Node
+from hyaline_import.pictures import stored
+
+IORS = {
+    "vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277, "carbon dioxide": 1.00045,
+    "water": 1.3330, "acetone": 1.36, "ethanol": 1.361, "carbon tetrachloride": 1.461, "glycerol": 1.4729,
+    "benzene": 1.501, "silicone oil": 1.52045, "bromine": 1.661, "water ice": 1.31, "fused quartz": 1.458,
+    "pyrex": 1.470, "acrylic glass": 1.49, "polypropylene": 1.49, "bk7": 1.5046, "sodium chloride": 1.544,
+    "amber": 1.55, "pet": 1.5750, "diamond": 2.419,
+}  # fmt: skip
+"""Source: Mitsuba 3's documentation of `dielectric`."""
+
+METALS: dict[str, Color] = {
+    "none": (1.0, 1.0, 1.0),
+    "Au": (1.0, 0.78, 0.34),
+    "Ag": (0.97, 0.96, 0.91),
+    "Al": (0.91, 0.92, 0.92),
+    "Cu": (0.96, 0.64, 0.54),
+    "Cr": (0.55, 0.55, 0.55),
+}
+"""Reflectance at normal incidence."""
+
+MAX_DEPTH = 8
+"""BSDFs within BSDFs."""
+CELLS = 256
+"""Texels a side of a checkerboard's two by two fields."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundMaterial:
+    """A material, and how its image lies: (4, 4), from uv of the mesh to uv of the image."""
+
+    material: ForeignMaterial
+    image_from_uv: np.ndarray
+    clamps: bool = False
+    """The image's edges are extended instead of repeating the image."""
+
+
+def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
+    """The material of a BSDF."""
+    if node.plugin in ("twosided", "mask", "bumpmap", "normalmap"):
+        inner = node.inner("BSDF")
+        if inner is None:
+            raise HyalineError(f"{node.where}: holds no BSDF; expected one")
+        if depth > MAX_DEPTH:
+            raise HyalineError(f"{node.where}: holds itself, or more than {MAX_DEPTH} others; expected a BSDF")
+        inside = read_bsdf(inner, remarks, depth=depth + 1)
+        if node.plugin == "mask":
+            return _masked(node, inside, remarks)
+        if node.plugin != "twosided":
+            remarks.approximate(node.name, f"is a {node.plugin}; only the material inside it is drawn")
+        return inside
+    if node.plugin not in READERS:
+        known = ", ".join(sorted([*READERS, "twosided"]))
+        raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}")
+    return READERS[node.plugin](node, remarks)
+
+
+def _masked(node: Node, found: FoundMaterial, remarks: Remarks) -> FoundMaterial:
+    """The material with the opacity of a `mask` around it."""
+    texture = node.child("opacity")
+    if texture is None:
+        opacity = sum(node.color("opacity", 0.5)) / 3
+        return replace(found, material=replace(found.material, alpha=min(max(opacity, 0.0), 1.0), alpha_mode="blend"))
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is opacity of a kind that is not read; known is bitmap")
+    opacity, image_from_uv, clamps = _bitmap(texture, node.name)
+    if found.material.image is not None and not np.allclose(image_from_uv, found.image_from_uv):
+        remarks.approximate(
+            node.name, "is cut out by an image that lies otherwise than that of its colour; drawn whole"
+        )
+        return found
+    material = replace(found.material, alpha_mode="blend", opacity=opacity)
+    return FoundMaterial(material=material, image_from_uv=image_from_uv, clamps=clamps or found.clamps)
+
+
+def _plain(material: ForeignMaterial) -> FoundMaterial:
+    return FoundMaterial(material=material, image_from_uv=np.eye(4))
+
+
+def _ior(node: Node, key: str, default: str) -> float:
+    if key not in node or isinstance(node.props[key], str):
+        name = node.text(key, default)
+        if name not in IORS:
+            raise HyalineError(f"{node.where}: {key} is {shown(name)}; expected a number, or one of {', '.join(IORS)}")
+        return IORS[name]
+    return node.number(key, 1.5)
+
+
+def _ratio(node: Node, inside: str = "bk7") -> float:
+    ratio = _ior(node, "int_ior", inside) / max(_ior(node, "ext_ior", "air"), 1e-9)
+    if ratio < 1:
+        raise HyalineError(
+            f"{node.where}: is an interface to a denser medium (int_ior {_ior(node, 'int_ior', inside):g}, ext_ior "
+            f"{_ior(node, 'ext_ior', 'air'):g}); make each medium a closed mesh with ext_ior 1, the inner one in the "
+            "outer one: it fills the space that they share"
+        )
+    if not ratio < 10:
+        raise HyalineError(f"{node.where}: its indices of refraction have the ratio {ratio:.4g}; expected 1 to 10")
+    return ratio
+
+
+def _alpha(node: Node, default: float, remarks: Remarks) -> float:
+    if "alpha_u" in node or "alpha_v" in node:
+        return math.sqrt(max(node.number("alpha_u", default) * node.number("alpha_v", default), 0.0))
+    if (texture := node.child("alpha")) is None:
+        return node.number("alpha", default)
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is roughness of a kind that is not read; known is bitmap")
+    mean = float(stored(_bitmap(texture, node.name)[0])[..., :3].mean()) / 255
+    remarks.approximate(node.name, f"its roughness varies over the surface; drawn with the mean: alpha {mean:.2f}")
+    return mean
+
+
+def _facets(node: Node, remarks: Remarks) -> float:
+    """The perceptual roughness of GGX facets."""
+    if (name := node.text("distribution", "beckmann")) != "ggx":
+        remarks.approximate(node.name, f"has facets of the distribution {name}; drawn with GGX of the same alpha")
+    if "alpha_u" in node:
+        remarks.approximate(node.name, "has a grain (alpha_u, alpha_v); drawn without one")
+    return math.sqrt(min(max(_alpha(node, 0.1, remarks), 0.0), 1.0))
+
+
+def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
+    """A line for a reflectance or transmittance that the file scales."""
+    if node.child(key) is not None or node.color(key, 1.0) != (1, 1, 1):
+        remarks.approximate(node.name, f"scales its {key.removeprefix('specular_')}, which is left out")
+
+
+def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
+    _remark_on_scale(node, "specular_reflectance", remarks)
+    if node.child("specular_transmittance") is not None:
+        _remark_on_scale(node, "specular_transmittance", remarks)
+    rough = node.plugin == "roughdielectric"
+    is_thin = node.plugin == "thindielectric"
+    key = "specular_transmittance"
+    red, green, blue = _clipped(node.color(key, 1.0)) if node.child(key) is None else (1.0, 1.0, 1.0)
+    material = ForeignMaterial(
+        name=node.name,
+        # What passes both surfaces of a solid is its colour.
+        base_color=(red, green, blue) if is_thin else (red**2, green**2, blue**2),
+        transmission=1.0,
+        ior=_ratio(node),
+        is_volume=not is_thin,
+        is_thin=is_thin,
+        roughness=_facets(node, remarks) if rough else 0.0,
+    )
+    return _plain(material)
+
+
+def _diffuse(node: Node, remarks: Remarks) -> FoundMaterial:
+    return _colored(ForeignMaterial(name=node.name, roughness=1.0, ior=1.0), node, "reflectance", 0.5, remarks)
+
+
+def _plastic(node: Node, remarks: Remarks) -> FoundMaterial:
+    if not node.flag("nonlinear"):
+        remarks.approximate(node.name, "has a base without colour shifts from light below its coat; drawn with them")
+    _remark_on_scale(node, "specular_reflectance", remarks)
+    roughness = _facets(node, remarks) if node.plugin == "roughplastic" else 0.0
+    ior = max(_ratio(node, "polypropylene"), 1.0001)
+    material = ForeignMaterial(name=node.name, roughness=roughness, ior=ior, is_base=True)
+    return _colored(material, node, "diffuse_reflectance", 0.5, remarks)
+
+
+def _conductor(node: Node, remarks: Remarks) -> FoundMaterial:
+    if "eta" in node:
+        eta, k = node.color("eta", 0.0), node.color("k", 1.0)
+        # Fresnel's reflectance of a metal at normal incidence.
+        red, green, blue = (((n - 1) ** 2 + x * x) / ((n + 1) ** 2 + x * x) for n, x in zip(eta, k, strict=True))
+        color, name = (red, green, blue), "eta and k"
+    else:
+        name = node.text("material", "none")
+        if name not in METALS:
+            raise HyalineError(f"{node.where}: is the metal {shown(name)}; expected one of {', '.join(METALS)}")
+        color = METALS[name]
+    if name != "none":
+        remarks.approximate(node.name, "is a metal; drawn with its reflectance at normal incidence at all angles")
+    scale = node.color("specular_reflectance", 1.0) if node.child("specular_reflectance") is None else (1.0, 1.0, 1.0)
+    red, green, blue = (a * b for a, b in zip(color, scale, strict=True))
+    roughness = _facets(node, remarks) if node.plugin == "roughconductor" else 0.0
+    metal = ForeignMaterial(name=node.name, base_color=_clipped((red, green, blue)), metallic=1.0, roughness=roughness)
+    if node.child("specular_reflectance") is None:
+        return _plain(metal)
+    found = _colored(metal, node, "specular_reflectance", 1.0, remarks)
+    return replace(found, material=replace(found.material, base_color=metal.base_color))
+
+
+def _principled(node: Node, remarks: Remarks) -> FoundMaterial:
+    for key in ("clearcoat", "sheen", "flatness", "anisotropic", "spec_tint"):
+        if key in node and (node.child(key) is not None or node.number(key, 0.0) > 0):
+            remarks.approximate(node.name, f"has {key}, which is left out")
+    specular = min(max(node.number("specular", 0.5), 1e-3), 1.0)
+    eta = node.number("eta", 2 / (1 - math.sqrt(0.08 * specular)) - 1)
+    material = ForeignMaterial(
+        name=node.name,
+        metallic=min(max(node.number("metallic", 0.0), 0.0), 1.0),
+        roughness=min(max(node.number("roughness", 0.5), 0.0), 1.0),
+        transmission=min(max(node.number("spec_trans", 0.0), 0.0), 1.0),
+        is_volume=True,
+        ior=min(max(eta, 1.0), 9.0),
+    )
+    return _colored(material, node, "base_color", 0.5, remarks)
+
+
+READERS = {
+    "dielectric": _glass, "roughdielectric": _glass, "thindielectric": _glass, "diffuse": _diffuse,
+    "plastic": _plastic, "roughplastic": _plastic, "conductor": _conductor, "roughconductor": _conductor,
+    "principled": _principled,
+}  # fmt: skip
+
+
+def absorption_of(medium: Node | None) -> Color:
+    """What a homogeneous medium takes away, per unit of length."""
+    if medium is None:
+        return (0.0, 0.0, 0.0)
+    if medium.plugin != "homogeneous":
+        raise HyalineError(f"{medium.where}: is not a homogeneous medium; expected one, or none")
+    if max(medium.color("albedo", 0.75)) > 0:
+        raise HyalineError(f"{medium.where}: scatters light; expected an albedo of 0, which only absorbs")
+    scale = medium.number("scale", 1.0)
+    red, green, blue = (scale * c for c in medium.color("sigma_t", 1.0))
+    return red, green, blue
+
+
+def _clipped(color: Color) -> Color:
+    red, green, blue = (min(max(c, 0.0), 1.0) for c in color)
+    return red, green, blue
+
+
+def _colored(material: ForeignMaterial, node: Node, key: str, default: float, remarks: Remarks) -> FoundMaterial:
+    """The material with a colour, or the image of a texture."""
+    texture = node.child(key)
+    if texture is None:
+        return _plain(replace(material, base_color=_clipped(node.color(key, default))))
+    image_from_uv, clamps = texture.matrix("to_uv"), False
+    if texture.plugin == "bitmap":
+        if texture.flag("raw"):
+            remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
+        image, image_from_uv, clamps = _bitmap(texture, node.name)
+    elif texture.plugin == "checkerboard":
+        fields = np.array([texture.color("color0", 0.4), texture.color("color1", 0.2)])
+        place = np.arange(CELLS) >= CELLS // 2
+        linear = np.clip(fields[np.where(place[:, None] == place[None, :], 0, 1)], 0, 1)
+        image = ForeignImage(name=node.name, data=png_bytes(to_8bit(srgb_from_linear(linear))))
+    else:
+        raise HyalineError(f"{texture.where}: is of a kind that is not read; known are bitmap, checkerboard")
+    return FoundMaterial(material=replace(material, image=image), image_from_uv=image_from_uv, clamps=clamps)
+
+
+def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, np.ndarray, bool]:
+    """The image of a texture, how it lies, and whether its edges are extended."""
+    mode = texture.text("wrap_mode", "repeat")
+    if mode not in ("repeat", "mirror", "clamp"):
+        raise HyalineError(f"{texture.where}: wrap_mode is {shown(mode)}; expected one of repeat, mirror, clamp")
+    image, image_from_uv = ForeignImage(name=name, data=read_foreign(texture.file("filename"))), texture.matrix("to_uv")
+    if mode == "mirror":
+        image, image_from_uv = mirrored(image, (True, True)), np.diag([0.5, 0.5, 1, 1]) @ image_from_uv
+    return image, image_from_uv, mode == "clamp"

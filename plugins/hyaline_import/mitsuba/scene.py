@@ -1,0 +1,398 @@
+"""Mitsuba 3 scenes: parsed, not loaded, and no plugin of theirs is ever made.
+
+Loading one would run native code from plugin folders beside the file, and read any file that it names.
+"""
+
+import dataclasses
+import math
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from datagen.data.cameras import MAX_SKEW, Camera
+from datagen.data.meshes import Mesh
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.images import read_map
+from datagen.scene.modelling import ball, sheet
+from datagen.scene.remarks import Remarks
+from datagen.scene.values import Color
+from hyaline_import.foreign import (
+    MAX_SURFACES,
+    MAX_TRIANGLES,
+    PLAIN,
+    Axis,
+    ForeignLight,
+    ForeignMap,
+    ForeignObject,
+    ForeignScene,
+    elementwise,
+    lens_of,
+    read_foreign,
+)
+from hyaline_import.gltf.materials import clamped
+from hyaline_import.meshes.bare import read_ply_file
+from hyaline_import.meshes.obj import read_obj
+from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
+from hyaline_import.mitsuba.nodes import Node, NodeList
+
+QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
+"""Top-level nodes that do not change the scene, or that shapes refer to."""
+FOV_DEG = math.degrees(2 * math.atan(math.hypot(36, 24) / 100))
+"""Diagonal angle of a sensor without one: that of a lens of 50 mm on film of 36 x 24 mm."""
+SEGMENTS = 96
+"""Sides of a disk or a cylinder."""
+MAGIC = 0x041C
+NORMALS, UV, COLORS, DOUBLE = 0x0001, 0x0002, 0x0008, 0x2000
+MAX_NAME = 4096
+MAX_MESHES = 20_000
+
+
+def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
+    """The shapes, materials, lights and cameras of a scene file."""
+    nodes = NodeList(path)
+    objects: list[ForeignObject] = []
+    lights: list[ForeignLight] = []
+    cameras: list[Camera] = []
+    sensors: list[Node] = []
+    sky: Color | ForeignMap | None = None
+    for node in nodes.root.children():
+        if node.kind == "Shape":
+            _add_shape(node, objects, lights, remarks)
+        elif node.kind == "Sensor":
+            sensors.append(node)
+            cameras += _camera(node, remarks)
+        elif node.kind == "Emitter" and node.plugin == "constant":
+            sky = node.color("radiance", 1.0)
+        elif node.kind == "Emitter" and node.plugin == "envmap":
+            sky = _map(node)
+        elif node.kind == "Emitter":
+            remarks.approximate(node.name, f"is a light of kind {node.plugin}, which is left out")
+        elif node.kind not in QUIET:
+            remarks.approximate(node.name, f"is a {node.kind.lower()} of kind {node.plugin}, which is left out")
+    if not objects:
+        raise HyalineError(f"{path}: holds no shape that is seen; expected one")
+    if sky is None and lights:
+        sky = (0.0, 0.0, 0.0)
+    return ForeignScene(
+        objects=tuple(objects),
+        up=_up(sensors),
+        lights=tuple(lights),
+        sky=sky,
+        cameras=tuple(cameras),
+        is_complete=True,
+    )
+
+
+def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLight], remarks: Remarks) -> None:
+    emitter = node.inner("Emitter")
+    if emitter is not None and node.plugin == "rectangle" and emitter.plugin == "area":
+        lights.append(_light(node, emitter))
+        return
+    bsdf = node.inner("BSDF")
+    found = FoundMaterial(material=PLAIN, image_from_uv=np.eye(4)) if bsdf is None else read_bsdf(bsdf, remarks)
+    if bsdf is None:
+        found = replace(found, material=replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0))
+    interior = absorption_of(node.child("interior"))
+    emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
+    material = replace(found.material, absorption=interior, emission=emission)
+    if max(interior) > 0 and material.transmission == 0:
+        raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
+    for item in read_shape(node, remarks):
+        uv = item.uv
+        if uv is not None:
+            # The transform of a texture is one of Mitsuba's uv, whose v points down.
+            flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
+            flat = flat @ found.image_from_uv.T
+            uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
+            uv = clamped(uv, item.faces, (found.clamps, found.clamps), remarks, where=node.name)
+        objects.append(replace(item, uv=uv, material=material))
+        if sum(len(other.faces) for other in objects) > MAX_TRIANGLES or len(objects) > MAX_SURFACES:
+            raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
+
+
+def _light(node: Node, emitter: Node) -> ForeignLight:
+    """A rectangle that shines along its normal."""
+    world = node.matrix("to_world")
+    corner, edge_u, edge_v = world @ [-1, -1, 0, 1], world @ [2, 0, 0, 0], world @ [0, 2, 0, 0]
+    if node.flag("flip_normals"):
+        edge_u, edge_v = edge_v, edge_u
+    return ForeignLight(
+        corner=corner[:3], edge_u=edge_u[:3], edge_v=edge_v[:3], radiance=emitter.color("radiance", 1.0)
+    )  # fmt: skip
+
+
+def _map(node: Node) -> ForeignMap:
+    """A map of the environment: its middle column lies towards +z, and +y is up, before it is turned."""
+    path = node.file("filename")
+    if path.suffix.lower() not in MAP_ENDINGS:
+        raise HyalineError(f"{node.where}: names {path.name}; expected linear radiance, in .exr or .hdr")
+    world = node.matrix("to_world")[:3, :3]
+    if np.linalg.det(world) < 0:
+        raise HyalineError(f"{node.where}: is mirrored by its to_world; expected a turn, mirror the picture instead")
+    data, scale = read_foreign(path), node.number("scale", 1.0)
+    read_map(data, where=str(path))
+    if scale <= 0:
+        raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")
+    middle, up = (column / np.linalg.norm(column) for column in (world[:, 2], world[:, 1]))
+    return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
+
+
+def _camera(node: Node, remarks: Remarks) -> list[Camera]:
+    """The camera of a sensor; none if it is skewed or mirrored."""
+    if node.plugin not in ("perspective", "thinlens"):
+        raise HyalineError(f"{node.where}: is of a kind that is not read; known are perspective, thinlens")
+    if node.plugin == "thinlens":
+        remarks.approximate(node.name, "is out of focus in places; drawn sharp everywhere")
+    film = node.inner("Film")
+
+    def of_film(key: str, default: float) -> float:
+        return default if film is None else film.number(key, default)
+
+    width, height = of_film("width", 768), of_film("height", 576)
+    left, top = of_film("crop_offset_x", 0), of_film("crop_offset_y", 0)
+    shown_width, shown_height = of_film("crop_width", width), of_film("crop_height", height)
+    if not (shown_width >= 1 and shown_height >= 1):
+        raise HyalineError(
+            f"{node.where}: makes pictures of {shown_width:g} x {shown_height:g} pixels; expected at least 1 x 1"
+        )
+    if "focal_length" in node:
+        raise HyalineError(f"{node.where}: gives a focal length; expected fov, in degrees")
+    tangent = math.tan(math.radians(min(max(node.number("fov", FOV_DEG), 1e-3), 179.0)) / 2)
+    axis = node.text("fov_axis", "x" if "fov" in node else "diagonal")
+    sizes = {"x": width, "y": height, "smaller": min(width, height), "larger": max(width, height),
+             "diagonal": math.hypot(width, height)}  # fmt: skip
+    if axis not in sizes:
+        raise HyalineError(f"{node.where}: fov_axis is {axis[:40]!r}; expected one of {', '.join(sizes)}")
+    world = node.matrix("to_world")
+    # Mitsuba's cameras look along +z and have +x on their left; OpenGL's look along -z, +x on their right.
+    rotation = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0) * [-1, 1, -1]
+    if np.abs(rotation.T @ rotation - np.eye(3)).max() > MAX_SKEW or np.linalg.det(rotation) < 0:
+        remarks.approximate(node.name, "is a camera that its to_world skews or mirrors, which is left out")
+        return []
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = rotation, world[:3, 3]
+    # The offset is in sizes of the whole film, against the axes of the pixels (Mitsuba 3.9).
+    column = width * (0.5 - node.number("principal_point_offset_x", 0.0)) - left
+    row = height * (0.5 - node.number("principal_point_offset_y", 0.0)) - top
+    focal = 0.5 * sizes[axis] / tangent
+    return [lens_of(focal, shown_width, shown_height, (column, row), where=node.where).camera(matrix)]
+
+
+def _up(sensors: list[Node]) -> Axis:
+    """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y by default."""
+    if not sensors:
+        return "y"
+    ups = np.abs(_unit(np.array([node.matrix("to_world")[:3, 1] for node in sensors])).sum(axis=0))
+    axes: tuple[Axis, Axis, Axis] = ("x", "y", "z")
+    return axes[int(ups.argmax())]
+
+
+# Shapes
+
+
+def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    """The triangles of a shape in the file's world, with uv whose v points up, and no material yet."""
+    if node.plugin not in SHAPES:
+        known = ", ".join(sorted(SHAPES))
+        raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}, export it as PLY")
+    world = node.matrix("to_world")
+    is_flipped = node.flag("flip_normals")
+    found = []
+    for item in SHAPES[node.plugin](node, remarks):
+        turned = (np.linalg.det(world[:3, :3]) < 0) != is_flipped
+        positions = elementwise(item.positions, world[:3, :3], world[:3, 3])
+        faces = item.faces[:, ::-1] if turned else item.faces
+        normals, crease_deg = item.normals, item.crease_deg
+        if node.flag("face_normals"):
+            normals, crease_deg = None, 0.0
+        elif normals is not None:
+            normals = elementwise(normals, np.linalg.inv(world[:3, :3]).T, np.zeros(3)) * (-1 if is_flipped else 1)
+        elif node.plugin in ("obj", "ply", "serialized"):
+            normals = _smooth_normals(positions, faces)
+        found.append(
+            dataclasses.replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg)
+        )
+    return found
+
+
+def _smooth_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Normals as Mitsuba computes missing ones, over every edge: weighted by the angles of a vertex's faces."""
+    corners = positions[faces]
+    normals, sums = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])), 0 * positions
+    for corner in range(3):
+        one, other = (_unit(corners[:, (corner + step) % 3] - corners[:, corner]) for step in (1, 2))
+        angle = np.arccos(np.clip((one * other).sum(axis=-1, keepdims=True), -1, 1))
+        np.add.at(sums, faces[:, corner], angle * normals)
+    return _unit(sums)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
+
+
+def _from_mesh(node: Node, mesh: Mesh, uv: np.ndarray | None = None) -> ForeignObject:
+    return ForeignObject(
+        name=node.name, positions=mesh.vertices.astype(np.float64), faces=mesh.faces, normals=mesh.normals, uv=uv,
+        material=PLAIN,
+    )  # fmt: skip
+
+
+def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    # Mitsuba's v points down in images, and files are taken as they are; ours points up.
+    return [_named(node, item, flips=not node.flag("flip_tex_coords"))
+            for item in read_ply_file(node.file("filename"), remarks).objects]  # fmt: skip
+
+
+def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    objects = read_obj(node.file("filename"), remarks, has_materials=False).objects
+    return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
+
+
+def _serialized(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    index = node.number("shape_index", 0)
+    return [_named(node, read_serialized(node.file("filename"), int(index)), flips=True)]
+
+
+def _named(node: Node, item: ForeignObject, *, flips: bool) -> ForeignObject:
+    uv = item.uv
+    if uv is not None and flips:
+        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1)
+    return dataclasses.replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv, material=PLAIN)
+
+
+def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    radius = node.number("radius", 1.0)
+    if radius <= 0:
+        raise HyalineError(f"{node.where}: radius is {radius:g}; expected a positive number")
+    item = _from_mesh(node, ball(1.0, subdivisions=5))
+    remarks.note(node.name, f"is a sphere; made of {len(item.faces):,} triangles")
+    center = node.point("center", (0.0, 0.0, 0.0))
+    return [dataclasses.replace(item, positions=radius * item.positions + center)]
+
+
+def _cube(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
+    quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
+    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+    return [ForeignObject(name=node.name, positions=corners, faces=faces, normals=None, uv=None, material=PLAIN)]
+
+
+def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    mesh = sheet((-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
+    return [_from_mesh(node, mesh, np.stack([(mesh.vertices[:, 0] + 1) / 2, (1 - mesh.vertices[:, 1]) / 2], axis=-1))]
+
+
+def _circle() -> np.ndarray:
+    angles = np.arange(SEGMENTS) * (2 * np.pi / SEGMENTS)
+    return np.stack([np.cos(angles), np.sin(angles), np.zeros(SEGMENTS)], axis=-1)
+
+
+def _disk(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    ring = np.arange(SEGMENTS)
+    faces = np.stack([np.full(SEGMENTS, SEGMENTS), ring, np.roll(ring, -1)], axis=-1)
+    positions = np.concatenate([_circle(), np.zeros((1, 3))])
+    return [ForeignObject(name=node.name, positions=positions, faces=faces, normals=None, uv=None, material=PLAIN)]
+
+
+def _cylinder(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
+    start, end = node.point("p0", (0.0, 0.0, 0.0)), node.point("p1", (0.0, 0.0, 1.0))
+    axis = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
+    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
+    side /= np.linalg.norm(side)
+    circle = _circle()
+    around = node.number("radius", 1.0) * (circle[:, :1] * side + circle[:, 1:2] * np.cross(axis, side))
+    ring = np.arange(SEGMENTS)
+    following = np.roll(ring, -1)
+    faces = np.concatenate([
+        np.stack([ring, following, following + SEGMENTS], axis=-1),
+        np.stack([ring, following + SEGMENTS, ring + SEGMENTS], axis=-1),
+    ])  # fmt: skip
+    positions = np.concatenate([start + around, end + around])
+    return [ForeignObject(name=node.name, positions=positions, faces=faces, normals=None, uv=None, material=PLAIN)]
+
+
+SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
+    "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle, "disk": _disk,
+    "cylinder": _cylinder, "serialized": _serialized,
+}  # fmt: skip
+
+
+# Serialized meshes: several in a file, each compressed by zlib
+
+
+def read_serialized(path: Path, index: int) -> ForeignObject:
+    """One mesh of a file; nothing is unpacked beyond what its counts promise.
+
+    Read by hand: Mitsuba's own reader (3.9) writes outside of its arrays where a triangle names a vertex that is not
+    there, and takes counts modulo 2^32.
+    """
+    data = read_foreign(path)
+    try:
+        stream, version = _stream(data, index, path)
+        return _mesh(stream, version, path)
+    except (struct.error, zlib.error, ValueError, UnicodeDecodeError) as error:
+        raise HyalineError(f"{path}: not a serialized mesh that can be read ({error}); export it as PLY") from None
+
+
+def _stream(data: bytes, index: int, path: Path) -> tuple[bytes, int]:
+    """The compressed bytes of a mesh, and its format's version."""
+    magic, version = struct.unpack_from("<HH", data)
+    if magic != MAGIC or version not in (3, 4):
+        raise HyalineError(f"{path}: is not a serialized mesh of version 3 or 4; export it as PLY")
+    (count,) = struct.unpack_from("<I", data, len(data) - 4)
+    width = "Q" if version == 4 else "I"
+    if not 1 <= count <= MAX_MESHES or not 0 <= index < count:
+        raise HyalineError(f"{path}: has {count:,} meshes; expected 1 to {MAX_MESHES:,}, and shape_index {index} in it")
+    offsets = struct.unpack_from(f"<{count}{width}", data, len(data) - 4 - count * struct.calcsize(f"<{width}"))
+    ends = [*offsets[1:], len(data)]
+    if offsets[index] >= len(data):
+        raise ValueError(f"mesh {index} is said to begin at byte {offsets[index]:,} of {len(data):,}")
+    magic, version = struct.unpack_from("<HH", data, offsets[index])
+    if magic != MAGIC or version not in (3, 4):
+        raise ValueError(f"mesh {index} is not where the file's index says")
+    return data[offsets[index] + 4 : ends[index]], version
+
+
+def _mesh(stream: bytes, version: int, path: Path) -> ForeignObject:
+    unpacker = zlib.decompressobj()
+    head = unpacker.decompress(stream, MAX_NAME + 64)
+    (flags,) = struct.unpack_from("<I", head)
+    at, name = 4, path.stem
+    if version == 4:
+        end = head.index(b"\0", at)
+        name, at = head[at:end].decode() or name, end + 1
+    vertices, faces = struct.unpack_from("<QQ", head, at)
+    at += 16
+    if not (0 < vertices <= 3 * MAX_TRIANGLES and 0 < faces <= MAX_TRIANGLES):
+        raise HyalineError(
+            f"{path}: holds {vertices:,} vertices and {faces:,} triangles; expected 1 to {MAX_TRIANGLES:,} triangles"
+        )
+    kind = np.dtype("<f8" if flags & DOUBLE else "<f4")
+    floats = 3 + 3 * bool(flags & NORMALS) + 2 * bool(flags & UV) + 3 * bool(flags & COLORS)
+    size = at + vertices * floats * kind.itemsize + faces * 12
+    body = head + unpacker.decompress(unpacker.unconsumed_tail, max(size - len(head), 1))
+    if len(body) < size:
+        raise ValueError(f"holds {len(body):,} of {size:,} bytes")
+
+    def take(columns: int, dtype: np.dtype, rows: int) -> np.ndarray:
+        nonlocal at
+        values = np.frombuffer(body, dtype, rows * columns, at).reshape(rows, columns)
+        at += values.nbytes
+        return values
+
+    positions = take(3, kind, vertices).astype(np.float64)
+    normals = take(3, kind, vertices).astype(np.float64) if flags & NORMALS else None
+    uv = take(2, kind, vertices).astype(np.float64) if flags & UV else None
+    if flags & COLORS:
+        take(3, kind, vertices)
+    corners = take(3, np.dtype("<u4"), faces).astype(np.int64)
+    if corners.max() >= vertices:
+        raise ValueError(f"a triangle names vertex {corners.max():,} of {vertices:,}")
+    if not all(np.isfinite(values).all() for values in (positions, normals, uv) if values is not None):
+        raise ValueError("a number is not finite")
+    return ForeignObject(name=name, positions=positions, faces=corners, normals=normals, uv=uv, material=PLAIN)

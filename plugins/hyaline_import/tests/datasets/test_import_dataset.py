@@ -1,0 +1,584 @@
+"""Tests that other projects' datasets are taken over whole, and that what nobody knows of them is called unknown."""
+
+import dataclasses
+import io
+import json
+import math
+import re
+import shutil
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_export.formats import export_dataset
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.datasets.import_dataset import plan_import, write_import
+from hyaline_import.datasets.pictures import on_background, opened
+from PIL import ExifTags, Image, ImageCms
+from support.commands import call
+from support.meshes import polygon_ply
+from support.theirs import write_refref
+from support.traced_dataset import write_traced_dataset
+
+from datagen.build.build import peel_dataset, summary
+from datagen.build.verify import verify_dataset
+from datagen.data.config import SPLITS, TEST_SPLITS, square
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.meshes import signed_volume
+from datagen.data.paths import TRUTH
+from datagen.data.ply import read_ply, write_ply
+from datagen.disk.errors import HyalineError
+from datagen.look.look import look_page
+from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities.view_quantities import quantities
+from datagen.scene.camera_list import CameraList
+from datagen.scene.folder import load_scene
+from datagen.scene.rig import make_cameras
+from eval.figures import cameras_figure
+
+SIDE = 8
+
+
+def take_over(folder: Path, root: Path, **choices: object) -> Dataset:
+    chosen = DatasetImportChoices(**choices)  # type: ignore[arg-type]
+    return write_import(plan_import(folder, chosen), root, overwrite=False)
+
+
+@pytest.fixture(scope="module")
+def ours(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("ours") / "glasses"
+    write_traced_dataset(root, resolution=32)
+    return open_dataset(root)
+
+
+@pytest.fixture(scope="module")
+def refref(ours: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("exported") / "refref"
+    write_refref(ours, root)
+    return root
+
+
+@pytest.fixture(scope="module")
+def again(refref: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = take_over(refref, tmp_path_factory.mktemp("again") / "glasses")
+    peel_dataset(dataset, TRUTH, num_layers=8, overwrite=False)
+    return open_dataset(dataset.root)
+
+
+def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_depth_and_index(
+    ours: Dataset, again: Dataset
+) -> None:
+    assert again.num_views == ours.num_views
+    for split in SPLITS:
+        before, after = ours.cameras(split), again.cameras(split)
+        assert np.abs(before.world_from_camera - after.world_from_camera).max() < 1e-6
+        assert after.fov_x == pytest.approx(before.fov_x, rel=1e-6) and after.width == before.width
+        for old, new in zip(ours.views(split), again.views(split), strict=True):
+            assert np.array_equal(old.image, new.image)
+            mask, depth = new.imported_mask, new.imported_depth
+            assert mask is not None and np.array_equal(mask, quantities(old).glass)
+            assert depth is not None and np.allclose(depth, quantities(old).depth_along_axis)
+    materials = {item.name: item.material for item in surfaces_of(ours).scene.objects if item.material.is_glass}
+    assert {item.name: item.material for item in surfaces_of(again).scene.objects} == materials
+
+
+def test_its_layers_are_those_of_the_glass(ours: Dataset, again: Dataset) -> None:
+    id_of = {ours.object_id(item.name): again.object_id(item.name) for item in again.objects}
+    assert {item.name for item in again.objects} == {item.name for item in ours.objects if item.is_glass}
+    for split in SPLITS:
+        for old, new in zip(ours.views(split), again.views(split), strict=True):
+            before, after = old.layers(), new.layers()
+            is_glass = np.isin(before.object_id, list(id_of))
+            order = np.argsort(~is_glass, axis=0, kind="stable")
+            ids = np.where(is_glass, np.vectorize(lambda index: id_of.get(index, 0))(before.object_id), 0)
+            assert np.array_equal(np.take_along_axis(ids, order, axis=0), after.object_id)
+            depth = np.take_along_axis(np.where(is_glass, before.depth, 0), order, axis=0)
+            assert np.array_equal(depth, after.depth)
+            uv = np.take_along_axis(np.where(is_glass[..., None], before.uv, 0), order[..., None], axis=0)
+            assert np.array_equal(uv, after.uv)
+
+
+def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
+    view = again.view("train", 0)
+    assert (view.record.noise_mse, view.record.spp, view.record.seed) == (None, None, None)
+    assert again.noise_ceiling_db("interpolating") is None
+    assert "noise ceiling interpolating: unknown" in summary(again, TRUTH)
+    with pytest.raises(HyalineError, match="radiance and noise are unknown; its pictures were imported"):
+        _ = view.radiance
+    page = look_page(again).decode()
+    assert "so their noise is unknown" in page and "imported from" in page
+    for line in (f"add {again.root} --twins", f"film {again.root}"):
+        answer = call(f"datagen {line}")
+        assert answer.status == 1 and "the light in its scene is unknown" in answer.error
+
+
+def test_every_byte_is_verified_and_the_same_command_brings_back_what_is_lost(
+    refref: Path, again: Dataset, tmp_path: Path
+) -> None:
+    root = shutil.copytree(again.root, tmp_path / "glasses")
+    assert verify_dataset(root).problems == []
+    (root / "images" / "train" / "0000.mask.png").write_bytes(b"spoilt")
+    (root / "records" / "train" / "0001.json").unlink()
+    (root / "scene" / "meshes" / "ball.ply").unlink()
+    assert len(verify_dataset(root).problems) == 3
+    before = (again.root / "images" / "train" / "0000.mask.png").read_bytes()
+    dataset = take_over(refref, root)
+    assert dataset.seal == again.seal and verify_dataset(root).problems == []
+    assert (root / "images" / "train" / "0000.mask.png").read_bytes() == before
+
+
+def test_a_report_scores_it_and_calls_the_ceiling_unknown(again: Dataset, tmp_path: Path) -> None:
+    for split in ("interpolating", "extrapolating"):
+        for view in again.views(split):
+            path = tmp_path / "runs" / "glasses" / "theirs" / "predictions" / split / f"{view.index:04d}.png"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(255 - view.image).save(path)
+    out = tmp_path / "figures"
+    answer = call(f"report {tmp_path / 'runs'} --dataset {again.root} --out {out}")
+    assert answer.status == 0, answer.error
+    assert "unknown" in answer.out
+    told = json.loads((out / "results.json").read_text())
+    assert told["scenes"][0]["noise_ceiling_db"] == {"interpolating": None, "extrapolating": None}
+
+
+# Other layouts
+
+
+def write_frames(root: Path, name: str, files: list[str], **more: object) -> None:
+    """A transforms file of cameras on a circle, and a picture for each: red grows with the place in the file."""
+    frames = []
+    for place, file in enumerate(files):
+        angle = 2 * math.pi * place / len(files)
+        matrix = np.eye(4)
+        matrix[:3, 0], matrix[:3, 1] = (-math.sin(angle), math.cos(angle), 0), (0, 0, 1)
+        matrix[:3, 2] = (math.cos(angle), math.sin(angle), 0)
+        matrix[:3, 3] = (4 + place) * matrix[:3, 2]
+        frames.append({"file_path": file, "transform_matrix": matrix.tolist()})
+        path = root / (file if Path(file).suffix else f"{file}.png")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        picture = np.full((SIDE, SIDE, 4), (10 * place, 100, 200, 255), np.uint8)
+        picture[:, : SIDE // 2, 3] = 0
+        Image.fromarray(picture if path.suffix == ".png" else picture[..., :3]).save(path)
+    (root / name).write_text(json.dumps({"camera_angle_x": 0.7, **more, "frames": frames}))
+
+
+@pytest.fixture
+def blender(tmp_path: Path) -> Path:
+    root = tmp_path / "lego"
+    for role, count in (("train", 6), ("val", 2), ("test", 5)):
+        write_frames(root, f"transforms_{role}.json", [f"./{role}/r_{place}" for place in range(count)])
+    return root
+
+
+def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Path, tmp_path: Path) -> None:
+    dataset = take_over(blender, tmp_path / "out")
+    assert dataset.num_views == {"train": 6, "interpolating": 4, "extrapolating": 1}
+    image = dataset.view("train", 3).image
+    assert (image[:, : SIDE // 2] == 255).all() and (image[:, SIDE // 2 :] == (30, 100, 200)).all()
+    assert dataset.objects == () and dataset.cameras("train").fov_x == 0.7
+    answer = call(f"datagen peel {dataset.root}")
+    assert answer.status == 1 and "has no meshes" in answer.error and "--mesh FILE" in answer.error
+    place = {split: dataset.cameras(split).world_from_camera[:, :3, 3] for split in SPLITS}
+    away = {split: np.linalg.norm(place[split][:, None] - place["train"], axis=2).min(axis=1) for split in TEST_SPLITS}
+    assert away["extrapolating"].min() > away["interpolating"].max()
+    assert verify_dataset(dataset.root).problems == []
+    page = look_page(dataset).decode()
+    assert "No meshes were imported" in page and "has no meshes" not in page and "Cameras from in front" in page
+    assert cameras_figure(dataset, "lego").startswith(b"\x89PNG")
+
+
+def test_a_mesh_for_pictures_may_have_quads_beside_triangles(blender: Path, tmp_path: Path) -> None:
+    (tmp_path / "prism.ply").write_bytes(polygon_ply(8, "little", False))
+    answer = call(f"datagen import-dataset {blender} --mesh {tmp_path / 'prism.ply'} --up y --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.err
+    (item,) = load_scene(tmp_path / "out" / "scene", is_checked=True).objects
+    assert signed_volume(item.mesh) == pytest.approx(8 * math.sin(2 * math.pi / 8), rel=1e-5)
+
+
+def test_a_mesh_that_is_not_read_and_a_material_for_nothing_say_what_to_do(blender: Path, tmp_path: Path) -> None:
+    (tmp_path / "prism.fbx").write_bytes(b"something")
+    command = f"datagen import-dataset {blender} --out {tmp_path / 'out'} --mesh {tmp_path}"
+    answer = call(f"{command}/prism.fbx")
+    assert answer.status == 1 and "open it in Blender" in answer.error and "glTF 2.0" in answer.error
+    (tmp_path / "prism.ply").write_bytes(polygon_ply(8, "little", False))
+    answer = call(f"{command}/prism.ply --material prsm=gold")
+    assert "no object is called 'prsm'; did you mean 'prism'? the objects are prism" in answer.error
+
+
+@pytest.mark.parametrize("geometry", ["", "--geometry ellipsoid"])
+@pytest.mark.parametrize("method", ["light-path", "paper"])
+def test_training_without_meshes_says_that_there_are_none(
+    method: str, geometry: str, blender: Path, tmp_path: Path
+) -> None:
+    dataset = take_over(blender, tmp_path / "out")
+    answer = call(f"model train {method} --dataset {dataset.root} --out {tmp_path / 'run'} {geometry}")
+    assert answer.status == 1 and "has no meshes" in answer.error and "--mesh FILE" in answer.error
+
+
+def test_pictures_are_made_smaller_by_averaging_light_and_the_world_is_scaled_and_turned(
+    blender: Path, tmp_path: Path
+) -> None:
+    picture = np.zeros((SIDE, SIDE, 3), np.uint8)
+    picture[::2] = 255
+    Image.fromarray(picture).save(blender / "train" / "r_0.png")
+    dataset = take_over(blender, tmp_path / "out", downscale=4, scale=0.5, up="y", background="black")
+    cameras = dataset.cameras("train")
+    assert (cameras.width, dataset.view("train", 0).image.shape) == (2, (2, 2, 3))
+    assert (dataset.view("train", 0).image == 188).all()  # Half the light of white.
+    before = json.loads((blender / "transforms_train.json").read_text())["frames"][1]["transform_matrix"]
+    x, y, z = (row[3] for row in before[:3])
+    assert np.allclose(cameras.world_from_camera[1, :3, 3], (0.5 * x, -0.5 * z, 0.5 * y))
+    assert np.allclose(np.linalg.det(cameras.world_from_camera[:, :3, :3]), 1)
+
+
+def test_pictures_may_be_wider_than_high(blender: Path, tmp_path: Path) -> None:
+    for path in blender.rglob("*.png"):
+        Image.open(path).crop((0, 2, SIDE, SIDE - 2)).save(path)
+    dataset = take_over(blender, tmp_path / "out", downscale=2)
+    assert (dataset.config.resolution.width, dataset.config.resolution.height) == (SIDE // 2, SIDE // 4)
+    assert dataset.view("train", 0).image.shape == (SIDE // 4, SIDE // 2, 3)
+    assert dataset.view("train", 0).camera.rays()[1].shape == (SIDE // 4, SIDE // 2, 3)
+
+
+def test_a_principal_point_may_lie_anywhere(blender: Path, tmp_path: Path) -> None:
+    for role in ("train", "val", "test"):
+        edit_json(lambda data: data.update(cx=3.0, cy=5.5, fl_x=9.0), f"transforms_{role}.json")(blender)
+    dataset = take_over(blender, tmp_path / "out", downscale=2)
+    for split in dataset.splits:
+        assert np.allclose(dataset.cameras(split)[0].intrinsics, [[4.5, 0, 1.5], [0, 4.5, 2.75], [0, 0, 1]])
+    listed = CameraList(**{split: dataset.cameras(split) for split in SPLITS})
+    made = make_cameras(listed, dataset.config)
+    for split, cameras in made.items():
+        assert np.allclose(cameras[0].intrinsics, dataset.cameras(split)[0].intrinsics)
+
+
+def test_openmaterials_masks_are_found_beside_the_pictures(tmp_path: Path) -> None:
+    root = tmp_path / "glass"
+    for role, count in (("train", 4), ("test", 2)):
+        files = [f"{role}/images/{place:03d}.png" for place in range(count)]
+        focal = 0.5 * SIDE / math.tan(0.35)
+        write_frames(root, f"transforms_{role}.json", files, fl_x=focal, fl_y=focal, cx=4, cy=4, w=SIDE, h=SIDE)
+        (root / role / "mask").mkdir()
+        for file in files:
+            mask = np.zeros((SIDE, SIDE), np.uint8)
+            mask[2:5] = 255
+            Image.fromarray(mask).save(root / role / "mask" / Path(file).name)
+    dataset = take_over(root, tmp_path / "out")
+    assert dataset.imported is not None and dataset.imported.layout == "openmaterial"
+    assert dataset.view("train", 1).mask("glass").sum() == 3 * SIDE
+    assert "masks: show the object, which is taken for glass" in dataset.imported.remarks
+
+
+def test_a_single_transforms_file_is_split_as_it_says_or_else_each_eighth_picture_is_for_tests(tmp_path: Path) -> None:
+    root = tmp_path / "frames"
+    files = [f"images/frame_{place:05d}.jpg" for place in range(20)]
+    write_frames(root, "transforms.json", files)
+    dataset = take_over(root, tmp_path / "one")
+    assert dataset.num_views == {"train": 17, "interpolating": 2, "extrapolating": 1}
+    lists = {"train_filenames": files[:10], "val_filenames": [], "test_filenames": files[15:]}
+    write_frames(root, "transforms.json", files, **lists)
+    assert take_over(root, tmp_path / "two").num_views == {"train": 10, "interpolating": 4, "extrapolating": 1}
+
+
+def test_depth_of_nerfstudio_is_in_millimetres_in_numpy_files_too_and_a_gap_in_it_is_named(tmp_path: Path) -> None:
+    write_frames(tmp_path, "transforms.json", [f"{place}.png" for place in range(9)])
+    edit_json(lambda data: [frame.update(depth_file_path="depth.npy") for frame in data["frames"]], "transforms.json")(
+        tmp_path
+    )
+    np.save(tmp_path / "depth.npy", np.full((SIDE, SIDE), 2000, np.float32))
+    plan = plan_import(tmp_path, DatasetImportChoices())
+    assert np.load(io.BytesIO(plan.files("train", 0)[".depth.npy"])) == pytest.approx(2)
+    edit_json(lambda data: data["frames"][5].pop("depth_file_path"), "transforms.json")(tmp_path)
+    imported = plan_import(tmp_path, DatasetImportChoices()).imported
+    assert not imported.has_depth and "depth: 1 of 9 pictures have none; all of it was left out" in imported.remarks
+
+
+def test_pictures_in_none_of_a_files_lists_are_counted(tmp_path: Path) -> None:
+    files = [f"{place}.png" for place in range(9)]
+    write_frames(tmp_path, "transforms.json", files, train_filenames=files[:3], test_filenames=files[3:5])
+    remarks = plan_import(tmp_path, DatasetImportChoices()).imported.remarks
+    assert "splits: 4 of 9 pictures are in none of the file's lists; left out" in remarks
+
+
+def display_p3() -> bytes:
+    """The ICC profile of sRGB with the primaries of Display P3, adapted to D50."""
+    data = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
+    primaries = {
+        b"rXYZ": (0.51512, 0.24120, -0.00105),
+        b"gXYZ": (0.29198, 0.69225, 0.04189),
+        b"bXYZ": (0.15710, 0.06657, 0.78407),
+    }
+    for entry in range(struct.unpack_from(">I", data, 128)[0]):
+        name, offset, _ = struct.unpack_from(">4sII", data, 132 + 12 * entry)
+        if name in primaries:
+            struct.pack_into(">3i", data, offset + 8, *(round(value * 65536) for value in primaries[name]))
+    return bytes(data)
+
+
+def test_pictures_are_converted_from_their_colour_profiles_to_srgb(tmp_path: Path) -> None:
+    path = tmp_path / "phone.png"
+
+    def read(color: tuple[int, ...], mode: str, profile: bytes) -> list[int]:
+        Image.new(mode, (2, 2), color).save(path, icc_profile=profile)
+        return on_background(opened(path), path, "white")[1, 1].tolist()
+
+    # By colour-science 0.4.7: RGB_to_RGB(..., "Display P3", "sRGB", apply_cctf_decoding=True, apply_cctf_encoding=True)
+    assert read((60, 160, 90), "RGB", display_p3()) == pytest.approx([0, 163, 82], abs=1)
+    assert read((200, 60, 40, 255), "RGBA", display_p3()) == pytest.approx([217, 42, 23], abs=1)
+    assert read((200, 60, 40, 0), "RGBA", display_p3()) == [255, 255, 255]
+    assert read((77,), "L", display_p3()) == [77, 77, 77]
+    srgb = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    assert read((60, 160, 90), "RGB", srgb) == [60, 160, 90]
+    with pytest.raises(
+        HyalineError, match=r"phone\.png: has a colour profile that cannot be used .*convert it to sRGB"
+    ):
+        read((1, 2, 3), "RGB", b"junk")
+
+
+def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> None:
+    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False)
+    dataset = take_over(tmp_path / "exported", tmp_path / "out")
+    for split in SPLITS:
+        assert np.array_equal(dataset.cameras(split).world_from_camera, ours.cameras(split).world_from_camera)
+        for old, new in zip(ours.views(split), dataset.views(split), strict=True):
+            depth = new.imported_depth
+            assert np.array_equal(old.image, new.image)
+            assert depth is not None and np.abs(depth - quantities(old).depth_along_axis).max() < 0.00051
+
+
+def test_meshes_from_elsewhere_get_the_index_that_is_asked_for(ours: Dataset, blender: Path, tmp_path: Path) -> None:
+    mesh = ours.root / "scene" / "meshes" / "ball.ply"
+    dataset = take_over(blender, tmp_path / "out", mesh=(mesh,), ior=1.7)
+    material = surfaces_of(dataset).scene.objects[0].material
+    assert dataset.objects[0].name == "ball" and material.surface().ior == 1.7
+    assert dataset.imported is not None
+    assert any("taken for glass of index 1.7" in line for line in dataset.imported.remarks)
+    named = take_over(blender, tmp_path / "named", mesh=(mesh,), material=("ball=diamond",))
+    assert surfaces_of(named).scene.objects[0].material.surface().ior == 2.417
+
+
+def test_paths_as_windows_writes_them_are_read(tmp_path: Path) -> None:
+    files = [f"images/{place}.png" for place in range(9)]
+    windows = [f".\\{file}".replace("/", "\\") for file in files]
+    write_frames(tmp_path / "in", "transforms.json", files, train_filenames=windows[:6], test_filenames=windows[6:])
+
+    def rename(data: dict) -> None:
+        for frame, name in zip(data["frames"], windows, strict=True):
+            frame["file_path"] = name
+
+    edit_json(rename, "transforms.json")(tmp_path / "in")
+    assert take_over(tmp_path / "in", tmp_path / "out").num_views["train"] == 6
+
+
+def test_pictures_smaller_than_w_and_h_say_keep_the_angle_of_view(blender: Path, tmp_path: Path) -> None:
+    more = {"w": 4 * SIDE, "h": 4 * SIDE, "fl_x": 40.0, "cx": 12.0, "cy": 16.0}
+    for role in ("train", "val", "test"):
+        edit_json(lambda data: data.update(more), f"transforms_{role}.json")(blender)
+    dataset = take_over(blender, tmp_path / "out")
+    assert np.allclose(dataset.cameras("train")[0].intrinsics, [[10, 0, 3], [0, 10, 4], [0, 0, 1]])
+
+
+# Refusals
+
+
+def flip(pose: np.ndarray) -> np.ndarray:
+    return pose @ np.diag([1.0, -1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("written", "question"),
+    [
+        (flip, r"are the poses OpenCV's \(y and z flipped\)\? Expected"),
+        (np.linalg.inv, "expected"),
+        (lambda pose: np.eye(4) + 90 * np.eye(4, k=3), "expected"),
+    ],
+    ids=["opencv", "inverse", "elsewhere"],
+)
+@pytest.mark.parametrize("line", ["import-dataset {} --mesh {}/glass.ply", "import {}/glass.ply --cameras {}"])
+def test_poses_in_another_convention_than_the_meshes_are_recognised(
+    ours: Dataset, tmp_path: Path, line: str, written: Callable[[np.ndarray], np.ndarray], question: str
+) -> None:
+    shutil.copy(ours.root / "scene" / "meshes" / "ball.ply", tmp_path / "glass.ply")
+    shutil.copy(ours.root / "transforms_train.json", tmp_path)
+    shutil.copy(ours.root / "transforms_test.json", tmp_path)
+    shutil.copytree(ours.root / "images", tmp_path / "images")
+    for name in ("images/test", "images/train"):
+        (tmp_path / name).exists() or shutil.copytree(ours.root / "images" / "interpolating", tmp_path / name)
+    command = f"datagen {line.replace('{}', str(tmp_path))} --material glass --out {tmp_path / 'out'}"
+    assert call(command).status == 0
+
+    def rewrite(data: dict) -> None:
+        for frame in data["frames"]:
+            frame["transform_matrix"] = written(np.array(frame["transform_matrix"])).tolist()
+
+    for role in ("train", "test"):
+        edit_json(rewrite, f"transforms_{role}.json")(tmp_path)
+    answer = call(f"{command} --overwrite")
+    assert answer.status == 1
+    assert re.search(f"no camera sees glass; {question} world_from_camera", answer.error), answer.err
+
+
+def test_glass_that_no_camera_sees_beside_glass_that_is_seen_is_a_line(ours: Dataset, blender: Path) -> None:
+    away = blender / "away.ply"
+    mesh, _ = read_ply(ours.root / "scene" / "meshes" / "ball.ply")
+    away.write_bytes(write_ply(dataclasses.replace(mesh, vertices=mesh.vertices + np.float32(60))))
+    choices = DatasetImportChoices(mesh=(ours.root / "scene" / "meshes" / "ball.ply", away))
+    assert [line for line in plan_import(blender, choices).imported.remarks if "no camera" in line] == [
+        "away: no camera sees it"
+    ]
+
+
+def edit_json(change: Callable[[dict], None], name: str = "transforms_train.json") -> Callable[[Path], None]:
+    def spoil(root: Path) -> None:
+        data = json.loads((root / name).read_text())
+        change(data)
+        (root / name).write_text(json.dumps(data))
+
+    return spoil
+
+
+def set_first(**values: object) -> Callable[[Path], None]:
+    return edit_json(lambda data: data["frames"][0].update(values))
+
+
+def outside(root: Path) -> None:
+    (root.parent / "secret.png").write_bytes((root / "train" / "r_0.png").read_bytes())
+    (root / "train" / "r_0.png").unlink()
+    (root / "train" / "r_0.png").symlink_to(root.parent / "secret.png")
+
+
+def turned(root: Path) -> None:
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    Image.new("RGB", (SIDE, SIDE)).save(root / "train" / "r_1.png", exif=exif)
+
+
+HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
+    "no folder": (shutil.rmtree, "is not a folder; expected one with transforms_train.json"),
+    "nothing known": (
+        lambda root: [path.unlink() for path in root.glob("*.json")],
+        "has neither transforms_train.json nor transforms.json",
+    ),
+    "one of ours": (
+        lambda root: (root / "dataset.json").write_text("{}"),
+        "is a hyaline dataset already",
+    ),
+    "truncated list": (
+        lambda root: (root / "transforms_train.json").write_text('{"frames": ['),
+        "transforms_train.json: not a JSON file",
+    ),
+    "no frames": (edit_json(lambda data: data.update(frames=[])), "has 0 frames; expected 1 to"),
+    "frames of text": (edit_json(lambda data: data.update(frames=["a"])), "frames.0.: is 'a'; expected an object"),
+    "a path out": (set_first(file_path="../../secret"), "expected a file inside the folder"),
+    "an absolute path": (set_first(file_path="/etc/passwd"), "expected a file inside the folder"),
+    "a link out": (outside, "is a link out of its folder"),
+    "a missing picture": (set_first(file_path="./train/r_99"), "names 'train/r_99', which is not in"),
+    "a test picture to train on": (set_first(file_path="./test/r_0"), "r_0.png: is listed to train on and to test"),
+    "a mirrored camera": (
+        set_first(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
+        "transform_matrix: camera: .* expected a rotation and a place",
+    ),
+    "a camera of words": (set_first(transform_matrix="here"), "transform_matrix: "),
+    "a distorted lens": (set_first(k1=0.2), "its lens is distorted .k1.; expected straight lines"),
+    "a panorama": (
+        edit_json(lambda data: data["frames"][1].update(camera_model="EQUIRECTANGULAR")),
+        "frames.1.: its camera is not a pinhole camera .'EQUIRECTANGULAR'.; expected straight lines",
+    ),
+    "two lenses": (
+        edit_json(lambda data: data["frames"][1].update(camera_angle_x=0.3)),
+        "expected one lens for all",
+    ),
+    "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected camera_angle_x"),
+    "pixels that are not square": (
+        set_first(fl_x=9.0, fl_y=9.5),
+        "has focal lengths 9 and 9.5; expected square pixels",
+    ),
+    "two principal points": (
+        edit_json(lambda data: data["frames"][1].update(cx=3.0)),
+        "expected one lens for all, with one principal point",
+    ),
+    "no pixels": (set_first(w=8, h=-6), "is 8 x -6 pixels; expected at least 1 x 1"),
+    "another size": (
+        lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),
+        "r_2.png: is 4 x 4 pixels; expected 8 x 8",
+    ),
+    "another shape than w and h": (
+        edit_json(lambda data: data.update(w=2 * SIDE, h=SIDE)),
+        "transforms_train.json: w and h are 16 x 8; expected 8 x 8, as the pictures",
+    ),
+    "a picture on its side": (
+        turned,
+        r"r_1\.png: is stored turned or mirrored .EXIF orientation 6.*mogrify -auto-orient",
+    ),
+    "16 bits": (
+        lambda root: Image.fromarray(np.full((SIDE, SIDE), 300, np.uint16)).save(root / "train" / "r_1.png"),
+        "expected 8 bits a channel",
+    ),
+    "a truncated picture": (
+        lambda root: (root / "test" / "r_1.png").write_bytes((root / "test" / "r_1.png").read_bytes()[:60]),
+        "r_1.png: not a picture that can be read",
+    ),
+    "no tests": (
+        lambda root: [(root / f"transforms_{role}.json").unlink() for role in ("val", "test")],
+        "has 6 pictures to train on and 0 to test",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_broken_folder_is_refused_in_one_line(blender: Path, tmp_path: Path, name: str) -> None:
+    spoil, message = HOSTILE[name]
+    spoil(blender)
+    with pytest.raises(HyalineError, match=message) as refusal:
+        take_over(blender, tmp_path / "out")
+    assert "\n" not in str(refusal.value)
+
+
+OBJECTS: dict[str, tuple[dict[str, object], str]] = {
+    "a mesh out": ({"a": {"mesh": "../a.ply"}}, "expected a file inside the folder"),
+    "no mesh": ({"a": {"mesh": "meshes/a.ply"}}, "names 'meshes/a.ply', which is not in"),
+    "a name with a slash": ({"../a": {"mesh": "meshes/a.ply"}}, "expected letters, digits, _ and -"),
+    "an index below 1": ({"ball": {"mesh": "meshes/ball.ply", "ior": 0.5}}, "ior: is 0.5; expected more than 1"),
+    "an index of words": ({"ball": {"mesh": "meshes/ball.ply", "ior": "glass"}}, "ior: is 'glass'; expected a number"),
+    "absorption of two": (
+        {"ball": {"mesh": "meshes/ball.ply", "ior": 1.5, "absorption_per_metre": [1, 2]}},
+        "expected 3 numbers",
+    ),
+    "a list": ([], "holds a list; expected a JSON object"),  # type: ignore[dict-item]
+    "too many": ({f"n{place}": {"mesh": "a"} for place in range(300)}, "has 300 objects; expected at most 255"),
+}
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_a_broken_list_of_objects_is_refused(refref: Path, tmp_path: Path, name: str) -> None:
+    content, message = OBJECTS[name]
+    root = shutil.copytree(refref, tmp_path / "refref")
+    (root / "objects.json").write_text(json.dumps(content))
+    with pytest.raises(HyalineError, match=message):
+        plan_import(root, DatasetImportChoices())
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "message"),
+    [
+        ("depth_train_0000.npy", b"\x93NUMPY\x01\x00", "not a .npy of height x width numbers"),
+        ("depth_train_0000.npy", b"", "not a .npy of height x width numbers"),
+        ("mask_train_0000.png", b"\x89PNG\r\n\x1a\n", "not a picture that can be read"),
+    ],
+)
+def test_broken_masks_and_depth_are_refused(refref: Path, tmp_path: Path, name: str, data: bytes, message: str) -> None:
+    root = shutil.copytree(refref, tmp_path / "refref")
+    (root / "train" / name).write_bytes(data)
+    with pytest.raises(HyalineError, match=message):
+        take_over(root, tmp_path / "out")
+
+
+def test_another_import_in_the_same_place_needs_to_be_told(blender: Path, tmp_path: Path) -> None:
+    take_over(blender, tmp_path / "out")
+    with pytest.raises(HyalineError, match="imported from lego, of other files or with other choices; pass --overw"):
+        take_over(blender, tmp_path / "out", downscale=2)
+    chosen = DatasetImportChoices(downscale=2)
+    dataset = write_import(plan_import(blender, chosen), tmp_path / "out", overwrite=True)
+    assert dataset.config.resolution == square(SIDE // 2) and verify_dataset(dataset.root).problems == []

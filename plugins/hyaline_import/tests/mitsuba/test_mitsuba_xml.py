@@ -1,0 +1,570 @@
+"""Tests that Mitsuba scenes are parsed and never loaded, mean what they mean there, and are refused when hostile."""
+
+import io
+import math
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from hyaline_import.importing import import_scene
+from hyaline_import.mitsuba.scene import read_mitsuba
+from PIL import Image
+from support.gltf import BOX
+from support.soon import soon
+
+from benchmarks.sky import radiance_of_map
+from datagen.data.images import encode_float_exr
+from datagen.data.meshes import face_corners, signed_volume
+from datagen.data.ply import write_ply
+from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.camera_list import CameraList
+from datagen.scene.description import EnvironmentMap, SoftEnvironment
+from datagen.scene.images import linear_pixels, look_up, read_map
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import mesh_of
+from datagen.scene.values import Color
+
+SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>
+<transform name="to_world"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform>
+<film type="hdrfilm"><integer name="width" value="64"/><integer name="height" value="64"/></film></sensor>"""
+BALL = '<shape type="sphere" id="ball"><bsdf type="dielectric"/></shape>'
+CUBE = '<shape type="cube" id="cube"/>'
+
+
+def read(folder: Path, body: str, remarks: Remarks | None = None) -> ForeignScene:
+    (folder / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+    return read_mitsuba(folder / "a.xml", remarks or Remarks())
+
+
+def volume(item: ForeignObject) -> float:
+    return signed_volume(mesh_of(item.positions, item.faces, item.normals, None, where="x"))
+
+
+def material_of(folder: Path, bsdf: str, remarks: Remarks | None = None) -> ForeignMaterial:
+    material = read(folder, f'<shape type="cube">{bsdf}</shape>', remarks).objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    return material
+
+
+def test_shapes_have_the_places_and_volumes_that_their_transforms_say(tmp_path: Path) -> None:
+    (tmp_path / "box.ply").write_bytes(write_ply(BOX))
+    (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 0 1\nf 1/1 2/2 3/3\n")
+    move = '<transform name="to_world"><scale x="-2" y="1" z="1"/><translate x="5"/></transform>'
+    scene = read(
+        tmp_path,
+        f'<shape type="cube">{move}</shape>'
+        '<shape type="sphere"><float name="radius" value="0.5"/><point name="center" x="0" y="0" z="3"/></shape>'
+        f'<shape type="ply"><string name="filename" value="box.ply"/>{move}</shape>'
+        '<shape type="obj"><string name="filename" value="tri.obj"/></shape>'
+        '<shape type="cube"><boolean name="flip_normals" value="true"/></shape>',
+    )
+    cube, ball, ply, obj, flipped = scene.objects
+    assert [volume(item) for item in (cube, ply, flipped)] == pytest.approx([16, 2 * signed_volume(BOX), -8], rel=1e-5)
+    assert volume(ball) == pytest.approx(math.pi / 6, rel=2e-3)
+    np.testing.assert_allclose([cube.positions.min(0), cube.positions.max(0)], [[3, -1, -1], [7, 1, 1]])
+    np.testing.assert_allclose(ball.positions.mean(0), [0, 0, 3], atol=1e-6)
+    # Mitsuba turns the v of OBJ files round, and its images: as it is in the file, v points up.
+    assert obj.uv is not None
+    np.testing.assert_allclose(obj.uv[obj.faces[0]], [[0, 0], [1, 0], [0, 1]])
+    assert ply.uv is not None
+    np.testing.assert_allclose(ply.uv, np.stack([BOX.uv[:, 0], 1 - BOX.uv[:, 1]], -1), atol=1e-7)
+
+
+OLD = """<scene version="0.6.0">
+<bsdf type="dielectric" id="Glass"><float name="intIOR" value="1.9"/><float name="extIOR" value="1"/></bsdf>
+<shape type="cube"><transform name="toWorld"><scale value="2"/><translate x="0.3"/></transform><ref id="Glass"/></shape>
+<shape type="sphere"><boolean name="flipNormals" value="true"/><float name="radius" value="0.5"/></shape>
+<sensor type="perspective"><float name="fov" value="30"/>
+<transform name="toWorld"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform></sensor></scene>"""
+
+
+def test_a_scene_of_mitsuba_before_2_is_what_mitsuba_makes_of_it(tmp_path: Path) -> None:
+    import mitsuba as mi
+
+    (tmp_path / "old.xml").write_text(OLD)
+    scene, theirs = (
+        read_mitsuba(tmp_path / "old.xml", Remarks()),
+        mi.load_file(str(tmp_path / "old.xml"), parallel=False),
+    )
+    assert isinstance(theirs, mi.Scene)
+    cube, ball = scene.objects
+    assert isinstance(cube.material, ForeignMaterial) and cube.material.ior == pytest.approx(1.9)
+    assert volume(ball) < 0
+    boxes = sorted((shape.bbox() for shape in theirs.shapes()), key=lambda box: -box.volume())
+    for item, box in zip((cube, ball), boxes, strict=True):
+        np.testing.assert_allclose([item.positions.min(0), item.positions.max(0)], [box.min, box.max], atol=2e-3)
+    np.testing.assert_allclose(scene.cameras[0].world_from_camera[:3, 3], [0, -3, 1.5], atol=1e-6)
+
+
+def test_an_interface_to_a_denser_medium_says_how_to_model_it(tmp_path: Path) -> None:
+    water = '<bsdf type="dielectric"><float name="int_ior" value="1.33"/><float name="ext_ior" value="1.5"/></bsdf>'
+    with pytest.raises(HyalineError, match=r"int_ior 1.33, ext_ior 1.5\); make each medium a closed mesh"):
+        material_of(tmp_path, water)
+
+
+def test_glass_whose_roughness_is_an_image_has_its_mean(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[51, 153]], np.uint8)).save(tmp_path / "alpha.png")
+    image = '<texture type="bitmap" name="alpha"><string name="filename" value="alpha.png"/></texture>'
+    remarks = Remarks()
+    material = material_of(tmp_path, f'<bsdf type="roughdielectric">{image}</bsdf>', remarks)
+    assert material.roughness == pytest.approx(math.sqrt(0.4))
+    assert any("drawn with the mean: alpha 0.40" in line.what for line in remarks.lines)
+
+
+def test_glass_is_relative_to_what_is_around_it_and_absorbs_by_its_medium(tmp_path: Path) -> None:
+    medium = (
+        '<medium name="interior" type="homogeneous"><rgb name="sigma_t" value="0.1,0.2,0.3"/>'
+        '<float name="scale" value="20"/><float name="albedo" value="0"/></medium>'
+    )
+    bsdf = '<bsdf type="dielectric"><string name="int_ior" value="water"/></bsdf>'
+    glass = f'<shape type="sphere" id="drop">{bsdf}{medium}</shape>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{glass}</scene>')
+    scene = import_scene(tmp_path / "a.xml", ImportChoices(scale=0.1)).scene
+    material = scene.objects[0].material
+    assert isinstance(material, Dielectric)
+    assert material.ior == pytest.approx(1.3330 / 1.000277)
+    # Per metre: ten times as much as per unit of a tenth.
+    np.testing.assert_allclose(material.absorption, [20, 40, 60], rtol=1e-6)
+
+
+FACETS = '<string name="distribution" value="ggx"/><float name="alpha" value="0.2"/>'
+INDICES = '<float name="int_ior" value="1.5"/><float name="ext_ior" value="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "expected"),
+    [
+        (f'<bsdf type="dielectric">{INDICES}</bsdf>', Dielectric(ior=1.5)),
+        (f'<bsdf type="roughdielectric">{INDICES}{FACETS}</bsdf>', RoughDielectric(ior=1.5, roughness=0.2)),
+        (
+            f'<bsdf type="dielectric">{INDICES}<rgb name="specular_transmittance" value="0.5 1 0.25"/></bsdf>',
+            Dielectric(ior=1.5, tint=(0.5, 1.0, 0.25)),
+        ),
+        (f'<bsdf type="twosided"><bsdf type="roughplastic">{INDICES}{FACETS}<boolean name="nonlinear" value="true"/>'
+         '<rgb name="diffuse_reflectance" value="0.1,0.2,0.3"/></bsdf></bsdf>',
+         Plastic(color=(0.1, 0.2, 0.3), ior=1.5, roughness=0.2)),
+        (f'<bsdf type="roughconductor">{FACETS}<string name="material" value="none"/>'
+         '<rgb name="specular_reflectance" value="0.9,0.5,0.25"/></bsdf>',
+         Conductor(color=(0.9, 0.5, 0.25), roughness=0.2)),
+    ],
+)  # fmt: skip
+def test_bsdfs_that_we_have_are_taken_one_to_one(bsdf: str, expected: object, tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0"><shape type="cube">{bsdf}</shape></scene>')
+    done = import_scene(tmp_path / "a.xml", ImportChoices())
+    found = done.scene.objects[0].material
+    assert type(found) is type(expected)
+    for key, value in vars(expected).items():
+        np.testing.assert_allclose(getattr(found, key), value, rtol=1e-6)
+    assert done.record["approximations"] == []
+
+
+def test_a_metal_of_eta_and_k_mirrors_as_fresnel_says_straight_on(tmp_path: Path) -> None:
+    entry = material_of(
+        tmp_path, '<bsdf type="conductor"><rgb name="eta" value="0.2,1,3"/><rgb name="k" value="3,0,2"/></bsdf>'
+    )
+    expected = [(0.64 + 9) / (1.44 + 9), 0.0, (4 + 4) / (16 + 4)]
+    np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("inner", "expected"),
+    [
+        ("", (1, 1, 1)),  # Mitsuba 3.9 prints eta = 0, k = 1 for it: everything is mirrored.
+        ('<rgb name="k" value="0.5,1,2"/>', (1, 1, 1)),
+        ('<rgb name="eta" value="1,2,3"/>', (1 / 5, 2 / 10, 5 / 17)),
+    ],
+)
+def test_a_conductor_without_a_material_has_mitsubas_eta_and_k(inner: str, expected: Color, tmp_path: Path) -> None:
+    for plugin in ("conductor", "roughconductor"):
+        entry = material_of(tmp_path, f'<bsdf type="{plugin}">{inner}</bsdf>')
+        np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("plugin", ["plastic", "roughplastic"])
+def test_plastic_has_mitsubas_index_and_a_scaled_highlight_is_told(plugin: str, tmp_path: Path) -> None:
+    remarks = Remarks()
+    highlight = '<rgb name="specular_reflectance" value="0"/>'
+    entry = material_of(tmp_path, f'<bsdf type="{plugin}">{highlight}</bsdf>', remarks)
+    assert entry.ior == pytest.approx(1.48959, abs=1e-5), "as Mitsuba 3.9 prints it"
+    assert "scales its reflectance, which is left out" in [line.what for line in remarks.lines]
+
+
+@pytest.mark.parametrize("specular", [0.001, 0.2, 1.0])
+def test_specular_is_the_reflectance_straight_on_in_parts_of_0_08(specular: float, tmp_path: Path) -> None:
+    ior = material_of(tmp_path, f'<bsdf type="principled"><float name="specular" value="{specular}"/></bsdf>').ior
+    assert ((ior - 1) / (ior + 1)) ** 2 == pytest.approx(0.08 * specular)
+
+
+def test_a_spectrum_with_one_value_is_the_colour_that_mitsuba_makes_of_it(tmp_path: Path) -> None:
+    paint = '<shape type="cube"><bsdf type="diffuse"><spectrum name="reflectance" value="0.3"/></bsdf></shape>'
+    emitter = '<emitter type="area"><spectrum name="radiance" value="5"/></emitter>'
+    scene = read(tmp_path, f'{paint}<shape type="rectangle">{emitter}</shape>')
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    theirs = mi.traverse(mi.load_file(str(tmp_path / "a.xml")).emitters()[0])["radiance.value"]
+    np.testing.assert_allclose(scene.lights[0].radiance, np.array(theirs).reshape(3), rtol=1e-5)
+    assert isinstance(scene.objects[0].material, ForeignMaterial)
+    np.testing.assert_allclose(scene.objects[0].material.base_color, 0.3, rtol=1e-6)
+
+
+def test_references_reach_one_bsdf_from_many_shapes(tmp_path: Path) -> None:
+    bsdf = '<bsdf type="diffuse" id="red"><rgb name="reflectance" value="0.8,0.1,0.1"/></bsdf>'
+    scene = read(tmp_path, bsdf + '<shape type="cube"><ref id="red"/></shape>' * 2)
+    colors = [item.material.base_color for item in scene.objects if isinstance(item.material, ForeignMaterial)]
+    np.testing.assert_allclose(colors, [[0.8, 0.1, 0.1]] * 2, rtol=1e-6)
+
+
+def test_a_checkerboard_is_an_image_with_its_first_colour_at_the_origin_of_uv(tmp_path: Path) -> None:
+    texture = (
+        '<texture name="reflectance" type="checkerboard"><rgb name="color0" value="0,0,0"/>'
+        '<rgb name="color1" value="1,1,1"/><transform name="to_uv"><scale x="4" y="2"/></transform></texture>'
+    )
+    scene = read(tmp_path, f'<shape type="rectangle"><bsdf type="diffuse">{texture}</bsdf></shape>')
+    item = scene.objects[0]
+    assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
+    pixels = np.asarray(Image.open(io.BytesIO(item.material.image.data)))
+    assert [pixels[0, 0, 0], pixels[0, -1, 0], pixels[-1, 0, 0], pixels[-1, -1, 0]] == [0, 255, 255, 0]
+    np.testing.assert_allclose(np.ptp(item.uv, axis=0), [4, 2])
+
+
+WRAPPED = (
+    '<shape type="rectangle"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">'
+    '<string name="filename" value="a.png"/><string name="wrap_mode" value="{}"/>{}</texture></bsdf></shape>'
+)
+MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"/></transform>'
+
+
+@pytest.mark.parametrize("mode", ["repeat", "mirror"])
+def test_an_image_goes_on_beyond_its_edges_as_mitsuba_has_it(mode: str, tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    (item,) = read(tmp_path, WRAPPED.format(mode, MOVED)).objects
+    assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
+    x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50)).astype(np.float32)
+    # The uv of a flat shape are linear in the place.
+    plane = np.linalg.lstsq(item.positions + np.array([0, 0, 1]), item.uv, rcond=None)[0]
+    image = linear_pixels(item.material.image.data, where="a.png")
+    (ours,) = look_up(image, (np.stack([x, y, np.ones(50)], axis=-1) @ plane)[None], repeats=True)
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    loaded = mi.load_file(str(tmp_path / "a.xml"))
+    si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
+    np.testing.assert_allclose(ours, np.array(si.bsdf().eval_diffuse_reflectance(si)).T, atol=2e-3)
+
+
+def test_uv_beyond_an_image_whose_edges_are_extended_are_told(tmp_path: Path) -> None:
+    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
+    remarks = Remarks()
+    read(tmp_path, WRAPPED.format("clamp", ""), remarks)
+    assert not remarks.lines
+    read(tmp_path, WRAPPED.format("clamp", MOVED), remarks)
+    (line,) = remarks.lines
+    assert line.is_approximation and "its uv reach beyond its image, whose edges the file extends" in line.what
+
+
+def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Path) -> None:
+    """Smooth over sharp edges, or flat where the file asks for it."""
+    gem = trimesh.creation.icosphere(subdivisions=1).apply_scale((1, 1.5, 0.2))
+    gem.export(tmp_path / "gem.ply", vertex_normal=False)
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    center = gem.triangles_center.T.astype(np.float32)
+    normal = gem.face_normals.T.astype(np.float32)
+    for is_flat in ("true", "false"):
+        name = '<string name="filename" value="gem.ply"/>'
+        body = f'{SENSOR}<shape type="ply">{name}<boolean name="face_normals" value="{is_flat}"/></shape>'
+        (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+        mesh = import_scene(tmp_path / "a.xml", ImportChoices()).scene.objects[0].mesh
+        np.testing.assert_allclose(face_corners(mesh).mean(axis=1), center.T, atol=1e-5)
+        ours = mesh.normals[mesh.faces].mean(axis=1)
+        ours /= np.linalg.norm(ours, axis=-1, keepdims=True)
+        origin = mi.Point3f(*(center + 0.1 * normal))
+        si = mi.load_file(str(tmp_path / "a.xml")).ray_intersect(mi.Ray3f(origin, mi.Vector3f(*-normal)))
+        np.testing.assert_allclose(ours, np.array(si.sh_frame.n).T, atol=1e-3)
+
+
+def test_cameras_and_lights_stand_where_the_file_puts_them(tmp_path: Path) -> None:
+    lamp = (
+        '<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="4"/></transform>'
+        '<emitter type="area"><rgb name="radiance" value="6,5,4"/></emitter></shape>'
+    )
+    sky = '<emitter type="constant"><rgb name="radiance" value="0.5,0.6,0.7"/></emitter>'
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{SENSOR}{BALL}{lamp}{sky}</scene>')
+    scene = import_scene(tmp_path / "a.xml", ImportChoices(cameras="file")).scene
+    assert [item.name for item in scene.objects] == ["ball"], "no ground is added, and lamps are no objects"
+    assert isinstance(scene.cameras, CameraList)
+    camera = scene.cameras.interpolating.world_from_camera[0]
+    np.testing.assert_allclose(camera[:3, 3], [0, -3, 1.5], atol=1e-6)
+    ahead = np.array([0, 3, -1]) / math.sqrt(10)
+    np.testing.assert_allclose(camera[:3, :3].T, [[1, 0, 0], np.cross([1, 0, 0], ahead), -ahead], atol=1e-6)
+    assert math.degrees(scene.cameras.train.fov_x) == pytest.approx(40)
+    (light,) = scene.lights
+    normal = np.cross(light.edge_u, light.edge_v)
+    np.testing.assert_allclose(normal / 4, [0, 0, -1], atol=1e-12)
+    # Mitsuba 3.9 answers what rounding leaves of a turn, 2e-16, with radiance that is no number.
+    assert all(value == 0 or abs(value) > 1e-6 for value in (*light.edge_u, *light.edge_v))
+    assert isinstance(scene.environment, SoftEnvironment)
+    np.testing.assert_allclose([light.radiance, scene.environment.zenith], [[6, 5, 4], [0.5, 0.6, 0.7]], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("axis", "expected"), [("x", 40), ("y", 72.1048), ("smaller", 72.1048), ("larger", 40)])
+def test_the_field_of_view_is_that_of_its_axis(axis: str, expected: float, tmp_path: Path) -> None:
+    sensor = SENSOR.replace('name="width" value="64"', 'name="width" value="128"')
+    sensor = sensor.replace("<transform", f'<string name="fov_axis" value="{axis}"/><transform', 1)
+    camera = read(tmp_path, sensor + BALL).cameras[0]
+    assert math.degrees(camera.fov_x) == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "numbers",
+    [
+        {"width": 96, "height": 64},
+        {"width": 64, "height": 96, "principal_point_offset_x": 0.2, "principal_point_offset_y": -0.1, "fov": 50},
+        {"width": 96, "height": 64, "crop_offset_x": 30, "crop_offset_y": 10, "crop_width": 40, "crop_height": 20,
+         "principal_point_offset_x": 0.1, "principal_point_offset_y": 0.3},
+    ],
+)  # fmt: skip
+def test_rays_of_a_camera_are_those_of_mitsubas_sensor(numbers: dict[str, float], tmp_path: Path) -> None:
+    of_film = [f'<integer name="{key}" value="{value}"/>' for key, value in numbers.items() if key[0] in "cwh"]
+    of_sensor = [f'<float name="{key}" value="{value}"/>' for key, value in numbers.items() if key[0] not in "cwh"]
+    place = '<transform name="to_world"><lookat origin="0,-3,1.5" target="0.2,0,0.5" up="0,0,1"/></transform>'
+    film = f'<film type="hdrfilm">{"".join(of_film)}</film>'
+    (camera,) = read(tmp_path, f'<sensor type="perspective">{"".join(of_sensor)}{place}{film}</sensor>{BALL}').cameras
+    use_mitsuba(quiet=True)
+    import mitsuba as mi
+
+    sensor = mi.load_file(str(tmp_path / "a.xml")).sensors()[0]
+    assert list(sensor.film().crop_size()) == [camera.width, camera.height]
+    directions = camera.rays()[1]
+    for row, column in ((0, 0), (3, 17), (camera.height - 1, camera.width - 1)):
+        place = (column + 0.5) / camera.width, (row + 0.5) / camera.height
+        ray, _ = sensor.sample_ray(0, 0, mi.Point2f(*place), mi.Point2f(0.5, 0.5))
+        np.testing.assert_allclose(directions[row, column], np.array(ray.d).reshape(3), atol=1e-5)
+
+
+@pytest.mark.parametrize("change", ['<scale x="-1"/>', '<matrix value="1 0.2 0 0 0 1 0 0 0 0 1 0 0 0 0 1"/>'])
+def test_a_skewed_or_mirrored_camera_is_left_out_and_up_stays(change: str, tmp_path: Path) -> None:
+    remarks = Remarks()
+    scene = read(tmp_path, SENSOR.replace("<lookat", f"{change}<lookat") + BALL, remarks)
+    assert scene.cameras == () and scene.up == "z"
+    assert "is a camera that its to_world skews or mirrors, which is left out" in [line.what for line in remarks.lines]
+
+
+def test_files_are_included_from_the_folder(tmp_path: Path) -> None:
+    (tmp_path / "parts.xml").write_text(f'<scene version="3.0.0">{BALL}</scene>')
+    assert [item.name for item in read(tmp_path, '<include filename="parts.xml"/>').objects] == ["ball"]
+
+
+# Hostile scenes
+
+OUTSIDE = "/etc/passwd"
+MEDIUM = '<medium name="interior" type="homogeneous"><float name="albedo" value="{}"/></medium>'
+
+
+def textured(texture: str) -> str:
+    return f'<shape type="cube"><bsdf type="diffuse">{texture}</bsdf></shape>'
+
+
+def image(name: str) -> str:
+    return textured(f'<texture name="reflectance" type="bitmap"><string name="filename" value="{name}"/></texture>')
+
+
+def mesh(kind: str, name: str) -> str:
+    return f'<shape type="{kind}"><string name="filename" value="{name}"/></shape>'
+
+
+def cube(inner: str) -> str:
+    return f'<shape type="cube">{inner}</shape>'
+
+
+HOSTILE: dict[str, str] = {
+    "nothing to see": "",
+    "a lamp alone": '<emitter type="constant"/>',
+    "an include from the root": f'<include filename="{OUTSIDE}"/>' + CUBE,
+    "an include from above": '<include filename="../other.xml"/>' + CUBE,
+    "an include through a link": '<include filename="link.xml"/>' + CUBE,
+    "an include of a pipe": '<include filename="pipe"/>' + CUBE,
+    "an include of a folder": '<include filename="folder"/>' + CUBE,
+    "an include of itself": '<include filename="a.xml"/>' + CUBE,
+    "includes in a circle": '<include filename="circle.xml"/>' + CUBE,
+    "an include that is missing": '<include filename="gone.xml"/>' + CUBE,
+    "an include without a name": "<include/>" + CUBE,
+    "an include of a parameter": f'<default name="x" value="{OUTSIDE}"/><include filename="$x"/>' + CUBE,
+    "a path for plugins": '<path value="."/>' + CUBE,
+    "a path for plugins as resources": '<resources value="."/>' + CUBE,
+    "an alias": '<alias id="a" as="b"/>' + CUBE,
+    "a shape of a plugin of its own": '<shape type="evil"/>',
+    "a shape by a path": '<shape type="../evil"/>',
+    "a material of its own": cube('<bsdf type="evil"/>'),
+    "a texture of its own": textured('<texture name="reflectance" type="evil"/>'),
+    "a shape that is instanced": '<shape type="instance"/>',
+    "a serialized mesh": mesh("serialized", "a.serialized"),
+    "a PLY from the root": mesh("ply", OUTSIDE),
+    "a PLY from above": mesh("ply", "../other.ply"),
+    "a PLY through a link": mesh("ply", "link.xml"),
+    "a PLY of a pipe": mesh("ply", "pipe"),
+    "a PLY that is missing": mesh("ply", "gone.ply"),
+    "a PLY that is none": mesh("ply", "a.xml"),
+    "a PLY without a name": '<shape type="ply"/>',
+    "an OBJ from the root": mesh("obj", OUTSIDE),
+    "an OBJ that is none": mesh("obj", "a.xml"),
+    "an image from the root": image(OUTSIDE),
+    "an image from above": image("../other.png"),
+    "an image that is missing": image("gone.png"),
+    "an image that wraps in an unknown way": WRAPPED.format("evil", ""),
+    "an image without a name": textured('<texture name="reflectance" type="bitmap"/>'),
+    "a flat transform": cube('<transform name="to_world"><scale value="0"/></transform>'),
+    "a transform without end": cube('<transform name="to_world"><scale value="1e300"/></transform>'),
+    "a transform of nan": cube('<transform name="to_world"><scale value="nan"/></transform>'),
+    "a transform of words": cube('<transform name="to_world"><scale value="big"/></transform>'),
+    "a matrix of three numbers": cube('<transform name="to_world"><matrix value="1 2 3"/></transform>'),
+    "a radius below 0": '<shape type="sphere"><float name="radius" value="-1"/></shape>',
+    "a radius of nan": '<shape type="sphere"><float name="radius" value="nan"/></shape>',
+    "a radius of words": '<shape type="sphere"><string name="radius" value="big"/></shape>',
+    "an unknown glass": cube('<bsdf type="dielectric"><string name="int_ior" value="kryptonite"/></bsdf>'),
+    "an index below that of air": cube('<bsdf type="dielectric"><float name="int_ior" value="0.5"/></bsdf>'),
+    "an index of nan": cube('<bsdf type="dielectric"><float name="int_ior" value="nan"/></bsdf>'),
+    "an outer index of 0": cube('<bsdf type="dielectric"><float name="ext_ior" value="0"/></bsdf>'),
+    "an unknown metal": cube('<bsdf type="conductor"><string name="material" value="Uo"/></bsdf>'),
+    "facets that are an image": cube('<bsdf type="roughconductor"><texture name="alpha" type="checkerboard"/></bsdf>'),
+    "a scattering medium": cube(f'<bsdf type="dielectric"/>{MEDIUM.format(0.5)}'),
+    "a medium of its own": cube('<bsdf type="dielectric"/><medium name="interior" type="evil"/>'),
+    "a medium inside of paint": cube(f'<bsdf type="diffuse"/>{MEDIUM.format(0)}'),
+    "two sides of nothing": cube('<bsdf type="twosided"/>'),
+    "a reference to nothing": cube('<ref id="gone"/>'),
+    "a name that stands twice": CUBE + CUBE,
+    "a sensor of its own": '<sensor type="evil"/>' + CUBE,
+    "a sensor of an unknown axis": '<sensor type="perspective"><string name="fov_axis" value="w"/></sensor>' + CUBE,
+    "a focal length": '<sensor type="perspective"><string name="focal_length" value="50mm"/></sensor>' + CUBE,
+    "a sensor of no pixels": SENSOR.replace('value="64"', 'value="0"') + CUBE,
+    "a sensor that looks nowhere": SENSOR.replace('target="0,0,0.5"', 'target="0,-3,1.5"') + CUBE,
+    "an unknown tag": "<thing/>" + CUBE,
+    "a parameter that is not there": '<shape type="sphere"><float name="radius" value="$r"/></shape>',
+    "tags without end": "<scene>" * 5000,
+    "very many tags": '<float name="x" value="1"/>' * 200_001,
+}  # fmt: skip
+
+WHOLE: dict[str, bytes] = {
+    "nothing": b"",
+    "no XML": b"ply\n",
+    "half an XML": b'<scene version="3.0.0"><shape type="cube">',
+    "no scene": b'<shape version="3.0.0" type="cube"/>',
+    "no version": b"<scene/>",
+    "UTF-16": '<scene version="3.0.0"/>'.encode("utf-16"),
+    "an unknown encoding": b'<?xml version="1.0" encoding="klingon"?><scene version="3.0.0"/>',
+    "a document type": b'<!DOCTYPE scene [<!ENTITY x SYSTEM "/etc/passwd">]><scene version="3.0.0">&x;</scene>',
+    "a bomb of entities": b'<!DOCTYPE s [<!ENTITY a "aaa"><!ENTITY b "&a;&a;">]><scene version="3.0.0">&b;</scene>',
+    "zeros": b"\0" * 1000,
+}
+
+
+@pytest.mark.parametrize("name", [*HOSTILE, *WHOLE])
+def test_a_hostile_scene_is_refused_in_one_line_and_nothing_outside_is_told(name: str, tmp_path: Path) -> None:
+    root = tmp_path / "in"
+    (root / "folder").mkdir(parents=True)
+    for other in ("other.xml", "other.ply", "other.png"):
+        (tmp_path / other).write_text(f'<scene version="3.0.0">{CUBE}</scene>')
+    (root / "link.xml").symlink_to(tmp_path / "other.xml")
+    (root / "circle.xml").write_text('<scene version="3.0.0"><include filename="a.xml"/></scene>')
+    os.mkfifo(root / "pipe")
+    data = WHOLE[name] if name in WHOLE else f'<scene version="3.0.0">{HOSTILE[name]}</scene>'.encode()
+    (root / "a.xml").write_bytes(data)
+    with soon(2.5), pytest.raises(HyalineError) as refused:
+        read_mitsuba(root / "a.xml", Remarks())
+    text = str(refused.value)
+    assert "\n" not in text and "root:" not in text and len(text) < 1000
+
+
+# Maps of the environment and serialized meshes
+
+
+def write_map(path: Path) -> np.ndarray:
+    """A map in which every direction differs, and which is smooth enough to be compared."""
+    row, column = np.mgrid[:32, :64] / 32
+    values = np.stack([1 + np.cos(np.pi * column), 1 + np.sin(np.pi * column), 1.5 + np.cos(np.pi * row)], axis=-1)
+    path.write_bytes(encode_float_exr({name: values[..., c].astype(np.float32) for c, name in enumerate("RGB")}))
+    return values
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [
+        "",
+        '<rotate y="1" angle="70"/>',
+        '<rotate x="1" angle="90"/>',
+        '<rotate x="1" angle="90"/><rotate z="1" angle="-40"/>',
+    ],
+)
+def test_a_map_of_the_environment_shines_from_where_mitsuba_has_it(tmp_path: Path, turn: str) -> None:
+    write_map(tmp_path / "sky.exr")
+    envmap = (
+        '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>'
+        f'<transform name="to_world">{turn}</transform></emitter>'
+    )
+    (tmp_path / "a.xml").write_text(f'<scene version="3.0.0">{CUBE}{envmap}</scene>')
+    up = "z" if 'x="1"' in turn else "y"
+    imported = import_scene(tmp_path / "a.xml", ImportChoices(up=up))
+    sky = imported.scene.environment
+    assert isinstance(sky, EnvironmentMap) and not any("tilted" in line for line in imported.told())
+    import mitsuba as mi
+
+    world = mi.load_file(str(tmp_path / "a.xml"))
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    theirs = directions if up == "z" else directions @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(*(-theirs).T)
+    found = np.array(world.environment().eval(si)).T
+    radiance = read_map(imported.scene.baked[sky.path], where="sky")
+    ours = sky.scale * radiance_of_map(radiance, directions, sky.rotation_deg)
+    assert np.abs(ours - found).max() < 0.05 * ours.max()
+
+
+@pytest.mark.parametrize(
+    ("inside", "message"),
+    [
+        ('<string name="filename" value="../sky.exr"/>', "expected a file inside the folder"),
+        ('<string name="filename" value="sky.png"/>', "expected linear radiance, in .exr or .hdr"),
+        ('<string name="filename" value="cut.exr"/>', "cut.exr"),
+        ('<string name="filename" value="sky.exr"/><float name="scale" value="-1"/>', "scale is -1"),
+        (
+            '<string name="filename" value="sky.exr"/><transform name="to_world"><scale x="-1"/></transform>',
+            "is mirrored by its to_world",
+        ),
+    ],
+)
+def test_broken_maps_are_refused(tmp_path: Path, inside: str, message: str) -> None:
+    write_map(tmp_path / "sky.exr")
+    (tmp_path / "cut.exr").write_bytes((tmp_path / "sky.exr").read_bytes()[:200])
+    (tmp_path / "sky.png").write_bytes(b"")
+    with pytest.raises(HyalineError, match=message):
+        read(tmp_path, f'{CUBE}<emitter type="envmap">{inside}</emitter>')
+
+
+def test_serialized_shapes_lie_as_mitsuba_has_them(tmp_path: Path) -> None:
+    uv = BOX.uv.astype("<f4")
+    body = struct.pack("<I", 0x1003) + b"box\0" + struct.pack("<QQ", len(BOX.vertices), len(BOX.faces))
+    for values in (BOX.vertices.astype("<f4"), BOX.normals.astype("<f4"), uv, BOX.faces.astype("<u4")):
+        body += np.ascontiguousarray(values).tobytes()
+    data = struct.pack("<HH", 0x041C, 4) + zlib.compress(body)
+    (tmp_path / "a.serialized").write_bytes(data + struct.pack("<QI", 0, 1))
+    shape = '<shape type="serialized"><string name="filename" value="a.serialized"/></shape>'
+    (item,) = read(tmp_path, shape).objects
+    import mitsuba as mi
+
+    theirs = mi.traverse(mi.load_file(str(tmp_path / "a.xml")).shapes()[0])
+    np.testing.assert_allclose(item.positions, np.array(theirs["vertex_positions"]).reshape(-1, 3), atol=1e-7)
+    assert item.uv is not None
+    np.testing.assert_allclose(item.uv[:, 1], 1 - np.array(theirs["vertex_texcoords"]).reshape(-1, 2)[:, 1], atol=1e-7)
+    assert (item.faces == np.array(theirs["faces"]).reshape(-1, 3)).all()

@@ -1,0 +1,327 @@
+"""Tests of commands on files that hang, crash or exhaust whatever reads them: one line, soon, and nothing is left."""
+
+import importlib
+import os
+import random
+import re
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_import.importing import READERS
+from support.commands import call
+from support.gltf import BOX, GltfBuilder, clear
+
+from datagen.data.ply import write_ply
+from datagen.disk.errors import HyalineError
+from datagen.machine import confined
+from datagen.scene.remarks import Remarks
+
+
+@pytest.fixture(autouse=True)
+def read_here() -> None:
+    """Not here: each file is read in a process of its own."""
+
+
+def png(width: int, height: int) -> bytes:
+    """Grey zeros."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    packed = b"".join(packer.compress(bytes(width + 1)) for _ in range(height)) + packer.flush()
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+
+
+def textured(data: bytes) -> bytes:
+    builder = GltfBuilder()
+    texture = builder.add("textures", {"source": builder.add("images", {"bufferView": builder.view(data)})})
+    material = builder.material(pbrMetallicRoughness={"baseColorTexture": {"index": texture}, "metallicFactor": 0})
+    builder.node(mesh=builder.mesh(material=material, has_uv=True))
+    return builder.glb()
+
+
+def sparse() -> bytes:
+    """An array of 2^25 points that takes no bytes in the file."""
+    builder = GltfBuilder()
+    count = (1 << 27) // 3
+    values = {"bufferView": builder.view(bytes(12))}
+    sparse = {"count": 1, "indices": {"bufferView": builder.view(bytes(2)), "componentType": 5123}, "values": values}
+    array = builder.accessor({"componentType": 5126, "count": count, "type": "VEC3", "sparse": sparse})
+    builder.node(mesh=builder.add("meshes", {"primitives": [{"attributes": {"POSITION": array}}]}))
+    return builder.glb()
+
+
+def serialized(offset: int) -> bytes:
+    return struct.pack("<HH", 0x041C, 4) + zlib.compress(bytes(100)) + struct.pack("<QI", offset, 1)
+
+
+def mitsuba(inside: str) -> bytes:
+    return f'<scene version="3.0.0">{inside}</scene>'.encode()
+
+
+def hdr(width: int, height: int) -> bytes:
+    """Runs of black: 8 bytes for 127 pixels."""
+    line = bytes([2, 2, width >> 8, width & 255]) + 4 * (
+        bytes([255, 0]) * (width // 127) + bytes([128 + width % 127, 0])
+    )
+    return b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n" + f"-Y {height} +X {width}\n".encode() + line * height
+
+
+SELF = '<bsdf type="twosided" id="a"><ref id="{}"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'
+SERIALIZED = '<shape type="serialized"><string name="filename" value="b"/></shape>'
+CUBE = '<shape type="cube"><ref id="a"/></shape>'
+
+HOSTILE: dict[str, tuple[str, Callable[[], bytes]]] = {
+    "a BSDF that holds itself": ("a.xml", lambda: mitsuba(SELF.format("a") + CUBE)),
+    "two BSDFs that hold each other": ("a.xml", lambda: mitsuba(SELF.format("b") + CUBE)),
+    "an offset of 2^63": ("a.xml", lambda: mitsuba(SERIALIZED)),
+    "an STL of newlines": ("a.stl", lambda: b"solid\n" + b"\n" * 300_000),
+    "an STL of blanks": ("a.stl", lambda: b"solid\n" + b" " * 300_000 + b"vertex" + b"\t" * 300_000),
+    "an image of 67 M pixels": ("a.glb", lambda: textured(png(8192, 8192))),
+    "an image of one line": ("a.glb", lambda: textured(png(1 << 26, 1))),
+    "an array of 2^27 numbers": ("a.glb", sparse),
+    "a map of 16384 x 8192": (
+        "a.xml",
+        lambda: mitsuba('<emitter type="envmap"><string name="filename" value="b.hdr"/></emitter><shape type="cube"/>'),
+    ),
+}
+
+
+def place(name: str, folder: Path) -> Path:
+    file, make = HOSTILE[name]
+    (folder / "b").write_bytes(serialized(1 << 63))
+    if "map" in name:
+        (folder / "b.hdr").write_bytes(hdr(16384, 8192))
+    (folder / file).write_bytes(make())
+    return folder / file
+
+
+def command(*words: object, cwd: Path) -> tuple[subprocess.CompletedProcess[str], float, int]:
+    """A command as it is typed; its CPU seconds, and the most memory that a process of it held.
+
+    The helper between is its only parent, so that nothing else counts.
+    """
+    program = (
+        "import resource, subprocess, sys\n"
+        "status = subprocess.run([sys.executable, '-m', 'datagen', *sys.argv[1:]]).returncode\n"
+        "used = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
+        "print('used', used.ru_utime + used.ru_stime, used.ru_maxrss * (1 if sys.platform == 'darwin' else 1024))\n"
+        "sys.exit(status)"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", program, *map(str, words)],
+        cwd=cwd, capture_output=True, text=True, timeout=240, env={**os.environ, "TMPDIR": str(cwd)}, check=False,
+    )  # fmt: skip
+    _, seconds, peak = answer.stdout.strip().splitlines()[-1].split()
+    return answer, float(seconds), int(peak)
+
+
+def left(folder: Path) -> list[str]:
+    return [path.name for path in folder.iterdir() if path.name.startswith("hyaline-")]
+
+
+QUICK = ("an STL of blanks", "an array of 2^27 numbers")
+
+
+@pytest.mark.promise("R6")
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.full) for name in HOSTILE]
+)
+def test_import_ends_soon_with_one_line_and_little_memory(name: str, tmp_path: Path) -> None:
+    path = place(name, tmp_path)
+    answer, seconds, peak = command("import", path.name, "--out", "scene", cwd=tmp_path)
+    assert "Traceback" not in answer.stderr
+    if answer.returncode:
+        lines = answer.stderr.strip().splitlines()
+        assert len(lines) == 1 and lines[0].startswith("error: ") and path.name[:1] in lines[0], answer.stderr
+        assert not (tmp_path / "scene").exists()
+    assert seconds < 12
+    assert peak < 2_000_000_000
+    assert not left(tmp_path)
+
+
+@pytest.mark.promise("R6")
+@pytest.mark.parametrize("what", ["build", "import-dataset"])
+def test_other_commands_that_read_such_files_end_in_one_line(what: str, tmp_path: Path) -> None:
+    path = place("an array of 2^27 numbers", tmp_path)
+    if what == "build":
+        answer, _, peak = command("build", "--scene", path.name, "--preset", "tiny", cwd=tmp_path)
+    else:
+        frames = [{"file_path": f"{i}.png", "transform_matrix": np.eye(4).tolist()} for i in range(20)]
+        for index in range(20):
+            (tmp_path / f"{index}.png").write_bytes(png(16, 16))
+        head = {"fl_x": 20, "fl_y": 20, "cx": 8, "cy": 8, "w": 16, "h": 16, "frames": frames}
+        (tmp_path / "transforms.json").write_text(str(head).replace("'", '"'))
+        answer, _, peak = command("import-dataset", ".", "--out", "data", "--mesh", path.name, cwd=tmp_path)
+    assert answer.returncode == 1
+    assert answer.stderr.strip().splitlines()[-1].startswith("error: ")
+    assert "Traceback" not in answer.stderr
+    assert peak < 2_000_000_000
+    assert not left(tmp_path)
+
+
+ENDS = """
+import os, sys, time
+import numpy as np
+
+def spin(folder):
+    while True:
+        pass
+
+def sleep(folder):
+    time.sleep(600)
+
+def crash(folder):
+    os.kill(os.getpid(), 11)
+
+def stumble(folder):
+    raise IndexError("list index out\\nof range")
+
+def hoard(folder):
+    held = []
+    while True:
+        held.append(np.zeros(10_000_000))
+
+def leave(folder):
+    sys.exit(7)
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("spin", "x.glb: reading it took more than 2 s of CPU time"),
+        pytest.param("sleep", "x.glb: reading it took more than 2[0-9] s, and was ended", marks=pytest.mark.full),
+        ("crash", r"x.glb: its reader crashed \(SIGSEGV\)"),
+        ("stumble", r"x.glb: cannot be read \(IndexError: list index out of range\); the file is damaged"),
+        ("hoard", "x.glb: needs more than 2.0 GB of memory"),
+        ("leave", "x.glb: its reader ended with status 7"),
+    ],
+)
+def test_whatever_ends_a_reader_is_one_error(
+    name: str, message: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    (tmp_path / "ends_of_readers.py").write_text(ENDS)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))
+    monkeypatch.delitem(sys.modules, "ends_of_readers", raising=False)
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setattr(confined, "CPU_S", 2)
+    function = getattr(importlib.import_module("ends_of_readers"), name)
+    with pytest.raises(HyalineError, match=message) as error, confined.confined(function, where="x.glb"):
+        pass
+    assert "\n" not in str(error.value)
+    assert not left(tmp_path)
+
+
+@pytest.mark.promise("R6", "R11")
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.full)])
+def test_a_signal_ends_the_reader_and_leaves_no_scratch_folder(number: signal.Signals, tmp_path: Path) -> None:
+    """The file takes minutes, and is allowed to: it is large."""
+    text = b"solid\n" + b"facet\nvertex 1 2 3\nvertex 1 2 4\nvertex 1 3 5\nendfacet\n" * 900_000 + b"endsolid\n"
+    (tmp_path / "a.stl").write_bytes(text)
+    command = subprocess.Popen(
+        [sys.executable, "-m", "datagen", "import", "a.stl"],
+        cwd=tmp_path, env={**os.environ, "TMPDIR": str(tmp_path)}, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    until = time.monotonic() + 60
+    while not (reader := left(tmp_path)) and time.monotonic() < until:
+        time.sleep(0.05)
+    time.sleep(1)
+    assert reader and readers_of(reader[0])
+    command.send_signal(number)
+    _, said = command.communicate(timeout=60)
+    assert command.returncode == 128 + number
+    assert "Traceback" not in said
+    assert not readers_of(reader[0])
+    assert not left(tmp_path)
+
+
+def readers_of(scratch: str) -> list[int]:
+    """Processes that were started for a scratch folder."""
+    listed = subprocess.run(["ps", "-ww", "-eo", "pid,args"], capture_output=True, text=True, check=True).stdout
+    return [int(line.split()[0]) for line in listed.splitlines() if scratch in line]
+
+
+def seeds() -> dict[str, bytes]:
+    """A small file of each format that is read."""
+    obj = b"mtllib a.mtl\nusemtl m\n" + b"".join(b"v %g %g %g\n" % tuple(p) for p in BOX.vertices)
+    obj += b"".join(b"f %d %d %d\n" % tuple(f + 1) for f in BOX.faces)
+    corners = BOX.vertices[BOX.faces].astype("<f4")
+    stl = np.zeros(len(corners), [("n", "<f4", 3), ("c", "<f4", (3, 3)), ("a", "<u2")])
+    stl["c"] = corners
+    text = b"".join(b"facet\n" + b"".join(b"vertex %g %g %g\n" % tuple(p) for p in t) + b"endfacet\n" for t in corners)
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(material=builder.material(pbrMetallicRoughness=clear()), has_uv=True))
+    shape = '<shape type="cube"><bsdf type="dielectric"/></shape><shape type="sphere"><bsdf type="diffuse"/></shape>'
+    return {
+        "a.glb": builder.glb(),
+        "a.gltf": builder.gltf(),
+        "a.obj": obj,
+        "a.ply": write_ply(BOX),
+        "a.stl": bytes(80) + struct.pack("<I", len(stl)) + stl.tobytes(),
+        "b.stl": b"solid a\n" + text + b"endsolid\n",
+        "a.xml": mitsuba(shape + '<sensor type="perspective"/><emitter type="constant"/>'),
+    }
+
+
+NUMBERS = [b"-1", b"0", b"1e400", b"nan", b"4294967296", b"9223372036854775808", b"0.5", b"", b"\xc2\xb2"]
+
+
+def changed(data: bytes, rng: random.Random) -> bytes:
+    """A file with some bytes flipped, cut off, twice there, or with other numbers."""
+    kind = rng.randrange(4)
+    if kind == 0:
+        return data[: rng.randrange(len(data))]
+    if kind == 1:
+        start, end = sorted(rng.randrange(len(data)) for _ in range(2))
+        return data[:end] + data[start:]
+    found = bytearray(data)
+    if kind == 2:
+        for _ in range(rng.randrange(1, 6)):
+            found[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        return bytes(found)
+    spans = [match.span() for match in re.finditer(rb"\d+", data)]
+    start, end = rng.choice(spans)
+    return data[:start] + rng.choice(NUMBERS) + data[end:]
+
+
+@pytest.mark.promise("R6")
+def test_readers_refuse_changed_files_in_words_of_ours(tmp_path: Path, is_full: bool) -> None:
+    rng = random.Random(26)
+    surprises = []
+    for name, data in seeds().items():
+        path = tmp_path / name
+        for _ in range(120 if is_full else 60):
+            path.write_bytes(changed(data, rng))
+            try:
+                READERS.find(path.suffix[1:])(path, Remarks())
+            except HyalineError as error:
+                surprises += [f"{name}: {error}"] * ("\n" in str(error))
+            except Exception as error:
+                surprises.append(f"{name}: {type(error).__name__}: {error}")
+    assert not surprises
+
+
+@pytest.mark.promise("R6")
+def test_import_ends_in_one_line_on_changed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    rng = random.Random(27)
+    wrong = []
+    for name, data in seeds().items():
+        Path(name).write_bytes(changed(data, rng))
+        answer = call(f"datagen import {name} --out scene --overwrite --ground never")
+        if answer.status not in (0, 1) or "its reader" in answer.err or "cannot be read (" in answer.err:
+            wrong.append(f"{name}: {answer.err}")
+    assert not wrong, "\n".join(wrong)

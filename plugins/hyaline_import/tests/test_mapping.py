@@ -1,0 +1,266 @@
+"""Tests that foreign materials become the nearest ones of ours, by the formulas of glTF's extensions."""
+
+import dataclasses
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_import.foreign import ForeignMaterial
+from hyaline_import.gltf.scene import read_gltf
+from hyaline_import.importing import import_scene
+from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
+from PIL import Image
+from support.gltf import GltfBuilder, clear, glass
+
+from datagen.disk.errors import HyalineError
+from datagen.scene.import_choices import ImportChoices, Thin
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.remarks import Remarks
+from datagen.scene.surfaces import Shape
+from datagen.scene.textures import ImageTexture
+
+CLOSED = Shape(is_closed=True, has_uv=True)
+OPEN = Shape(is_closed=False, has_uv=True)
+
+
+def foreign(folder: Path, **entry: object) -> ForeignMaterial:
+    """A material as it is read from a file."""
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(material=builder.material(**entry)))
+    material = read_gltf(builder.written(folder), Remarks()).objects[0].material
+    assert isinstance(material, ForeignMaterial)
+    return material
+
+
+def mapped(
+    material: ForeignMaterial, shape: Shape = CLOSED, *, metres: float = 1.0, thin: Thin = "open"
+) -> tuple[Material, list[str]]:
+    """The material of ours, and the approximations that it takes."""
+    remarks = Remarks()
+    found = Mapper(metres=metres, thin=thin, remarks=remarks).material(material, shape, where="thing")
+    return found, [line.what for line in remarks.lines if line.is_approximation]
+
+
+def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
+    extensions = glass(attenuationColor=[0.1, 0.5, 0.9], attenuationDistance=1.0)
+    material, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions), metres=0.015)
+    assert isinstance(material, Dielectric)
+    # Of Khronos's attenuation test, made 0.015 times as large: -ln(colour) / 0.015 m.
+    np.testing.assert_allclose(material.absorption, [153.505673, 46.209812, 7.024034], rtol=1e-6)
+    assert material.ior == 1.5
+    assert lines == []
+    # A ray straight through what is one unit thick comes out in the colour that the file names.
+    np.testing.assert_allclose(np.exp(-0.015 * np.array(material.absorption)), [0.1, 0.5, 0.9])
+
+
+def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(tmp_path: Path) -> None:
+    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass()))
+    assert material == Dielectric(ior=1.5)
+    extensions = glass(attenuationColor=[0, 1, 1], attenuationDistance=0.5)
+    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions))
+    assert isinstance(material, Dielectric)
+    np.testing.assert_allclose(material.absorption, [-math.log(1e-4) / 0.5, 0, 0])
+
+
+def test_the_index_of_refraction_and_a_priority_are_kept(tmp_path: Path) -> None:
+    extensions = {**glass(), "KHR_materials_ior": {"ior": 1.33}}
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions, extras={"priority": 3})
+    assert mapped(entry)[0] == Dielectric(ior=1.33, priority=3)
+
+
+def test_glass_without_an_index_has_that_of_the_substance_that_its_name_is(tmp_path: Path) -> None:
+    entry = foreign(tmp_path, name="Water.001", pbrMetallicRoughness=clear(), extensions=glass())
+    assert mapped(entry)[0] == Dielectric(ior=1.333)
+
+
+THIN = {**glass()}
+del THIN["KHR_materials_volume"]
+
+
+@pytest.mark.parametrize(
+    ("is_volume", "is_closed", "thin", "expected"),
+    [
+        (True, True, "open", Dielectric),
+        (False, True, "open", Dielectric),
+        (False, True, "file", ThinDielectric),
+        (True, True, "file", Dielectric),
+        (True, True, "all", ThinDielectric),
+        (True, False, "open", ThinDielectric),
+        (False, False, "open", ThinDielectric),
+    ],
+)
+def test_glass_is_solid_where_its_mesh_is_closed_unless_told(
+    is_volume: bool, is_closed: bool, thin: Thin, expected: type, tmp_path: Path
+) -> None:
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass() if is_volume else THIN)
+    assert isinstance(mapped(entry, CLOSED if is_closed else OPEN, thin=thin)[0], expected)
+
+
+def test_the_base_colour_tints_a_pane_once_and_a_solid_at_both_of_its_surfaces(tmp_path: Path) -> None:
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(baseColorFactor=[0.8, 0.5, 1.0, 1.0]), extensions=glass())
+    assert mapped(entry, OPEN)[0] == ThinDielectric(ior=1.5, tint=(0.8, 0.5, 1.0))
+    solid, lines = mapped(entry)
+    assert isinstance(solid, Dielectric) and solid.absorption == (0, 0, 0)
+    # As in Cycles, where a slab of base colour 0.5 shows 0.519 of white light: 0.04 is mirrored in front, 0.02 behind.
+    np.testing.assert_allclose(np.array(solid.tint) ** 2, [0.8, 0.5, 1.0])
+    assert lines == []
+
+
+@pytest.mark.parametrize(
+    ("pbr", "expected"),
+    [
+        ({"roughnessFactor": 0.8}, Conductor(color=(1, 1, 1), roughness=0.8**2)),
+        (
+            {"metallicFactor": 1.0, "roughnessFactor": 0.5, "baseColorFactor": [0.9, 0.6, 0.3, 1]},
+            Conductor(color=(0.9, 0.6, 0.3), roughness=0.25),
+        ),
+        ({"metallicFactor": 1.0, "roughnessFactor": 0.0}, Conductor(color=(1, 1, 1), roughness=0.0)),
+        (clear(roughnessFactor=0.9), Diffuse(color=(1, 1, 1))),
+        (clear(roughnessFactor=0.3), Plastic(color=(1, 1, 1), ior=1.5, roughness=0.09)),
+        (clear(baseColorFactor=[0, 0, 0, 1]), Plastic(color=(0, 0, 0), ior=1.5, roughness=0.001)),
+    ],
+)
+def test_what_lets_no_light_through_is_metal_plastic_or_matt(pbr: dict, expected: Material, tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr))
+    assert found == expected
+    assert lines == []
+
+
+@pytest.mark.parametrize(("ior", "returned"), [(1.33, 0.4712), (1.5, 0.5963), (1.8, 0.7325)])
+def test_a_smooth_coat_is_inverted_by_its_closed_form(ior: float, returned: float) -> None:
+    coat = coat_of(ior, MIN_ALPHA)
+    # Fresnel's internal diffuse reflectance F (Egan and Hilgeman 1973), by which a base b shows (1 - F) b / (1 - F b).
+    assert coat.returned == pytest.approx(returned, abs=4e-3)
+    assert 1 - (1 - coat.mirrored) / ior**2 == pytest.approx(returned, abs=1e-3)
+    color = np.array([0.05, 0.5, 0.9])
+    np.testing.assert_allclose(coat.base_of(color), color / (1 - returned * (1 - color)), atol=4e-3)
+    np.testing.assert_allclose(coat.seen(coat.base_of(color)), (1 - coat.mirrored) * color)
+
+
+def test_matt_things_keep_the_light_of_their_sheen_and_say_so(tmp_path: Path) -> None:
+    pbr = clear(roughnessFactor=0.8, baseColorFactor=[0, 0.5, 0.5, 1])
+    remarks = Remarks()
+    entry = foreign(tmp_path, pbrMetallicRoughness=pbr)
+    found = Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
+    assert isinstance(found, Diffuse)
+    # Cycles shows 0.031 of light from everywhere on black of this roughness, and 0.515 on grey.
+    np.testing.assert_allclose(np.array(found.color, np.float64), [0.031, 0.515, 0.515], atol=2e-3)
+    assert [line.what for line in remarks.lines] == ["its sheen, of a roughness of 0.6 or more, is drawn as matt light"]
+    white, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.55)))
+    assert white == Diffuse(color=(1, 1, 1)) and len(lines) == 1 and "is brighter than a base" in lines[0]
+
+
+def test_metal_lets_no_light_through_whatever_its_transmission(tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={"roughnessFactor": 0.5}, extensions=glass()))
+    assert isinstance(found, Conductor)
+    assert len(lines) == 1 and "is metal" in lines[0]
+
+
+def test_metal_too_rough_to_be_bright_is_matt_and_a_surface_without_a_material_grey(tmp_path: Path) -> None:
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={}))
+    assert found == Diffuse(color=(1, 1, 1)) and len(lines) == 1 and "metal so rough" in lines[0]
+    builder = GltfBuilder()
+    builder.node(mesh=builder.mesh(), name="thing")
+    found = import_scene(builder.written(tmp_path), ImportChoices(ground="never"))
+    assert found.scene.objects[0].material == Diffuse(color=(0.8, 0.8, 0.8))
+    assert any("has no material in the file" in line for line in found.told())
+
+
+def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cover(tmp_path: Path) -> None:
+    pbr = clear(baseColorFactor=[0.0, 0.5, 1.0, 0.4])
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
+    assert isinstance(found, ThinDielectric)
+    np.testing.assert_allclose(found.tint, [0.6, 0.8, 1.0])
+    assert len(lines) == 1
+
+
+@pytest.mark.parametrize(("color", "alpha"), [((0.0, 0.0, 0.0), 0.25), ((0.9, 0.6, 0.3), 0.5), ((1, 1, 1), 0.85)])
+def test_blended_metal_mirrors_where_it_is_and_lets_through_the_rest(
+    color: tuple[float, float, float], alpha: float, tmp_path: Path
+) -> None:
+    pbr = {"baseColorFactor": [*color, alpha]}
+    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
+    assert isinstance(found, ThinDielectric) and isinstance(found.ior, float)
+    one_side = ((found.ior - 1) / (found.ior + 1)) ** 2
+    mirrored = 2 * one_side / (1 + one_side)
+    assert mirrored == pytest.approx(min(alpha * np.mean(color), 0.8))
+    np.testing.assert_allclose((1 - mirrored) * np.array(found.tint), 1 - alpha)
+    assert len(lines) == 1 and "is metal and blended" in lines[0]
+
+
+def test_rough_glass_has_facets_of_its_roughness_squared_and_a_rough_pane_is_drawn_smooth(tmp_path: Path) -> None:
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.5), extensions=glass())
+    assert mapped(entry) == (RoughDielectric(ior=1.5, roughness=0.25), [])
+    pane, lines = mapped(entry, OPEN)
+    assert pane == ThinDielectric(ior=1.5)
+    assert any("rough pane (GGX alpha 0.25)" in line for line in lines)
+
+
+def test_dispersion_is_kept_and_left_out_of_a_pane_that_bends_nothing(tmp_path: Path) -> None:
+    extensions = {**glass(), "KHR_materials_dispersion": {"dispersion": 0.5}}
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.0), extensions=extensions)
+    assert mapped(entry) == (Dielectric(ior=1.5, dispersion=0.5), [])
+    pane, lines = mapped(entry, OPEN)
+    assert pane == ThinDielectric(ior=1.5)
+    assert any("dispersion is left out" in line for line in lines)
+    solid, lines = mapped(dataclasses.replace(entry, dispersion=60.0, roughness=0.5))
+    assert solid == RoughDielectric(ior=1.5, dispersion=20.0, roughness=0.25)
+    assert any("has a dispersion of 60; drawn with 20" in line for line in lines)
+
+
+def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
+    builder = GltfBuilder()
+    extensions = {**glass(), "KHR_materials_sheen": {}}
+    texture = {"index": 0}
+    material = builder.material(
+        pbrMetallicRoughness=clear(roughnessFactor=0.5),
+        extensions=extensions,
+        normalTexture=texture,
+        emissiveFactor=[1, 0, 0],
+        occlusionTexture=texture,
+    )
+    builder.node(mesh=builder.mesh(material=material))
+    remarks = Remarks()
+    entry = read_gltf(builder.written(tmp_path), remarks).objects[0].material
+    assert isinstance(entry, ForeignMaterial)
+    Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
+    lines = " | ".join(line.what for line in remarks.lines if line.is_approximation)
+    for word in (
+        "sheen",
+        "normal map",
+        "occlusion",
+    ):
+        assert word in lines
+    with pytest.raises(HyalineError, match="leave out --strict"):
+        read_gltf(builder.written(tmp_path), Remarks(is_strict=True))
+
+
+def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_gets_its_mean(tmp_path: Path) -> None:
+    picture = Image.new("RGB", (4, 4), (255, 255, 255))
+    picture.paste((0, 0, 0), (0, 0, 4, 2))
+    buffer = io.BytesIO()
+    picture.save(buffer, format="PNG")
+    builder = GltfBuilder()
+    image = builder.add("images", {"bufferView": builder.view(buffer.getvalue()), "mimeType": "image/png"})
+    use = {"index": builder.add("textures", {"source": image})}
+    for metallic, extensions in ((0.0, {}), (1.0, {}), (0.0, THIN)):
+        pbr = clear(metallicFactor=metallic, baseColorTexture=use, baseColorFactor=[1.0, 0.5, 0.0, 1.0])
+        material = builder.material(pbrMetallicRoughness=pbr, extensions=extensions)
+        builder.node(mesh=builder.mesh(material=material, has_uv=True))
+    mapper = Mapper(metres=1.0, thin="open", remarks=Remarks())
+    matt, metal, pane = (
+        mapper.material(item.material, OPEN, where="thing")
+        for item in read_gltf(builder.written(tmp_path), Remarks()).objects
+        if isinstance(item.material, ForeignMaterial)
+    )
+    assert isinstance(matt, Plastic) and isinstance(metal, Conductor)
+    # Half of linear white is 188 in sRGB. Plastic's base is 0.71 for it, 219: its coat swallows the rest.
+    for color, half in ((matt.color, 219), (metal.color, 188)):
+        assert isinstance(color, ImageTexture)
+        pixels = np.asarray(Image.open(io.BytesIO(mapper.images[color.path])))
+        assert pixels[0, 0].tolist() == [0, 0, 0]
+        np.testing.assert_allclose(pixels[3, 0], [255, half, 0], atol=1)
+    assert isinstance(pane, ThinDielectric)
+    np.testing.assert_allclose(pane.tint, [0.5, 0.25, 0.0], atol=1e-6)

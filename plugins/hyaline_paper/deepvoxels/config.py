@@ -1,0 +1,97 @@
+"""Configuration of the methods `deepvoxels`, `deepvoxels-paper` and `deepvoxels-original`."""
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import ClassVar, Self
+
+from datagen.data.config import Resolution
+from datagen.disk.errors import HyalineError
+from model.methods.protocol import MethodConfig
+from model.settings.flags import unflagged
+from model.settings.optimisation import Optimisation
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsConfig(MethodConfig):
+    """DeepVoxels, small: a grid of learned features, from cameras alone.
+
+    For machines without a GPU: 1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002.
+    """
+
+    room: ClassVar[str] = "hyaline_paper.deepvoxels.renderer"
+    knowledge: ClassVar[str] = "cameras only, and the scene's extent"
+    uses_geometry: ClassVar[bool] = False
+    draws_cameras: ClassVar[bool] = True
+
+    image_size: int = unflagged(0)
+    """Width and height of the images, a power of two; 0: not known yet. The authors use 512; from 128 upwards the
+    architecture is the same."""
+    num_voxels: int = unflagged(32)
+    """Along each edge of the grid."""
+    plane_size: int = unflagged(64)
+    """Width and height on which features are lifted and projected: a power of two, at most the pictures' size. Each
+    halving from the pictures to it is a stage of the feature extractor, and one of the rendering network."""
+    voxel_features: int = unflagged(64, limits=(1, 4096))
+    width: int = unflagged(64, limits=(2, 4096))
+    """Channels of the outermost 2-D convolutions; the deepest have eight times as many."""
+    dropout: float = unflagged(0.1)
+    """Fraction of channels dropped in the rendering network; the integration drops twice as many."""
+    bounded: bool = unflagged(False)
+    """Use tanh for the integration's candidate, as other gated units do, instead of the authors' ReLU. With ReLU the
+    grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
+    at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
+    adversarial: bool = unflagged(False)
+    """Add the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for name, low in (("image_size", 64 if self.adversarial else 16), ("plane_size", 16), ("num_voxels", 4)):
+            value = getattr(self, name)
+            if (value < low or value & (value - 1)) and not (name == "image_size" and value == 0):
+                raise HyalineError(f"{name}: is {value}; deepvoxels needs a power of two of {low} or more")
+        if self.image_size and self.plane_size > self.image_size:
+            raise HyalineError(f"plane_size: is {self.plane_size}; expected at most the pictures' {self.image_size}")
+        if not 0 <= self.dropout < 0.5:
+            raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        # Fewer rays, a rate for few steps that a bounded grid stands, and no dropout: of so few channels none is spare.
+        return type(self)(plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
+
+    def optimisation(self) -> Optimisation:
+        return Optimisation(batch=2, lr=2e-3)  # A batch is the pictures drawn in a step.
+
+    def sized(self, resolution: Resolution) -> Self:
+        """The same for pictures of this size."""
+        side = resolution.mean_side
+        if not resolution.is_power_of_two_square:
+            raise HyalineError(
+                f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
+                f"so build the dataset with --resolution {2 ** round(math.log2(side))}"
+            )
+        plane_size = min(self.plane_size, side)
+        return dataclasses.replace(self, image_size=side, plane_size=plane_size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsPaperConfig(DeepVoxelsConfig):
+    """DeepVoxels as the paper ran it: learning rate 1e-5, L1 loss only. Needs a GPU."""
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        return type(self)()
+
+    def optimisation(self) -> Optimisation:
+        # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
+        return Optimisation(batch=2, lr=1e-5, lr_decay="none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeepVoxelsOriginalConfig(DeepVoxelsConfig):
+    """DeepVoxels as its authors published it: L1 and a discriminator at rate 0.0004. Needs a GPU."""
+
+    def usual(self, geometry: str) -> Self:  # noqa: ARG002
+        return type(self)(adversarial=True)
+
+    def optimisation(self) -> Optimisation:
+        return Optimisation(batch=2, lr=4e-4, lr_decay="none")

@@ -1,0 +1,461 @@
+"""Tests of seeds, the paper's tables and the claims, on errors of known size."""
+
+import dataclasses
+import json
+import math
+import statistics
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_paper import claims
+from hyaline_paper.known import known_to
+from PIL import Image
+from support.synthetic import write_synthetic_dataset
+
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
+from datagen.data.metadata import Imported
+from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
+from datagen.terminal.parsing import flag_words
+from eval.page.report import make_report, make_tables
+from eval.score.runs import open_run
+from eval.score.scores import SceneScores, Truth, read_truth, score_run
+from eval.score.seeds import spread
+from eval.tables.grids import MISSING
+from eval.tables.named import TABLES
+from eval.tables.pages import results_page
+from model.methods.light_path.config import default_light_path
+from model.methods.paper.config import PaperBestConfig, PaperConfig
+from model.run.run_folder import TrainConfig
+from model.settings.losses import LossConfig
+
+PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
+BEST = dataclasses.replace(
+    PAPER,
+    method="paper-best",
+    net=dataclasses.replace(PaperBestConfig().usual(TRUTH), width=128, texture_size=128),
+    loss=LossConfig(softness=0.03),
+)
+LIGHT = TrainConfig(
+    method="light-path",
+    geometry="truth",
+    net=default_light_path((64, 64), is_proxy=False),
+    loss=LossConfig(softness=0.05),
+)
+
+
+def decibels(level: int) -> float:
+    return 20 * math.log10(255 / level)
+
+
+def wrapped(level: int) -> float:
+    return 10 * math.log10(255**2 / (level**2 % 256))
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_synthetic_dataset(
+        tmp_path_factory.mktemp("tables") / "data" / "synthetic", resolution=8, train_views=1
+    )
+
+
+def write_run(
+    dataset: Dataset, runs: Path, name: str, config: TrainConfig | str, near: int, far: int, *, geometry: str = "truth"
+) -> None:
+    """A run all of whose pixels are off by so many levels of 255; a method's name instead of a configuration."""
+    folder = runs / "synthetic" / name
+    for split, level in zip(TEST_SPLITS, (near, far), strict=True):
+        (folder / "predictions" / split).mkdir(parents=True)
+        for view in range(2):
+            truth = dataset.view(split, view).image
+            off = np.where(truth < 128, truth + np.uint8(level), truth - np.uint8(level))
+            (folder / "predictions" / split / f"{view:04d}.png").write_bytes(png_bytes(off))
+    record: dict[str, object] = {"dataset": dataset.root.as_posix(), "dataset_seal": dataset.seal}
+    if isinstance(config, str):
+        record |= {"method": config, "geometry": geometry}
+    else:
+        record |= {
+            "method": config.method,
+            "geometry": config.geometry,
+            "seed": config.seed,
+            "config": to_json(config),
+            "flags": flags_of(config),
+            "layers_seal": "the same",
+            "num_parameters": 34483,
+        }
+    (folder / "run.json").write_text(json.dumps(record))
+
+
+def flags_of(config: TrainConfig) -> list[str]:
+    """As `model train` records them, of choices that decide which table a run stands in."""
+    net = config.net
+    usual = net.usual(config.geometry)
+    fitted = {"width", "texture_size", "texture_sizes", "shells", "refined_samples"} & {
+        item.name for item in dataclasses.fields(usual)
+    }
+    chosen = dataclasses.replace(net, **{name: getattr(usual, name) for name in fitted})
+    return [
+        *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
+        *([] if config.seed == 0 else ["--seed", str(config.seed)]),
+        *flag_words(chosen, usual),
+        *([] if config.steps == TrainConfig.steps else ["--steps", str(config.steps)]),
+        *flag_words(config.loss, usual.optimisation().loss),
+    ]
+
+
+def paper(*, seed: int = 0, geometry: str = "truth", steps: int = 2500, **net: object) -> TrainConfig:
+    return dataclasses.replace(
+        PAPER, seed=seed, geometry=geometry, steps=steps, net=dataclasses.replace(PAPER.net, **net)
+    )
+
+
+def tables(dataset: Dataset, runs: Path, *names: str, output_format: str = "markdown") -> None:
+    make_tables(runs, dataset.root.parent, runs / "report", tables=names, output_format=output_format)
+
+
+def rows_of(text: str) -> list[list[str]]:
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if "---" not in line]
+
+
+# Seeds
+
+
+def test_a_spread_is_numpys_mean_and_sample_deviation() -> None:
+    values = np.random.default_rng(1).normal(30, 2, size=7)
+    found = spread([float(value) for value in values])
+    assert found.mean == pytest.approx(values.mean()) and found.deviation == pytest.approx(values.std(ddof=1))
+    assert spread([3.0]) == dataclasses.replace(found, mean=3.0, deviation=None, count=1)
+    assert spread([3.0, None]).mean is None
+    assert spread([3.0, math.inf]) == dataclasses.replace(found, mean=math.inf, deviation=None, count=2)
+
+
+def test_the_report_averages_runs_that_differ_in_their_seed_alone(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})
+    for seed, level in enumerate((5, 7, 10)):
+        write_run(dataset, tmp_path, f"paper-seed{seed}" if seed else "paper", paper(seed=seed), level, 20)
+    write_run(dataset, tmp_path, "paper-100-steps-seed1", paper(seed=1, steps=100), 30, 30)
+    write_run(dataset, tmp_path, "again", paper(seed=1, steps=100), 31, 31)  # The same seed: no spread to be had.
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="markdown", is_full=True)
+    text = capsys.readouterr().out
+    rows = {row[0]: row[1:] for row in rows_of(text.partition(": the runs")[0])}
+    expected = [decibels(level) for level in (5, 7, 10)]
+    mean = f"**{statistics.fmean(expected):.2f} ± {statistics.stdev(expected):.2f}**"
+    assert rows["paper"][:3] == ["3", mean, f"**{decibels(20):.2f} ± 0.00**"]
+    assert rows["again"][:2] == ["1", f"{decibels(31):.2f}"] and "paper-seed1" not in rows
+    assert f"Data: dataset {dataset.seal[:12]}" in text and "100-steps (" not in text
+
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="json")
+    (scene,) = json.loads(capsys.readouterr().out)["scenes"]
+    (group,) = scene["seeds"]
+    assert group["runs"] == ["paper", "paper-seed1", "paper-seed2"]
+    assert group["scores"]["psnr_db_interpolating"]["deviation"] == pytest.approx(statistics.stdev(expected))
+    hashes = {run["run"]: run["config_sha256"] for run in scene["runs"]}
+    assert hashes["paper"] == hashes["paper-seed2"] == group["config_sha256"] != hashes["again"]
+
+    make_report(tmp_path, dataset.root.parent, tmp_path / "report", output_format="csv")
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if "paper (mean of 3 seeds)" in line]
+    assert f"{statistics.fmean(expected)!r}"[:12] in line
+
+
+# The paper's tables
+
+
+def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed, level in enumerate((17, 20)):
+        write_run(dataset, tmp_path, f"view{seed}", paper(seed=seed), level, 25)
+    write_run(dataset, tmp_path, "harmonics", paper(extrinsics="sh", width=72), 18, 30)
+    write_run(dataset, tmp_path, "short", paper(steps=100), 90, 90)  # Nothing to compare it with.
+    write_run(dataset, tmp_path, "zero", paper(zero_layer=True), 90, 90)  # Not the paper's table.
+    tables(dataset, tmp_path, "table1")
+    with Image.open(tmp_path / "report" / "table1_synthetic.png") as sheet:
+        # The truth, one seed of the view vector, the harmonics: three panels of 304 pixels and their margins.
+        assert sheet.width == 44 + 3 * (304 + 14) - 14 + 20
+    text = capsys.readouterr().out
+    rows = {row[0]: row[1:] for row in rows_of(text)[1:]}
+    near = [decibels(17), decibels(20)]
+    cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
+    assert rows["view vector"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
+    assert rows["spherical harmonics"] == [
+        "harmonics",
+        "1",
+        f"{decibels(18):.2f}",
+        f"{decibels(30):.2f}",
+        f"{decibels(18) - decibels(30):.2f}",
+        f"{wrapped(18):.2f}",
+        f"{wrapped(30):.2f}",
+        MISSING,
+        "33.80",
+        "32.52",
+    ]
+    assert rows["no extrinsics"][0] == "not run" and rows["no extrinsics"][-2:] == ["33.09", "32.96"]
+    assert len(rows) == 3
+
+
+def test_methods_are_told_by_their_records_whoever_made_them(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "somebodys", "dnr", 5, 40)
+    write_run(dataset, tmp_path, "wide", "mlp-first", 12, 13)
+    write_run(dataset, tmp_path, "ours", paper(), 10, 12)
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 30, 35, geometry="none")
+    write_run(dataset, tmp_path, "boxes", "dnr", 20, 20, geometry="box")
+    tables(dataset, tmp_path, "square", "table2")
+    rows = rows_of(capsys.readouterr().out)
+    assert [row[:2] for row in rows if row[0]] == [
+        ["U-Net, first layer (DNR)", "somebodys"],
+        ["per pixel, first layer", "wide"],
+        ["per pixel, all layers (paper)", "ours"],
+        ["U-Net, all layers", "not run"],
+        ["per pixel, all layers (paper-best)", "not run"],
+        ["DNR", "somebodys"],
+        ["paper", "ours"],
+        ["DeepVoxels, small", "voxels"],
+        ["paper-best", "not run"],
+        ["DNR, as the paper ran it", "not run"],
+        ["the network of its code", "not run"],
+        ["DeepVoxels", "not run"],
+    ]
+    assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
+
+
+def test_the_paper_at_its_best_has_a_row_of_its_own_beside_the_paper_as_published(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"paper{seed}", paper(seed=seed), 20, 30)
+        write_run(dataset, tmp_path, f"paper-best{seed}", dataclasses.replace(BEST, seed=seed), 10, 15)
+    # No rival at its best: a part of it is left out.
+    less = dataclasses.replace(BEST, net=dataclasses.replace(BEST.net, render_samples=1))
+    write_run(dataset, tmp_path, "paper-best-1-render-rays", less, 90, 90)
+    write_run(dataset, tmp_path, "light-path", LIGHT, 5, 6)
+    tables(dataset, tmp_path, "table2", "square")
+    text = capsys.readouterr().out
+    rows = [row for row in rows_of(text) if len(row) == 11]
+    assert [[row[0], row[2], row[3][:5], row[4][:5]] for row in rows if row[1].startswith(("paper", "light"))] == [
+        ["paper", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
+        ["paper-best", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
+        ["per pixel, all layers (paper)", "2", f"{decibels(20):.2f}", f"{decibels(30):.2f}"],
+        ["per pixel, all layers (paper-best)", "2", f"{decibels(10):.2f}", f"{decibels(15):.2f}"],
+    ]
+    assert "paper-best-1-render-rays" not in text
+
+
+def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 3, 4, geometry="none")
+    tables(dataset, tmp_path, "deepvoxels")
+    text = capsys.readouterr().out
+    rows = rows_of(text)[1:]
+    (view,) = (view.image.astype(np.float64) for view in dataset.views("train"))
+    floors = [
+        statistics.fmean(
+            -10 * math.log10(np.square((view - truth.image) / 255).mean()) for truth in dataset.views(split)
+        )
+        for split in TEST_SPLITS
+    ]
+    assert [row[1:] for row in rows] == [
+        ["glass", "DeepVoxels, small", "1", *(f"{f(level):.2f}" for f in (decibels, wrapped) for level in (3, 4))],
+        ["glass", "DeepVoxels", "not run", *[MISSING] * 4],
+        ["glass", "mean of the training pictures", MISSING, *(f"{floor:.2f}" for floor in floors), *rows[2][-2:]],
+    ]
+    gain = decibels(3) - floors[0]
+    verdict = "works" if gain >= 3 else "fails"
+    assert f"DeepVoxels, small {verdict} on synthetic (glass, {gain:+.2f} dB)" in text
+
+
+def test_the_tables_as_json_make_the_page_of_the_same_tables(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "view", paper(), 17, 25)
+    tables(dataset, tmp_path, "claims", "table1", output_format="json")
+    stored = tmp_path / "paper.json"
+    stored.write_text(capsys.readouterr().out)
+    tables(dataset, tmp_path, "table1", "claims")
+    page = results_page(stored)
+    assert page.rstrip().endswith(capsys.readouterr().out.rstrip()) and "report --table claims --table table1" in page
+    assert "PSNR wrapped (authors' script): " in page.partition("###")[0]
+
+
+# The claims
+
+
+def verdicts(text: str) -> dict[str, list[str]]:
+    found: dict[str, list[str]] = {}
+    for row in rows_of(text)[1:]:
+        found.setdefault(row[0][0], []).append(row[-1])
+    return found
+
+
+def test_claims_are_decided_by_intervals_of_enough_pictures_and_not_run_without_runs(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "view", paper(), 10, 11)
+    tables(dataset, tmp_path, "claims")
+    found = verdicts(capsys.readouterr().out)
+    assert found["1"] == [MISSING, "not run"] and {word for number in "23678" for word in found[number]} == {"not run"}
+    write_run(dataset, tmp_path, "unet", "dnr", 12, 20)
+    write_run(dataset, tmp_path, "unet-layers", "dnr-layers", 9, 9)
+    write_run(dataset, tmp_path, "sh", paper(extrinsics="sh", width=72), 9, 12)
+    for seed, levels in enumerate(((20, 22), (21, 20))):
+        write_run(dataset, tmp_path, f"ellipsoid{seed}", paper(seed=seed, geometry="ellipsoid"), levels[0], 20)
+        write_run(dataset, tmp_path, f"box{seed}", paper(seed=seed, geometry="box"), levels[1], 40)
+    tables(dataset, tmp_path, "claims")
+    assert verdicts(capsys.readouterr().out)["1"] == [MISSING, "not decided"]
+    monkeypatch.setattr(claims, "LEAST", 2)
+    tables(dataset, tmp_path, "claims")
+    text = capsys.readouterr().out
+    assert verdicts(text) == {
+        "1": [MISSING, "confirmed"],
+        "2": ["confirmed"],
+        "3": ["contradicted"],
+        "4": [MISSING, "confirmed", "contradicted"],
+        "5": [MISSING, "confirmed"],
+        "6": ["not decided"],
+        "7": ["not run"],
+        "8": ["not run"],
+    }
+    near, far = decibels(10) - decibels(12), decibels(11) - decibels(20)
+    assert f"inter {near:+.2f} ({near:+.2f} to {near:+.2f}); extra {far:+.2f} ({far:+.2f} to {far:+.2f})" in text
+    assert "inter +0.61; extra -0.47" in text and "spread" not in text.partition("The paper's claims")[2]
+
+
+def test_an_interval_has_its_nominal_width_over_pictures_and_over_seeds() -> None:
+    rng = np.random.default_rng(5)
+    one, other = rng.normal(31, 2, (1, 400)), np.full((1, 400), 30.0)
+    gap = claims.bootstrap([one, one], [other, other], claims.NEAR)
+    half = 1.96 * one.std() / 20
+    assert gap.mean == pytest.approx(one.mean() - 30)
+    assert (gap.low, gap.high) == pytest.approx((gap.mean - half, gap.mean + half), abs=0.02)
+    # Seeds that differ, on pictures that do not, and a drop in which every seed's offset cancels.
+    seeds = 31 + rng.normal(0, 1, (40, 1)) + np.zeros((40, 400))
+    gap = claims.bootstrap([seeds, seeds], [other, other], claims.FAR)
+    assert gap.high - gap.low == pytest.approx(2 * 1.96 * seeds.std() / 40**0.5, rel=0.05)
+    drop = claims.bootstrap([seeds, seeds - 2], [other, other], claims.DROP)
+    assert (drop.low, drop.high) == pytest.approx((2, 2))
+    # Scenes differ, but each loses as much.
+    drop = claims.bootstrap([one, one - 3], [other, other], claims.DROP, of_scenes=True)
+    assert (drop.low, drop.high) == pytest.approx((3, 3))
+
+
+def test_a_claim_that_enough_scenes_try_is_judged_over_scenes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(claims, "LEAST", 2)
+    scenes = []
+    for place, level in enumerate((12, 9)):
+        folder = tmp_path / str(place)
+        write_run(dataset, folder, "view", paper(), 10, 10)
+        write_run(dataset, folder, "unet", "dnr", level, level)
+        truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
+        runs = tuple(score_run(open_run(folder / "synthetic" / name, folder), truths) for name in ("view", "unet"))
+        scenes.append(
+            SceneScores(dataset=dataset, title=f"scene {place}", has_glass_mask=True, truths=truths, runs=runs)
+        )
+    found = [finding for finding in claims.find_claims(scenes, {}) if finding.claim.startswith("1") and finding.verdict]
+    gaps = [decibels(10) - decibels(level) for level in (12, 9)]
+    assert [finding.data for finding in found] == ["published", "2 scenes"]
+    assert found[1].numbers.startswith(f"inter {statistics.fmean(gaps):+.2f} (") and found[1].verdict == "not decided"
+    assert [finding.data for finding in claims.find_claims(scenes[:1], {})][:2] == ["published", "scene 0"]
+
+
+def test_edited_scenes_decide_whether_zero_layers_help_edits(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_run(dataset, tmp_path, "without", paper(), 10, 11)
+    write_run(dataset, tmp_path, "with", paper(zero_layer=True), 10, 11)
+    monkeypatch.setattr(claims, "LEAST", 2)
+    make = claims.claims_grid
+    easy = dict.fromkeys(TEST_SPLITS, 40.0)  # An edit that one of them alone has drawn.
+    for edited, edits, verdict in ((24.0, 2, "confirmed"), (22.0, 2, "contradicted"), (24.0, 1, "not decided")):
+        names = [f"remove-{place}" for place in range(edits)]
+        scores = {
+            "synthetic": {
+                "with": {name: dict.fromkeys(TEST_SPLITS, edited) for name in names},
+                "without": {name: dict.fromkeys(TEST_SPLITS, 23.0) for name in names} | {"remove-pane": easy},
+            }
+        }
+        monkeypatch.setattr("hyaline_paper.claims.claims_grid", lambda scenes, _, scores=scores: make(scenes, scores))
+        tables(dataset, tmp_path, "claims")
+        assert verdicts(capsys.readouterr().out)["8"] == [verdict]
+
+
+# What is refused, and what the records must be
+
+
+def test_runs_are_told_apart_by_what_is_known_of_the_glass(
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"light-path-seed{seed}", dataclasses.replace(LIGHT, seed=seed), 4 + seed, 6)
+        (tmp_path / "synthetic" / f"light-path-seed{seed}" / "costs.json").write_text(
+            f'{{"cpu_seconds": {60 + 60 * seed}}}'
+        )
+    for geometry, level in (("fitted", 8), ("fitted-hull", 16), ("fitted-materials", 7)):
+        write_run(dataset, tmp_path, geometry, dataclasses.replace(LIGHT, geometry=geometry), level, level)
+    write_run(dataset, tmp_path, "proxies", dataclasses.replace(LIGHT, geometry="box"), 9, 9)
+    changed = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, branches=4))
+    write_run(dataset, tmp_path, "changed", changed, 5, 5)
+    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
+    write_run(dataset, tmp_path, "a_field", "somebodys", 20, 20, geometry="none")
+    tables(dataset, tmp_path, "known")
+    rows = [row[:5] + row[6:] for row in rows_of(capsys.readouterr().out)[1:]]
+
+    def line(known: str, run: str, geometry: str, level: int) -> list[str]:
+        return [known, run, geometry, "1", f"{decibels(level):.2f}", MISSING]
+
+    mean, deviation = statistics.fmean([decibels(4), decibels(5)]), statistics.stdev([decibels(4), decibels(5)])
+    assert rows == [
+        ["everything", "light-path", "truth", "2", f"{mean:.2f}±{deviation:.2f}", "1.50±0.71"],
+        line("materials unknown", "fitted-materials", "fitted-materials", 7),
+        line("materials unknown", "paper", "truth", 10),
+        line("shapes from masks", "fitted-hull", "fitted-hull", 16),
+        line("shapes, materials from masks", "fitted", "fitted", 8),
+        line("pictures alone", "a_field", "none", 20),
+    ]
+    run = open_run(tmp_path / "synthetic" / "fitted", tmp_path)
+    source = Imported(layout="capture", source="photos", source_sha256="0", has_masks=True, has_depth=False)
+    imported = dataclasses.replace(dataset, imported=source)
+    assert known_to(dataclasses.replace(run, dataset=imported)) == "pictures alone"
+
+
+def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match="no table 'tabel1'; did you mean 'table1'"):
+        tables(dataset, tmp_path, "tabel1")
+    with pytest.raises(HyalineError, match="no format 'csv'"):
+        tables(dataset, tmp_path, "table1", output_format="csv")
+    write_run(dataset, tmp_path, "view", paper(), 10, 11)
+    with pytest.raises(HyalineError, match=r"contains no run of table2; make them with `model sweep table2 --dataset "):
+        tables(dataset, tmp_path / "nowhere", "table2")
+    with pytest.raises(HyalineError, match=r"contains no run of claims; make them with `model sweep claims`"):
+        tables(dataset, tmp_path / "nowhere", "claims")
+
+
+@pytest.mark.parametrize("name", TABLES.built_in)
+@pytest.mark.parametrize("output_format", ["table", "latex"])
+def test_every_table_is_printed_in_every_format(
+    dataset: Dataset, tmp_path: Path, name: str, output_format: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for seed in range(2):
+        write_run(dataset, tmp_path, f"paper_{seed}", paper(seed=seed), 10 + seed, 11)
+        write_run(dataset, tmp_path, f"light-path{seed}", dataclasses.replace(LIGHT, seed=seed), 10, 11)
+    write_run(dataset, tmp_path, "voxels", "deepvoxels", 20, 20, geometry="none")
+    tables(dataset, tmp_path, name, output_format=output_format)
+    text = capsys.readouterr().out
+    assert dataset.seal[:12] in text
+    if output_format == "table":
+        assert max(map(len, text.splitlines())) <= 120
+    else:
+        body = "".join(line for line in text.splitlines() if not line.startswith("%"))
+        assert body.startswith(r"\begin{tabular}") and not set(body) & set("±→∞↑↓_") - (
+            {"_"} if r"\_" in body else set()
+        )

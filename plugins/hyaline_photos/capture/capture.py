@@ -1,0 +1,348 @@
+"""Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+from hyaline_import.confined_import import save_answer, scene_from
+from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
+from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
+from hyaline_import.datasets.pictures import on_background, opened
+from hyaline_import.datasets.surfaces import UNKNOWN_LIGHT, read_surface
+from hyaline_import.foreign import z_up_from
+from hyaline_import.foreign_files import scene_name
+from hyaline_import.importing import scene_object, unique_names
+from hyaline_import.mapping import Mapper
+from hyaline_import.overlaps import apart, nested
+from jaxtyping import Float, UInt8
+
+from datagen.data.cameras import Cameras, Lens
+from datagen.data.config import SPLITS, Resolution, Split
+from datagen.data.depth_range import with_depth_range
+from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
+from datagen.data.metadata import Imported
+from datagen.disk.errors import HyalineError
+from datagen.machine.confined import allow_triangles
+from datagen.scene.camera_list import CameraList
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.mending import mend_scene
+from datagen.scene.modelling import ball, moved, transformed
+from datagen.scene.remarks import Remarks
+from datagen.scene.soundness import check_scene
+from datagen.scene.staging import even_sky
+from datagen.terminal.command import say
+from hyaline_photos.capture.choices import CaptureChoices
+from hyaline_photos.capture.folder import Folder, Shot, read_capture
+from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
+from hyaline_photos.capture.outlines import Outline, find_outlines
+from hyaline_photos.capture.panes import Pane, find_panes
+from hyaline_photos.capture.planes import LEAST_POINTS, find_up
+from hyaline_photos.capture.room import Part, fit_room
+from hyaline_photos.capture.stereo import DepthMaps, find_depths
+from hyaline_photos.capture.structure import find_cameras, find_points
+
+DISTANCE = 1.0
+"""Metres from the cameras to the glass if the scale is unknown."""
+GREY = (0.5, 0.5, 0.5)
+"""Colour of the room in scene.json; renderers learn what it looks like."""
+LEAST_SIZE = 0.004
+"""Metres that the largest side of an object must have: gaps between glass and other surfaces are in millimetres."""
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
+class World:
+    """From the cameras' world to ours: metres, z up."""
+
+    rotation: Float[np.ndarray, "3 3"]
+    scale: float = 1.0
+    offset: Float[np.ndarray, "3"] = dataclasses.field(default_factory=lambda: np.zeros(3))
+
+    def points(self, points: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "point 3"]:
+        """Points in our world."""
+        return self.scale * points @ self.rotation.T + self.offset
+
+    def cameras(self, shots: list[Shot], lens: Lens) -> Cameras:
+        """The cameras of shots in our world, with the dataset's lens."""
+        poses = np.stack([shot.world_from_camera for shot in shots])
+        poses[:, :3, :3] = self.rotation @ poses[:, :3, :3]
+        poses[:, :3, 3] = self.points(poses[:, :3, 3])
+        return lens.cameras(poses)
+
+
+def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
+    """Plans the dataset of a folder: cameras, scene, splits and remarks, without the pictures' contents."""
+    folder = read_capture(root, find_cameras)
+    lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
+    ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
+    about_masks = _check_masks(folder, list(ids.values()))
+    folder, world, outlines, about_world = _place_with_points(
+        folder, lens, [ids[shot.picture] for shot in folder.shots], choices
+    )
+    shots = folder.shots
+    every = world.cameras(shots, lens)
+    found = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
+    panes = [pane for pane in found if pane.thickness > 0]  # Masks that are too wide may leave it none.
+    flat = {pane.name: pane.outline() for pane in panes}
+    outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
+    views, about_splits = split_views(_as_foreign(folder))
+    cameras: dict[Split, Cameras] = {
+        split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
+    }
+    parts: tuple[Part, ...] = ()
+    if not choices.room:
+        points = world.points(folder.points)
+        enough = len(points) >= LEAST_POINTS
+        maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
+        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
+        parts, about_world = room.parts, [*about_world, room.remark]
+        if room.support is not None:
+            outlines = tuple(outline.standing_on(room.support) for outline in outlines)
+    about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
+    name = scene_name(root.resolve())
+    scene, about_scene = _find_scene(name, outlines, parts, cameras, world, choices)
+    place_of = {item.name: place for place, item in enumerate(scene.objects)}
+    object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
+    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    imported = Imported(
+        layout="capture",
+        source=root.resolve().name,
+        source_sha256=digest_of(_files(folder, choices), str(choices)),
+        has_masks=True,
+        has_depth=False,
+        has_objects=True,
+        remarks=(
+            *(f"cameras: {folder.cameras}", *folder.remarks, *about_lens, *about_masks, *about_splits),
+            *(*about_world, *about_scene),
+        ),
+    )
+
+    def files(split: Split, index: int) -> dict[str, bytes]:
+        shot = cast(Shot, views[split][index])
+        found = object_id[ids[shot.picture]]
+        return {
+            ".png": png_bytes(_picture(shot, lens)),
+            ".mask.png": png_bytes(np.where(found > 0, 255, 0).astype(np.uint8)),
+            ".objects.png": png_bytes(found),
+        }
+
+    return Plan(
+        files=files,
+        cameras=cameras,
+        config=imported_config(name, Resolution(width=lens.width, height=lens.height), views),
+        scene=scene,
+        imported=imported,
+        stated_license=folder.license,
+    )
+
+
+def _as_foreign(folder: Folder) -> ForeignDataset:
+    """The folder, as far as its splits go."""
+    return ForeignDataset(
+        root=folder.root,
+        layout="capture",
+        lens=folder.shots[0].lens.pinhole,
+        views={**folder.views},
+        surfaces=(),
+        remarks=(),
+    )
+
+
+def _files(folder: Folder, choices: CaptureChoices) -> list[Path]:
+    """Every file whose content becomes a part of the dataset."""
+    parts = [path for shot in folder.shots for path in (shot.picture, *shot.masks)]
+    return [*parts, *([folder.points_file] if folder.points_file else []), *choices.room]
+
+
+def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
+    return redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)
+
+
+def _find_depths(
+    shots: list[Shot],
+    lens: Lens,
+    cameras: Cameras,
+    points: Float[np.ndarray, "point 3"],
+    ids: dict[Path, UInt8[np.ndarray, "h w"]],
+    objects: Sequence[str],
+    panes: Sequence[Pane],
+) -> DepthMaps:
+    """Depth maps of everything that is not glass, also of what is seen through panes."""
+    say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
+    flat = [1 + objects.index(pane.name) for pane in panes]
+    is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
+    return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)
+
+
+# Masks
+
+
+def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
+    """1 + the place of the object that each pixel sees; where two claim it, the smaller one, which is in front."""
+    found = np.zeros((lens.height, lens.width), np.uint8)
+    masks = []
+    for path in shot.masks:
+        mask = mask_pixels(opened(path, (shot.lens.width, shot.lens.height)))
+        masks.append(redrawn_mask(mask, shot.lens, lens))
+    for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
+        found[masks[place]] = 1 + place
+    return found
+
+
+def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
+    every = np.stack(ids)
+    counts = np.bincount(every.reshape(-1), minlength=len(folder.objects) + 1)
+    for place, name in enumerate(folder.objects, start=1):
+        if not counts[place]:
+            raise HyalineError(
+                f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
+                "those of other objects; expected white where the object is seen, or no folder of it"
+            )
+        refuse_inverted(every == place, where=f"{folder.root}: {name}")
+    share = 100 * counts[1:].sum() / counts.sum()
+    return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
+
+
+# The world
+
+
+def _place_with_points(
+    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+) -> tuple[Folder, World, tuple[Outline, ...], list[str]]:
+    """Places everything; looks for points if there are none, after all that is quicker and may be wrong."""
+    placed = _place(folder, lens, ids, choices)
+    if not choices.room and not len(folder.points):
+        find_points(folder)
+        folder = read_capture(folder.root, find_cameras)
+        if not folder.has_unit:  # Points say what is up.
+            placed = _place(folder, lens, ids, choices)
+    return folder, *placed
+
+
+def _place(
+    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+) -> tuple[World, tuple[Outline, ...], list[str]]:
+    """Turns, scales and moves the cameras' world; the outlines of the glass in ours."""
+    shots = folder.shots
+    if choices.up != "auto" or folder.has_unit:
+        rotation = z_up_from("z" if choices.up == "auto" else choices.up)
+    else:
+        up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
+        rotation = _turning_up(up)
+    turned = World(rotation=rotation)
+    outlines = find_outlines(folder.objects, ids, turned.cameras(shots, lens), where=f"{folder.root}: masks")
+    middle = np.mean([outline.center for outline in outlines], axis=0)
+    bottom = min(outline.center[2] - outline.radii[2] for outline in outlines)
+    lines = []
+    if choices.diameter is not None:
+        name, metres = choices.known_diameter()
+        radii = {outline.name: outline.radii for outline in outlines}
+        if name not in radii:
+            raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(radii)}")
+        scale = metres / (radii[name][0] + radii[name][1])
+    elif choices.scale is not None or folder.has_unit:
+        scale = choices.scale or 1.0
+    else:
+        places = turned.cameras(shots, lens).world_from_camera[:, :3, 3]
+        scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
+        lines = [f"scale: is unknown; the cameras were put {DISTANCE:g} m away from the glass, --diameter sets it"]
+    for outline in outlines:
+        if (width := 2 * scale * max(outline.radii)) < LEAST_SIZE:
+            raise HyalineError(
+                f"{folder.root}: {outline.name} is {1000 * width:.2g} mm large by its masks and cameras; expected at "
+                f"least {1000 * LEAST_SIZE:g} mm: give the cameras' unit by --scale or --diameter"
+            )
+    # A transforms file's world keeps its origin; otherwise it is below the glass.
+    offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
+    world = World(rotation=rotation, scale=scale, offset=offset)
+    placed = tuple(
+        dataclasses.replace(
+            outline,
+            center=tuple((scale * np.array(outline.center) + offset).tolist()),
+            radii=tuple((scale * np.array(outline.radii)).tolist()),
+        )
+        for outline in outlines
+    )
+    return world, placed, lines
+
+
+def _size_of(outline: Outline, *, is_pane: bool) -> str:
+    sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
+    kind = "a pane, which depth maps look through; " if is_pane else ""
+    return f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid, until `model fit` finds its shape"
+
+
+def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
+    """A rotation that turns a direction upwards."""
+    aside = np.eye(3)[np.abs(up).argmin()]
+    x = np.cross(aside, up)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(up, x), up])
+
+
+# The scene
+
+
+def _find_scene(
+    name: str,
+    outlines: tuple[Outline, ...],
+    parts: tuple[Part, ...],
+    cameras: dict[Split, Cameras],
+    world: World,
+    choices: CaptureChoices,
+) -> tuple[Scene, list[str]]:
+    where = ", ".join(map(str, choices.room)) or name
+    return scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
+
+
+def _save_scene(
+    folder: Path,
+    name: str,
+    outlines: tuple[Outline, ...],
+    parts: tuple[Part, ...],
+    cameras: dict[Split, Cameras],
+    world: World,
+    choices: CaptureChoices,
+) -> None:
+    remarks = Remarks()
+    glass = [
+        SceneObject(
+            name=outline.name,
+            mesh=moved(transformed(ball(1.0, subdivisions=3), np.diag(outline.radii), (0, 0, 0)), outline.center),
+            material=Dielectric(ior=choices.ior),
+        )
+        for outline in outlines
+    ]
+    opaque = [SceneObject(name=part.name, mesh=part.mesh, material=Diffuse(color=GREY)) for part in parts]
+    opaque += _given_room(choices, world, remarks)
+    allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
+    taken = {item.name for item in glass}
+    others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
+    names = unique_names([*(item.name for item in glass), *others])
+    objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
+    scene = Scene(
+        name=name,
+        description=f"Captured from {name}; its light is unknown",
+        objects=tuple(nested(apart(objects, remarks), remarks)),
+        environment=even_sky(UNKNOWN_LIGHT),
+        cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
+    )
+    scene = mend_scene(scene, without_uv=set(names))
+    check_scene(scene)
+    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
+
+
+def _given_room(choices: CaptureChoices, world: World, remarks: Remarks) -> list[SceneObject]:
+    """The meshes of --room, all of them diffuse."""
+    mapper = Mapper(metres=world.scale, thin="open", remarks=remarks)
+    linear = world.scale * world.rotation
+    return [
+        scene_object(
+            surface_name(file), part, linear, world.offset, mapper, Diffuse(color=GREY), remarks, ImportChoices()
+        )
+        for file in choices.room
+        for part in read_surface(ForeignSurface(name=surface_name(file), file=file), remarks)
+    ]

@@ -1,0 +1,234 @@
+"""Fits an opaque room to points and depth maps: a floor, the support of the glass, walls, and things.
+
+Things are the surfaces that depth maps show, and boxes around points where they show none. Points are in metres with z
+up. Of every surface only its front counts, which a texture is learned for; what no points show (plain walls) is left
+to the sky.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from datagen.data.meshes import Mesh
+from datagen.scene.modelling import sheet
+from hyaline_photos.capture.fusing import fuse
+from hyaline_photos.capture.outlines import GAP, Outline
+from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.planes import (
+    FAR,
+    FARTHER,
+    LEAST_POINTS,
+    LEAST_SHARE,
+    MAX_BEHIND,
+    NEAR,
+    Points,
+    Wall,
+    find_walls,
+    floor_around,
+    floor_within,
+    wall_mesh,
+)
+from hyaline_photos.capture.rectangles import Rectangle, box_on, smallest_rectangle
+from hyaline_photos.capture.stereo import DepthMaps
+
+CELL = 0.05
+"""Side of the cells by whose contact points are one thing, over the cameras' distance."""
+MAX_THINGS = 24
+FOUND = 0.5
+"""Share of a thing's points near surfaces from depth maps, above which it needs no box."""
+SLAB = 0.04
+"""Thickness of a table top over its narrow side."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of the room."""
+
+    name: str
+    mesh: Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class Room:
+    """All parts, including the support of the glass."""
+
+    parts: tuple[Part, ...]
+    support: float | None
+    """Height of the surface below the glass; None where no points show one."""
+    remark: str
+
+
+def fit_room(
+    points: Points,
+    glass: Sequence[Outline],
+    places: Float[np.ndarray, "view 3"],
+    maps: DepthMaps | None = None,
+    panes: Sequence[Pane] = (),
+) -> Room:
+    """The room that points and depth maps show.
+
+    Args:
+        glass: all objects of glass.
+        places: of the cameras.
+        maps: depths of opaque surfaces; without them, things are boxes.
+        panes: the objects that are panes.
+    """
+    middle = np.mean([outline.center for outline in glass], axis=0)
+    radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    standing = _standing(glass, panes)
+    bottom = min(outline.center[2] - outline.radii[2] for outline in standing)
+    whole = points
+    points = points[np.linalg.norm(points - middle, axis=1) < 20 * radius]
+    for outline in glass:
+        # Features on glass are no room. The ellipsoid of a pane or a plate holds what is on it, too.
+        if outline.radii[2] > 0.5 * max(outline.radii[:2]):
+            points = points[~outline.around(points, times=1.25)]
+    near, few = NEAR * radius, max(LEAST_POINTS, LEAST_SHARE * len(points))
+    levels = _levels(points, near, few, below=float(places[:, 2].min()))
+    if not levels:
+        side, bottom = 3 * radius, min(outline.center[2] - outline.radii[2] for outline in glass) - GAP
+        floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
+        found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
+        remark = f"room: {found}; using a floor below the glass, unless --room gives a mesh"
+        return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
+    floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
+    parts: list[Part] = []
+    top: Rectangle | None = None
+    support, is_pane = _support(levels, points, standing, panes, near)
+    if support > floor + 4 * near and not is_pane:
+        on = np.abs(rest[:, 2] - support) < near
+        top = smallest_rectangle(_largest_thing(rest[on], CELL * radius)[:, :2], 1.0)
+        parts.append(Part(name="table", mesh=_board(top, support, below=floor, points=rest, near=near)))
+        rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
+    walls, rest = find_walls(rest, places, middle, radius, few)
+    parts += [Part(name=f"wall_{place}", mesh=wall_mesh(wall, walls, floor)) for place, wall in enumerate(walls)]
+    parts = [*_floors(points, floor, walls, middle, radius), *parts]
+
+    def is_thing(place: Points) -> Bool[np.ndarray, "_"]:
+        """True where a surface is neither the floor, the table nor a wall."""
+        kept = place[:, 2] > floor + 2 * near
+        if top is not None:
+            kept &= ~(top.holds(place[:, :2], margin=near) & (np.abs(place[:, 2] - support) < 2 * near))
+        for wall in walls:
+            kept &= wall.ahead(place[:, :2]) > FARTHER * near
+        return kept
+
+    things: list[Mesh] = []
+    if maps is not None and len(rest) >= LEAST_POINTS:
+        low, high = np.percentile(rest, (1, 99), axis=0) + 4 * near * np.array([[-1], [1]])
+        things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
+        for pane in panes:
+            things = [pane.without(thing) for thing in things]
+    parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things)]
+    boxes = []
+    for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
+        box = smallest_rectangle(thing[:, :2])
+        foot, head = np.percentile(thing[:, 2], (2, 98)).tolist()
+        base = support if foot > support - 2 * near else floor
+        # Points at its foot may be missing; something on a glass table has no surface below it.
+        bottom = base if foot - base < 0.5 * (head - foot) else foot
+        if head - bottom > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, head, places):
+            boxes.append(Part(name=f"box_{len(boxes)}", mesh=box_on(box, bottom, head)))
+    parts += boxes[: MAX_THINGS - len(things)]
+    kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts[1:])} parts in all"
+    remark = f"room: {kinds} were fitted to {len(points):,} points; --room takes meshes instead"
+    return Room(parts=tuple(parts), support=support, remark=remark)
+
+
+# Levels
+
+
+def _standing(glass: Sequence[Outline], panes: Sequence[Pane]) -> Sequence[Outline]:
+    """All glass except panes; the panes themselves if there is no other glass."""
+    names = {pane.name for pane in panes}
+    return [outline for outline in glass if outline.name not in names] or glass
+
+
+def _support(
+    levels: Sequence[float], points: Points, standing: Sequence[Outline], panes: Sequence[Pane], near: float
+) -> tuple[float, bool]:
+    """Height of the surface below the glass, and whether that is a pane."""
+    bottom = min(outline.center[2] - outline.radii[2] for outline in standing)
+    # Cameras above cannot see where glass ends, so the masks' cones extend into its support.
+    reach = max(4 * near, 0.3 * min(outline.radii[2] for outline in standing))
+    names = {outline.name for outline in standing}
+    tops = [pane.top for pane in panes if pane.name not in names and abs(pane.top - bottom) < reach]
+    if tops:
+        return max(tops), True
+    counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
+    return max(
+        (each for each in levels if abs(each - bottom) < reach), key=counts.__getitem__, default=levels[0]
+    ), False
+
+
+def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> list[Part]:
+    """The floor as far as points show it, and what lies around it unless something is below."""
+    near = NEAR * radius
+    ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
+    around: list[Rectangle] = []
+    if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
+        around = floor_around(ground, walls, middle, FAR * radius)
+    named = {"floor": ground, **{f"floor_{place}": part for place, part in enumerate(around)}}
+    return [Part(name=name, mesh=part.sheet(floor)) for name, part in named.items()]
+
+
+def _levels(points: Points, near: float, few: float, *, below: float) -> list[float]:
+    """Heights at which many points lie, the lowest first; each is the strongest within reach."""
+    heights = points[points[:, 2] < below, 2]
+    found: list[float] = []
+    while len(heights) >= few:
+        order = np.sort(heights)
+        counts = np.searchsorted(order, order + 2 * near) - np.arange(len(order))
+        best = int(counts.argmax())
+        if counts[best] < few:
+            break
+        level = float(np.median(order[best : best + counts[best]]))
+        found.append(level)
+        heights = heights[np.abs(heights - level) > 4 * near]
+    return sorted(found)
+
+
+def _far_from(meshes: Sequence[Mesh], points: Points, cell: float, near: float) -> Points:
+    """The points of things that meshes do not show."""
+    from scipy.spatial import KDTree
+
+    if not meshes:
+        return points
+    surface = KDTree(np.concatenate([mesh.vertices for mesh in meshes]))
+    others = [thing for thing in _things(points, cell) if (surface.query(thing)[0] < near).mean() < FOUND]
+    return np.concatenate([points[:0], *others])
+
+
+def _largest_thing(points: Points, cell: float) -> Points:
+    return max(_things(points, cell, least=1), key=len, default=points)
+
+
+def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[Points]:
+    """Points that are one thing: in cells that touch; things of few points are left out."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import KDTree
+
+    if not len(points):
+        return
+    pairs = KDTree(points).query_pairs(cell, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
+    count, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label, minlength=count)
+    for index in np.argsort(-sizes, kind="stable"):
+        if sizes[index] >= least:
+            yield points[label == index]
+
+
+def _board(top: Rectangle, height: float, *, below: float, points: Points, near: float) -> Mesh:
+    """A table: solid to the floor where points show its sides, a thin board otherwise."""
+    under = (points[:, 2] > below + 3 * near) & (points[:, 2] < height - 6 * near)
+    sides = under & top.holds(points[:, :2], margin=near)
+    low = below if sides.sum() >= LEAST_POINTS else height - SLAB * 2 * min(top.half)
+    return box_on(top, low, height)
+
+
+def _holds_camera(base: Rectangle, high: float, places: Float[np.ndarray, "view 3"]) -> bool:
+    return bool((base.holds(places[:, :2]) & (places[:, 2] < high)).any())

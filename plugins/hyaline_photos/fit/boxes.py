@@ -1,0 +1,323 @@
+"""Boxes and panes with rounded edges, found from masks.
+
+A box is convex, so that its signed distance has one minimum along a ray, which is negative where the ray meets the box.
+Each ray at a mask's edge tells on which side of 0 that minimum lies: a logistic regression on the box's numbers.
+"""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float64
+
+from datagen.data.meshes import Mesh
+from datagen.scene.modelling import grid_faces, rotation
+from hyaline_photos.fit.lathe import Axis, perpendicular, spread
+from hyaline_photos.fit.outside import WORTH_A_TILT, find_center
+from hyaline_photos.fit.section import SHARP, Section
+from hyaline_photos.fit.shapes import OUTSIDE, Glass, Revolution
+from hyaline_photos.fit.silhouettes import descend, errors, misfit, pull
+from hyaline_photos.fit.views import NearRays
+
+SEGMENTS = 4
+"""Steps of a rounded edge, per 45 degrees."""
+
+LEAST_SIZE, LEAST_ROUNDING = 0.0005, 0.0001
+"""Least half thickness of a box and least radius of its edges, in metres."""
+
+MOST_ROUNDING = 0.9
+"""Largest radius of the edges, in parts of the least half size."""
+
+SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
+"""Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
+
+FINER = (0.03, 0.01, 0.003)
+"""The same for all rays, kept where it explains more of them: with the last of `SOFTNESS`, a pane of 18 mm came out as
+18.6 mm."""
+
+COARSE_RAYS, RAYS = 2500, 20_000
+"""Rays that the first two rounds look at, and the most for the others, but for `FINER`."""
+
+STEPS = 30
+"""Largest number of steps in a round."""
+
+ENOUGH = 3e-4
+"""A round ends when a step gains less, relative to the misfit."""
+
+BISECTIONS = 20
+"""Interval halvings along a ray; they narrow it to a micrometre."""
+
+FLAT, THICK = 0.06, 0.02
+"""Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
+get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
+its faces, out of sight."""
+
+EXPLAINED = 0.1
+"""Share of edge pixels that an upright box may get wrong before others are tried from any direction."""
+
+USELESS = 0.3
+"""Share of edge pixels beyond which a box is none; half of them are wrong for no shape at all."""
+
+MOST_REACH = 1.5
+"""Largest half diagonal in parts of how far the mask's rays pass from their middle: what others hide has no bounds."""
+
+SQUARE = 0.005
+"""By how much the sides of a square may differ."""
+
+EDGE = 0.02
+"""Radius of an edge that counts as sharp, over half the width."""
+
+GUTTER = 0.01
+"""Width of the empty border around each chart of the atlas."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Box(Glass):
+    """A solid box with rounded edges."""
+
+    center: Float64[np.ndarray, "3"]
+    axes: Float64[np.ndarray, "3 3"]
+    """Unit vectors in the world, one a row, right-handed; the last is the upward one of an upright box."""
+    half_sizes: Float64[np.ndarray, "3"]
+    """Along its axes, in metres."""
+    rounding: float
+    """Radius of the edges in metres."""
+    unexplained: float = 1.0
+    """Share of the rays at the mask's edge that meet the box and should miss it, or the other way round."""
+
+    @property
+    def kind(self) -> str:
+        return "box"
+
+    def mesh(self) -> Mesh:
+        return _rounded(self)
+
+
+def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = None) -> Box | None:
+    """The box that explains the masks best, upright unless a tilt explains more.
+
+    None if no box resembles the masks, or other objects hide too much of it.
+
+    Args:
+        support: height along `up` of the known surface below it; an upright box ends there.
+    """
+    rng = np.random.default_rng(0)
+    # Where a mask shows the object, a known surface in front of it is misplaced, as parts of a fitted room are.
+    rays = dataclasses.replace(rays, reach=np.where(rays.hits, np.inf, rays.reach))
+    edge = rays.at_edges().thinned(RAYS)
+    few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
+    center, radius = find_center(rays)
+    axes = np.stack([*perpendicular(up), up])
+    start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
+
+    def search(starts: Sequence[Box], turn: Float64[np.ndarray, "turn 3"]) -> Box:
+        rough = [
+            _fitted(_fitted(box, few, turn, SOFTNESS[0], support), few, turn, SOFTNESS[1], support) for box in starts
+        ]
+        return sharpen(min((_judged(box, few) for box in rough), key=_errors_of), turn, SOFTNESS[1:])
+
+    def sharpen(box: Box, turn: Float64[np.ndarray, "turn 3"], steps: Sequence[float]) -> Box:
+        for softness in steps:
+            box = _fitted(box, edge, turn, softness, support)
+        return _judged(box, edge)
+
+    about_up, any_way = np.asarray(up, np.float64)[None], np.eye(3)
+    upright = search([_turned(start, angle * about_up[0]) for angle in np.radians(range(0, 90, 15))], about_up)
+    if upright.unexplained > THICK:
+        panes = [sharpen(pane, about_up, SOFTNESS[2:]) for pane in _panes(upright)]
+        upright = min([upright, *panes], key=_errors_of)
+    others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
+    tilted = search([upright, *others], any_way)
+    best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
+    best = _finer(best, rays.at_edges(), about_up if best is upright else any_way, support)
+    is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
+    return best if is_seen and best.unexplained < USELESS else None
+
+
+def outline_of(box: Box) -> Revolution:
+    """A box as an outline about the rectangle of its sides, as a vessel has; its upper and lower edges are sharp."""
+    narrow, wide = np.sort(box.half_sizes[:2])
+    is_oblong = wide > (1 + SQUARE) * narrow
+    half, height = narrow if is_oblong else box.half_sizes[:2].mean(), box.half_sizes[2]
+    long = box.axes[int(box.half_sizes[:2].argmax())]
+    first, second = perpendicular(box.axes[2])
+    rounding = box.rounding / half
+    # Where a square's corner of this radius crosses the diagonal, so does the superellipse.
+    sharpness = SHARP if rounding < EDGE else -np.log(2) / np.log(1 - (1 - np.sqrt(0.5)) * rounding)
+    section = Section(
+        sides=4,
+        sharpness=float(sharpness),
+        turn=float(np.arctan2(long @ second, long @ first)),
+        stretch=float(wide - narrow) if is_oblong else 0.0,
+    )
+    line = spread(np.array([(0.0, -height), (half, -height), (half, height)]), OUTSIDE)
+    return Revolution(axis=Axis(point=box.center, direction=box.axes[2]), outside=line, section=section, as_solid=box)
+
+
+def _finer(box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], support: float | None) -> Box:
+    box = _judged(box, rays)
+    for softness in FINER:
+        box = min(box, _judged(_fitted(box, rays, turn, softness, support), rays), key=_errors_of)
+    return box
+
+
+def _errors_of(box: Box) -> float:
+    return box.unexplained
+
+
+def _panes(box: Box) -> list[Box]:
+    """Thin boxes at the upper and the lower face of one."""
+    width, depth, height = box.half_sizes
+    half = min(FLAT * min(width, depth), height)
+    return [
+        dataclasses.replace(
+            box,
+            center=box.center + side * (height - half) * box.axes[2],
+            half_sizes=np.array([width, depth, half]),
+            rounding=min(box.rounding, half / 2),
+        )
+        for side in (1, -1)
+    ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Passes:
+    """Where rays come closest to a box or are deepest inside it."""
+
+    point: Float64[np.ndarray, "3 ray"]
+    """Along the box's axes, from its centre."""
+    distance: Float64[np.ndarray, " ray"]
+    """Signed, in metres; negative inside."""
+    normal: Float64[np.ndarray, "3 ray"]
+    """The distance's gradient, along the box's axes."""
+
+
+def _passes(box: Box, rays: NearRays) -> _Passes:
+    """Bisects the sign of the distance's slope along each ray, up to the first known surface."""
+    o, d = box.axes @ (rays.origins - box.center).T, box.axes @ rays.directions.T
+    middle, radius = -(o * d).sum(axis=0), float(np.linalg.norm(box.half_sizes))
+    high = np.clip(middle + radius, 0, rays.reach)
+    low = np.clip(middle - radius, 0, high)
+    for _ in range(BISECTIONS):
+        t = (low + high) / 2
+        _, normal = _signed_distance(box, o + t * d)
+        rises = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2] > 0
+        low, high = np.where(rises, low, t), np.where(rises, t, high)
+    point = o + high * d
+    distance, normal = _signed_distance(box, point)
+    return _Passes(point=point, distance=distance, normal=normal)
+
+
+def _signed_distance(
+    box: Box, p: Float64[np.ndarray, "3 point"]
+) -> tuple[Float64[np.ndarray, " point"], Float64[np.ndarray, "3 point"]]:
+    """Distance of points, given along the box's axes, and its gradient."""
+    q = np.abs(p) - (box.half_sizes - box.rounding)[:, None]
+    outside = np.maximum(q, 0)
+    length = np.sqrt(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2)
+    is_out = length > 1e-12
+    most = np.maximum(np.maximum(q[0], q[1]), q[2])
+    normal = np.where(is_out, outside / np.maximum(length, 1e-12), q == most)
+    return np.where(is_out, length, most) - box.rounding, np.copysign(normal, p)
+
+
+def _fitted(
+    box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], softness: float, support: float | None
+) -> Box:
+    """The box whose silhouettes are most likely, from one nearby: damped Newton steps.
+
+    Args:
+        turn: axes in the world about which the box may turn.
+        softness: in pixels.
+    """
+    width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
+
+    def judge(box: Box) -> tuple[float, _Passes]:
+        passes = _passes(box, rays)
+        return misfit(passes.distance, rays.hits, width), passes
+
+    def step(box: Box, passes: _Passes, damping: float) -> Box:
+        gradient, curvature = _slopes(box, rays, passes, turn, width)
+        way = -np.linalg.solve(curvature + damping * np.diag(curvature.diagonal() + 1e-9), gradient)
+        return _moved(box, way, turn, support)
+
+    return descend(box, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
+
+
+def _slopes(
+    box: Box, rays: NearRays, passes: _Passes, turn: np.ndarray, width: float
+) -> tuple[Float64[np.ndarray, " number"], Float64[np.ndarray, "number number"]]:
+    """Gradient of the misfit and an approximate Hessian in center, half sizes, rounding and turns."""
+    across, torque = np.abs(passes.normal), np.cross(passes.normal, passes.point, axis=0)
+    rows = [-box.axes.T @ passes.normal, -across, across.sum(axis=0, keepdims=True) - 1, turn @ box.axes.T @ torque]
+    slopes = np.concatenate(rows)
+    pulls, count = pull(passes.distance, rays.hits, width), len(rays.hits)
+    return slopes @ pulls.slope / count, (slopes * pulls.curvature) @ slopes.T / count
+
+
+def _moved(box: Box, step: Float64[np.ndarray, " number"], turn: np.ndarray, support: float | None) -> Box:
+    """The box after a step, within the limits of its numbers."""
+    half_sizes = np.maximum(box.half_sizes + step[3:6], LEAST_SIZE)
+    most = MOST_ROUNDING * half_sizes.min()
+    moved = dataclasses.replace(
+        _turned(box, step[7:] @ turn),
+        center=box.center + step[:3],
+        half_sizes=half_sizes,
+        rounding=float(np.clip(box.rounding + step[6], min(LEAST_ROUNDING, most), most)),
+    )
+    if support is None or len(turn) > 1:
+        return moved
+    below = support - (moved.center @ turn[0] - half_sizes[2])
+    if below <= 0:
+        return moved
+    shrunk = np.maximum(half_sizes - [0, 0, below / 2], LEAST_SIZE)
+    return dataclasses.replace(moved, center=moved.center + below / 2 * turn[0], half_sizes=shrunk)
+
+
+def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
+    """The box turned about an axis in the world, by its length in radians."""
+    angle = float(np.linalg.norm(turn))
+    if angle < 1e-12:
+        return box
+    return dataclasses.replace(box, axes=box.axes @ rotation(tuple(turn / angle), np.degrees(angle)).T)
+
+
+def _judged(box: Box, rays: NearRays) -> Box:
+    """The box and how much it leaves unexplained of these rays."""
+    return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
+
+
+def _rounded(box: Box) -> Mesh:
+    """A grid on each side of a box, moved onto its rounded edges; faces that meet share their corners bit by bit."""
+    steps = np.tan(np.linspace(0, np.pi / 4, SEGMENTS + 1))
+    steps[-1] = 1.0
+    core = box.half_sizes - box.rounding
+    lines = [np.concatenate([-(inner + box.rounding * steps[::-1]), inner + box.rounding * steps]) for inner in core]
+    count = len(steps) * 2
+    quads = grid_faces(count, count)
+    points, faces, uv = [], [], []
+    for side in range(6):
+        axis, sign = side // 2, (-1, 1)[side % 2]
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        grid = np.empty((count, count, 3))
+        grid[..., axis] = sign * (core[axis] + box.rounding)
+        grid[..., u], grid[..., v] = lines[u][:, None], lines[v][None, :]
+        points.append(grid.reshape(-1, 3))
+        faces.append((quads if sign > 0 else quads[:, ::-1]) + side * count * count)
+        ways = [(line - line[0]) / np.ptp(line) for line in (lines[u], lines[v])]
+        place = np.stack(np.broadcast_arrays(ways[0][:, None], ways[1][None, :]), axis=-1).reshape(-1, 2)
+        corner, size = np.array([axis / 3, (side % 2) / 2]), np.array([1 / 3, 1 / 2])
+        uv.append(corner + GUTTER + place * (size - 2 * GUTTER))
+    on_cube = np.concatenate(points)
+    inner = np.clip(on_cube, -core, core)
+    normals = on_cube - inner
+    normals /= np.sqrt((normals * normals).sum(axis=1, keepdims=True))
+    # Sums instead of a matrix product, which may round equal rows differently.
+    position = sum(((inner + box.rounding * normals)[:, [axis]] * box.axes[axis] for axis in range(3)), box.center)
+    return Mesh(
+        vertices=position.astype(np.float32),
+        faces=np.concatenate(faces).astype(np.int32),
+        normals=(normals @ box.axes).astype(np.float32),
+        uv=np.concatenate(uv).astype(np.float32),
+    )

@@ -1,0 +1,398 @@
+"""Glass of any shape from masks: its visual hull, carved on a grid, then smoothed as far as the masks allow."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Float64, Int
+from scipy import ndimage, sparse
+from scipy.sparse import csgraph, linalg
+from scipy.spatial import KDTree
+
+from datagen.data.cameras import Camera
+from datagen.data.meshes import Mesh, vertex_normals
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import unwrap
+from hyaline_photos.fit.outside import find_center
+from hyaline_photos.fit.shapes import Glass
+from hyaline_photos.fit.silhouettes import pull, unexplained
+from hyaline_photos.fit.views import NearRays, Sightings, rays_near
+
+COARSE, FINEST = 40, 200
+"""Cells along the first grid, and most along the second one."""
+
+FACES = 20_000
+"""Approximate face count of a hull."""
+
+ORDER = 0.02
+"""Share of the views that may be wrong about a point: the hull is where no larger share sees past it."""
+
+LEAST_VIEWS = 3
+"""Views that have to look at a point; it is empty otherwise."""
+
+OUT = 0.01
+"""Distance in metres assumed for points outside every view's range."""
+
+BLUR = 0.7
+"""Blur of the distance to a mask's edge, in pixels; it smooths stair steps."""
+
+SOFTNESS = (0.6, 0.4, 0.25, 0.15, 0.1, 0.1)
+"""Pixels over which a ray turns from meeting the surface to missing it, in one step after the other."""
+
+CONTACT_CELLS = 48
+"""Cells along the grid on which rays look for the surface."""
+
+NEAR = 4
+"""Vertices that share in the surface's distance from a point."""
+
+STEP = 0.003
+"""Most metres that a vertex moves in one step."""
+
+RELAXED = 10
+"""Steps along the surface that make faces of marching cubes even."""
+
+SMOOTH = (0.7, 1.0, 1.5, 2.2)
+"""Pixels below which bumps are smoothed away: a drilled block's edges ask for the first, a knot for the third, with
+which its normals are 1.5 instead of 2.3 degrees off."""
+
+LEFT_OUT = 4
+"""One of this many views is left out for that."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HullShape(Glass):
+    """Solid glass of any shape."""
+
+    surface: Mesh
+    """Without texels before it is unwrapped."""
+
+    @property
+    def kind(self) -> str:
+        return "hull"
+
+    def unwrapped(self) -> "HullShape":
+        """With texels of its own everywhere."""
+        return HullShape(surface=unwrap(self.surface, where="a visual hull"))
+
+    def mesh(self) -> Mesh:
+        return self.surface
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Carved:
+    """The visual hull of one object, with stair steps."""
+
+    positions: Float64[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    rays: NearRays
+    up: Float[np.ndarray, "3"]
+    support: float | None
+
+    def smoothed(self, scales: Sequence[float] = SMOOTH) -> HullShape:
+        """The same without steps, not unwrapped yet: that takes longer, and most hulls are only tried.
+
+        Args:
+            scales: of bumps that may be smoothed away, in pixels, of which masks choose one.
+        """
+
+        def smoothed(some: NearRays, scale: float) -> Mesh:
+            moved = _smoothed(self.positions, self.faces, some, scale, up=self.up, support=self.support)
+            return _mesh(moved, self.faces)
+
+        return HullShape(surface=smoothed(self.rays, _scale_of_bumps(self.rays, smoothed, scales)))
+
+
+def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], support: float | None = None) -> Carved:
+    """Carves an object's visual hull.
+
+    Args:
+        support: height along `up` of the known surface below it; the hull ends there.
+
+    Raises:
+        HyalineError: no point is inside all masks, or no ray passes beside them.
+    """
+    rays = rays_near(sightings, object_id)
+    positions, faces = _carved(sightings, object_id, rays, up, support)
+    return Carved(positions=positions, faces=faces, rays=rays, up=up, support=support)
+
+
+def _mesh(positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mesh:
+    return Mesh(
+        vertices=positions.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=vertex_normals(positions, faces).astype(np.float32),
+        uv=np.zeros((len(positions), 2), np.float32),
+    )
+
+
+# Carving
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Outline:
+    """Evidence from one view about the object's extent."""
+
+    camera: Camera
+    inside: Float32[np.ndarray, "h w"]
+    """Pixels to the nearest one that surely sees past the object; negative there, to the nearest one that may not."""
+    nearness: Float32[np.ndarray, "h w"]
+    """Reciprocal distance in metres to the first known surface."""
+
+
+def _carved(
+    sightings: Sightings, object_id: int, rays: NearRays, up: np.ndarray, support: float | None
+) -> tuple[Float64[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
+    """The hull's surface."""
+    from skimage.measure import marching_cubes
+
+    outlines = _outlines(sightings, object_id)
+    center, radius = find_center(rays)
+
+    def depth_inside(points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+        depth = _depth_inside(outlines, points)
+        return depth if support is None else np.minimum(depth, points @ up - support)
+
+    low = center - radius
+    coarse_step = 2 * radius / (COARSE - 1)
+    field = depth_inside(_grid(low, coarse_step, COARSE)).reshape((COARSE,) * 3)
+    if not (field > 0).any():
+        raise HyalineError(f"object {object_id}: its masks have no point in common; check the masks and the cameras")
+    if (field > 0).all():
+        raise HyalineError(f"object {object_id}: no ray passes beside it")
+    area = 1.5 * coarse_step**2 * sum(int((np.diff(field > 0, axis=axis)).sum()) for axis in range(3)) / 2
+    step = np.sqrt(2 * area / FACES)
+    count = int(np.clip(2 * radius / step + 1, COARSE, FINEST))
+    step = 2 * radius / (count - 1)
+    fine = np.asarray(ndimage.zoom(field, count / COARSE, order=1))
+    near = np.abs(fine) < 1.8 * coarse_step
+    points = low + np.argwhere(near) * step
+    fine[near] = depth_inside(points)
+    fine[[0, -1]] = fine[:, [0, -1]] = fine[:, :, [0, -1]] = -step
+    vertices, faces, _, _ = marching_cubes(fine, 0.0)
+    return _largest(low + vertices.astype(np.float64) * step, faces[:, ::-1].astype(np.int64))
+
+
+def _outlines(sightings: Sightings, object_id: int) -> list[_Outline]:
+    """One entry for each view that sees the object."""
+    sees, is_open = sightings.sees(object_id), sightings.is_open(object_id)
+    outlines = []
+    for view in np.flatnonzero(sees.any(axis=(1, 2))):
+        past = is_open[view] & ~sees[view]
+        inside = _to_nearest(~past) - _to_nearest(past)
+        with np.errstate(divide="ignore"):
+            nearness = 1 / sightings.depth[view]
+        inside = ndimage.gaussian_filter(inside, BLUR).astype(np.float32)
+        outlines.append(_Outline(camera=sightings.cameras[int(view)], inside=inside, nearness=nearness))
+    return outlines
+
+
+def _to_nearest(mask: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
+    """Pixels from the middle of each pixel of the mask to the edge of the nearest one beside it; 0 beside it."""
+    # Beyond the picture's border nothing is known.
+    if mask.all():
+        return np.full(mask.shape, float(max(mask.shape)))
+    return np.maximum(np.asarray(ndimage.distance_transform_edt(mask)) - 0.5, 0)
+
+
+def _depth_inside(outlines: list[_Outline], points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+    """About how far inside of the hull points are, in metres; negative outside."""
+    order = int(ORDER * len(outlines))
+    depths = []
+    for some in np.array_split(points, max(1, len(points) // 100_000)):
+        told = np.stack([_told(outline, some) for outline in outlines])
+        is_seen = np.isfinite(told).sum(axis=0) >= LEAST_VIEWS
+        depths.append(np.where(is_seen, np.partition(told, order, axis=0)[order], -OUT))
+    return np.concatenate(depths)
+
+
+def _told(outline: _Outline, points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+    """How far inside a mask's edge points are seen, in metres at their depth; infinite where the view shows nothing."""
+    camera = outline.camera
+    place, depth = camera.project(points)
+    at = place.T[::-1] - 0.5
+    inside = ndimage.map_coordinates(outline.inside, at, order=1, mode="nearest", output=np.float64)
+    nearness = ndimage.map_coordinates(outline.nearness, at, order=1, mode="nearest", output=np.float64)
+    away = np.linalg.norm(points - camera.world_from_camera[:3, 3], axis=1)
+    in_picture = ((place > 0) & (place < [camera.width, camera.height])).all(axis=1)
+    is_shown = (depth > 0) & in_picture & (away * nearness < 1)
+    return np.where(is_shown, inside * depth / camera.focal, np.inf)
+
+
+def _grid(low: np.ndarray, step: float, count: int) -> Float64[np.ndarray, "point 3"]:
+    return low + step * np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _largest(
+    positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]
+) -> tuple[Float64[np.ndarray, "kept 3"], Int[np.ndarray, "kept_face 3"]]:
+    """The largest connected part: others are places that no view sees past."""
+    joined = sparse.coo_array(
+        (np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, [1, 2]].ravel())), shape=(len(positions),) * 2
+    )
+    _, part = csgraph.connected_components(joined, directed=False)
+    kept = part == np.bincount(part[faces[:, 0]]).argmax()
+    place = np.cumsum(kept) - 1
+    return positions[kept], place[faces[kept[faces[:, 0]]]]
+
+
+# Smoothing
+
+
+def _scale_of_bumps(rays: NearRays, smoothed: Callable[[NearRays, float], Mesh], scales: Sequence[float]) -> float:
+    """The first of some scales with which rays from most views predict the others better than with the next one."""
+    if len(scales) == 1:
+        return scales[0]
+    is_left_out = np.unique(rays.view, return_inverse=True)[1] % LEFT_OUT == 0
+    before = np.inf
+    for place, scale in enumerate(scales):
+        wrong = unexplained(smoothed(rays.only(~is_left_out), scale), rays.only(is_left_out))
+        if not wrong <= before:  # Without rays at edges it is NaN.
+            return scales[max(place - 1, 0)]
+        before = wrong
+    return scales[-1]
+
+
+def _smoothed(
+    positions: Float64[np.ndarray, "vertex 3"],
+    faces: Int[np.ndarray, "face 3"],
+    rays: NearRays,
+    scale: float,
+    *,
+    up: Float[np.ndarray, "3"],
+    support: float | None,
+) -> Float64[np.ndarray, "vertex 3"]:
+    """The smoothest surface near by that masks agree with.
+
+    Each ray at a mask's edge says whether it passes inside or outside of the surface where it comes closest: a logistic
+    regression on how far vertices move along their normals, with the surface's bending as a prior.
+
+    Args:
+        scale: pixels below which bumps are smoothed away.
+    """
+    mean = _mean_of_neighbours(faces, len(positions))
+    for _ in range(RELAXED):
+        positions = _relaxed(positions, faces, mean)
+    edge = rays.at_edges()
+    for softness in SOFTNESS:
+        contacts = _contacts(positions, faces, edge)
+        positions = _relaxed(_moved(positions, faces, mean, contacts, softness, scale), faces, mean)
+        if support is not None:
+            positions = positions + np.maximum(support - positions @ up, 0)[:, None] * up
+    return positions
+
+
+def _mean_of_neighbours(faces: Int[np.ndarray, "face 3"], count: int) -> sparse.csr_array:
+    """The matrix that takes the mean over each vertex's neighbours."""
+    one, other = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    # Each edge of a closed surface is met in both directions.
+    matrix = sparse.csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    return sparse.csr_array(sparse.diags_array(1 / matrix.sum(axis=1)) @ matrix)
+
+
+def _relaxed(positions: np.ndarray, faces: np.ndarray, mean: sparse.csr_array) -> Float64[np.ndarray, "vertex 3"]:
+    """Vertices moved along the surface towards the mean of their neighbours."""
+    normals = vertex_normals(positions, faces)
+    way = mean @ positions - positions
+    return positions + 0.5 * (way - (way * normals).sum(axis=1, keepdims=True) * normals)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Contacts:
+    """Where rays come closest to a surface or are deepest inside it."""
+
+    distance: Float64[np.ndarray, " ray"]
+    """Signed, in metres; negative inside."""
+    weights: sparse.csr_array
+    """Shares of the vertices near by in it, (ray, vertex)."""
+    pixel: Float64[np.ndarray, " ray"]
+    """Width of a pixel there, in metres."""
+    hits: Bool[np.ndarray, " ray"]
+    """Whether the mask covers the ray."""
+
+
+def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, rays: NearRays) -> _Contacts:
+    """The contacts of all rays that pass the surface nearby."""
+    normals = vertex_normals(positions, faces)
+    tree = KDTree(positions)
+    low, high = positions.min(axis=0), positions.max(axis=0)
+    margin = 0.1 * (high - low).max()
+    step = float((high - low).max() + 2 * margin) / CONTACT_CELLS
+    low -= margin
+    counts = tuple(np.ceil((high + margin - low) / step).astype(int) + 1)
+    points = low + step * np.argwhere(np.ones(counts))
+    far, near = (np.asarray(found) for found in tree.query(points, distance_upper_bound=margin))
+    known = np.isfinite(far)
+    field = np.full(len(points), margin)
+    field[known] = ((points[known] - positions[near[known]]) * normals[near[known]]).sum(axis=1)
+    field = field.reshape(counts)
+    middle, radius = (low + high + margin) / 2, float(np.linalg.norm(high + margin - low)) / 2
+    o, d = rays.origins, rays.directions
+    between = ((middle - o) * d).sum(axis=1)
+    first, last = np.clip(between - radius, 0, rays.reach), np.clip(between + radius, 0, rays.reach)
+    least, nearest = np.full(len(o), np.inf), np.zeros(len(o))
+    for share in np.linspace(0, 1, int(2 * radius / step)):
+        t = first + share * (last - first)
+        here = ndimage.map_coordinates(
+            field, ((o + t[:, None] * d - low) / step).T, order=1, mode="constant", cval=margin
+        )
+        nearest, least = np.where(here < least, t, nearest), np.minimum(here, least)
+    # The same search on the surface itself, around the best place of the grid.
+    kept = np.flatnonzero(least < 0.99 * margin)
+    o, d, nearest, least = o[kept], d[kept], nearest[kept], np.full(len(kept), np.inf)
+    for reach in (step, step / 3):
+        middle_t, least[:] = nearest, np.inf
+        for share in (-1, -1 / 3, 1 / 3, 1):
+            t = np.clip(middle_t + share * reach, 0, rays.reach[kept])
+            here, _, _ = _away(tree, positions, normals, o + t[:, None] * d)
+            nearest, least = np.where(here < least, t, nearest), np.minimum(here, least)
+    distance, near, shares = _away(tree, positions, normals, o + nearest[:, None] * d)
+    row = np.repeat(np.arange(len(kept)), near.shape[1])
+    return _Contacts(
+        distance=distance,
+        weights=sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(kept), len(positions))),
+        pixel=rays.pixel_angle * nearest,
+        hits=rays.hits[kept],
+    )
+
+
+def _away(
+    tree: KDTree, positions: np.ndarray, normals: np.ndarray, points: Float64[np.ndarray, "point 3"]
+) -> tuple[Float64[np.ndarray, " point"], Int[np.ndarray, "point near"], Float64[np.ndarray, "point near"]]:
+    """Signed distance from a surface, the vertices near by, and their shares in it.
+
+    Source: Kolluri 2008, implicit moving least squares.
+    """
+    far, near = (np.asarray(found) for found in tree.query(points, k=NEAR))
+    shares = 1 / (far**2 + 1e-12)
+    shares /= shares.sum(axis=1, keepdims=True)
+    away = np.einsum("pkc,pkc->pk", points[:, None] - positions[near], normals[near])
+    return (away * shares).sum(axis=1), near, shares
+
+
+def _moved(
+    positions: Float64[np.ndarray, "vertex 3"],
+    faces: np.ndarray,
+    mean: sparse.csr_array,
+    contacts: _Contacts,
+    softness: float,
+    scale: float,
+) -> Float64[np.ndarray, "vertex 3"]:
+    """The surface after one Newton step along its normals."""
+    normals = vertex_normals(positions, faces)
+    pulls = pull(contacts.distance, contacts.hits, softness * contacts.pixel)
+    bending = mean - sparse.eye_array(len(positions))
+    curved = ((mean @ positions - positions) * normals).sum(axis=1)
+    # A bump of some width bends a surface as the width's fourth power; it counts against the rays that pass there.
+    pixel, spacing = float(np.median(contacts.pixel)), _spacing(positions, faces)
+    stiff = 16 * scale**4 * pixel**2 / spacing**4 * len(contacts.hits) / len(positions)
+    matrix = contacts.weights.T @ sparse.diags_array(pulls.curvature) @ contacts.weights + stiff * (bending.T @ bending)
+    matrix = matrix + 1e-3 * stiff * sparse.eye_array(len(positions))
+    force = contacts.weights.T @ pulls.slope - stiff * (bending.T @ curved)
+    inverse = sparse.diags_array(1 / matrix.diagonal())
+    step, _ = linalg.cg(matrix, force, rtol=1e-3, maxiter=300, M=inverse)
+    return positions + np.clip(step, -STEP, STEP)[:, None] * normals
+
+
+def _spacing(positions: np.ndarray, faces: np.ndarray) -> float:
+    """Median length of edges in metres."""
+    return float(np.median(np.linalg.norm(positions[faces] - positions[np.roll(faces, -1, axis=1)], axis=-1)))

@@ -1,0 +1,237 @@
+"""Radii of a hull of revolution that explain the rays on both sides of a mask's edge.
+
+A visual hull is never narrower than the truth, and between two heights at which rays touch the glass it bulges. The
+rays that meet the glass bound it from inside. Between both, the radii are those whose squares have the fewest jumps of
+curvature: about an axis, the squared radius of a ball, a cone, a cylinder or any other quadric is a parabola.
+"""
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float64, Int
+from scipy import ndimage, sparse
+
+from hyaline_photos.fit.lathe import Axis, perpendicular
+from hyaline_photos.fit.outside import Hull, along_and_across
+from hyaline_photos.fit.section import Section
+from hyaline_photos.fit.shapes import find_shelf
+from hyaline_photos.fit.silhouettes import descend, misfit, pull
+from hyaline_photos.fit.views import NearRays
+
+SOFTNESS, SOFTNESS_FOR_WRONG_MASKS = (0.25, 0.12, 0.06, 0.03, 0.015), (0.5, 0.25, 0.12)
+"""Pixels over which a ray turns from meeting the glass to missing it, in one round after the other. Exact masks say
+what the ray through each pixel's center does, and some of these rays graze the glass within a hundredth of a pixel."""
+
+NEAR, NEAR_FOR_WRONG_MASKS = 0.5, 1.0
+"""Pixels from the hull beyond which rays say nothing of its surface."""
+
+RAYS = 40_000
+"""Largest number of rays that are looked at."""
+
+STEPS, ENOUGH = 10, 1e-4
+"""Largest number of Newton steps in a round; a round ends when one gains less, relative to what is left."""
+
+PRICE = 0.3
+"""Nats of likelihood for each unit by which the second derivative of the squared radii jumps, all in parts of the
+largest radius. A cylinder whose edge has a radius of a tenth of its own jumps by 20 there."""
+
+JUMP = 3.0
+"""Beyond it, jumps count by their logarithm: creases may be sharp."""
+
+SMOOTH = 1e-3
+"""Jump below which jumps count by their squares."""
+
+ENDS = 0.01
+"""Parts of the largest radius at either end that are left as they are: a hull ends between two rays there."""
+
+THREAD = 1e-3
+"""Radius in parts of the largest one, below which glass ends."""
+
+LEAST_PLACES = 8
+"""Fewer heights show no curvature."""
+
+ALONG, ZOOMS, FINER = 48, 2, 9
+"""Places along a ray at which its distance from the surface is looked up, and those around the least in each zoom."""
+
+WINDOW = 1.1
+"""Radius of the cylinder in which rays are looked at, in parts of the largest radius."""
+
+STEP = 1e-6
+"""Metres by which the axis is moved to find derivatives."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Profile:
+    """A body about an axis, by its squared radii at evenly spaced heights."""
+
+    axis: Axis
+    around: Section | None
+    heights: Float64[np.ndarray, " height"]
+    squares: Float64[np.ndarray, " height"]
+    """Squared radii, in square metres."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Passes:
+    """Places along rays; one for each ray: where it comes closest to a surface, or is deepest inside."""
+
+    distance: Float64[np.ndarray, "*place"]
+    """Metres from the surface, to first order; negative inside."""
+    t: Float64[np.ndarray, "*place"]
+    """Metres along the ray."""
+    place: Int[np.ndarray, "*place"]
+    """The last height below."""
+    share: Float64[np.ndarray, "*place"]
+    """Share of the way to the next height."""
+    steepness: Float64[np.ndarray, "*place"]
+    """Derivative of the squared distance from the axis by the distance from the surface."""
+
+
+def between_rays(hull: Hull, rays: NearRays) -> Hull:
+    """The hull with radii, and an axis moved sideways, that explain the rays on both sides; ends and feet stay."""
+    inside = np.flatnonzero(hull.radii > 0)
+    if len(inside) < LEAST_PLACES:
+        return hull
+    heights, radii = hull.heights[inside], hull.radii[inside]
+    is_free = _is_free(heights, radii)
+    if is_free.sum() < LEAST_PLACES:
+        return hull
+    profile = _Profile(axis=hull.axis, around=hull.around, heights=heights, squares=radii**2)
+    edge = rays.at_edges().thinned(RAYS)
+    passes = _passes(edge, profile)
+    near = NEAR if hull.is_exact else NEAR_FOR_WRONG_MASKS
+    edge = edge.only(np.abs(passes.distance) < near * rays.pixel_angle * passes.t)
+    if not edge.hits.any() or edge.hits.all():
+        return hull
+    for softness in SOFTNESS if hull.is_exact else SOFTNESS_FOR_WRONG_MASKS:
+        profile = _descended(edge, profile, is_free, softness)
+    changed = np.zeros_like(hull.radii)
+    changed[inside] = _without_threads(np.sqrt(profile.squares))
+    return dataclasses.replace(hull, axis=profile.axis, radii=changed)
+
+
+def _without_threads(radii: Float64[np.ndarray, " height"]) -> Float64[np.ndarray, " height"]:
+    """The radii, 0 beyond the heights at which the glass closes over its axis."""
+    part = np.zeros(len(radii), np.int32)
+    ndimage.label(radii >= THREAD * radii.max(), output=part)
+    return np.where(part == part[radii.argmax()], radii, 0)
+
+
+def _is_free(heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"]) -> Bool[np.ndarray, "_"]:
+    """Heights whose radii are fitted: not the ends, nor a foot beside a stem, whose upper side masks don't show."""
+    end = ENDS * radii.max()
+    is_free = (heights > heights[0] + end) & (heights < heights[-1] - end)
+    foot = find_shelf(np.stack([radii, heights], axis=1))
+    if foot is not None:
+        is_free[: foot.stop] = False
+    return is_free
+
+
+def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " height"], softness: float) -> _Profile:
+    """The profile after damped Newton steps."""
+    heights, size = profile.heights, float(np.sqrt(profile.squares.max()))
+    bends = np.diff(np.eye(len(heights)), 2, axis=0) * (size / (heights[1] - heights[0])) ** 2
+    jumps = np.diff(bends, axis=0)[is_free[:-3] & is_free[3:]] / size**2
+    moves = np.append(is_free, [True, True])
+
+    def told(passes: _Passes) -> tuple[NearRays, _Passes, Float64[np.ndarray, " ray"]]:
+        """The rays that pass where radii are fitted, and the widths over which they turn."""
+        is_told = is_free[passes.place] & is_free[passes.place + 1]
+        return rays.only(is_told), _only(passes, is_told), softness * rays.pixel_angle * passes.t[is_told]
+
+    def judge(profile: _Profile) -> tuple[float, _Passes]:
+        passes = _passes(rays, profile)
+        some, near, width = told(passes)
+        if not len(width):
+            return np.inf, passes
+        wrong = misfit(near.distance, some.hits, width) * len(width)
+        return float(wrong + _price(jumps @ profile.squares).sum()), passes
+
+    def step(profile: _Profile, passes: _Passes, damping: float) -> _Profile:
+        some, near, width = told(passes)
+        pulls = pull(near.distance, some.hits, width)
+        slopes = _slopes(some, near, profile)
+        # Newton's unknowns: squares in parts of the size's, and the axis in parts of the size.
+        slopes = slopes @ sparse.diags_array(np.append(np.full(len(heights), size**2), [size, size]))
+        seen = (slopes.T @ sparse.diags_array(pulls.curvature) @ slopes).toarray()
+        curvature = seen + np.diag(damping * seen.diagonal() + 1e-9 * seen.diagonal().mean() + 1e-12)
+        leaps = jumps @ profile.squares
+        stiff = (jumps.T * _stiffness(leaps)) @ jumps * size**4
+        curvature[:-2, :-2] += stiff
+        gradient = slopes.T @ pulls.slope
+        gradient[:-2] += stiff @ profile.squares / size**2
+        way = np.zeros(len(gradient))
+        way[moves] = np.linalg.solve(curvature[np.ix_(moves, moves)], gradient[moves])
+        squares = np.maximum(profile.squares - size**2 * way[:-2], 1e-12)
+        axis = profile.axis.moved(np.zeros(2), -size * way[-2:])
+        return dataclasses.replace(profile, axis=axis, squares=squares)
+
+    return descend(profile, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
+
+
+def _price(leaps: Float64[np.ndarray, " jump"]) -> Float64[np.ndarray, " jump"]:
+    """What jumps of curvature cost, in nats."""
+    return PRICE * JUMP * np.log1p(np.sqrt(leaps**2 + SMOOTH**2) / JUMP)
+
+
+def _stiffness(leaps: Float64[np.ndarray, " jump"]) -> Float64[np.ndarray, " jump"]:
+    """Curvature of the parabola that touches the price from above."""
+    size = np.sqrt(leaps**2 + SMOOTH**2)
+    return PRICE / (size * (1 + size / JUMP))
+
+
+def _passes(rays: NearRays, profile: _Profile) -> _Passes:
+    """How rays pass a surface, up to the first known one where they miss it."""
+    _, from_axis = along_and_across(rays.origins - profile.axis.point, profile.axis)
+    _, across = along_and_across(rays.directions, profile.axis)
+    flat = np.maximum(np.einsum("rc,rc->r", across, across), 1e-12)
+    middle = -np.einsum("rc,rc->r", from_axis, across) / flat
+    off = from_axis + middle[:, None] * across
+    reach = WINDOW * np.sqrt(profile.squares.max())
+    half = np.sqrt(np.maximum(reach**2 - np.einsum("rc,rc->r", off, off), (0.1 * reach) ** 2) / flat)
+    last = np.where(rays.hits, np.inf, rays.reach)
+    low, high = np.minimum(np.maximum(middle - half, 0), last), np.minimum(middle + half, last)
+    row, t = np.arange(len(low)), np.linspace(low, high, ALONG, axis=1)
+    for _ in range(ZOOMS):
+        best = _at(rays, t, profile).distance.argmin(axis=1)
+        low, high = t[row, np.maximum(best - 1, 0)], t[row, np.minimum(best + 1, t.shape[1] - 1)]
+        t = np.linspace(low, high, FINER, axis=1)
+    places = _at(rays, t, profile)
+    return _only(places, (row, places.distance.argmin(axis=1)))
+
+
+def _at(rays: NearRays, t: Float64[np.ndarray, "ray place"], profile: _Profile) -> _Passes:
+    """How far from the surface places along rays are; infinitely beyond its ends."""
+    axis, around, heights, squares = profile.axis, profile.around, profile.heights, profile.squares
+    step = heights[1] - heights[0]
+    ways = np.stack([*perpendicular(axis.direction), axis.direction], axis=1)
+    starts, directions = (rays.origins - axis.point) @ ways, rays.directions @ ways
+    x, y, height = (starts[:, [each]] + t * directions[:, [each]] for each in range(3))
+    at = (height - heights[0]) / step
+    place = np.clip(at.astype(int), 0, len(heights) - 2)
+    share, rise = at - place, squares[place + 1] - squares[place]
+    square = squares[place] + share * rise
+    far = x**2 + y**2 if around is None else around.outline_radii(x, y, height) ** 2
+    steepness = np.sqrt(4 * np.maximum(square, 0) + (rise / step) ** 2 + 1e-12)
+    is_on = (share >= 0) & (share <= 1)
+    distance = np.where(is_on, (far - square) / steepness, np.inf)
+    return _Passes(distance=distance, t=t, place=place, share=share, steepness=steepness)
+
+
+def _slopes(rays: NearRays, passes: _Passes, profile: _Profile) -> sparse.csr_array:
+    """Derivatives of the distances by the squared radii, and by the axis's place across it."""
+    count, row = len(passes.t), np.repeat(np.arange(len(passes.t)), 2)
+    columns = np.stack([passes.place, passes.place + 1], axis=1).ravel()
+    shares = -np.stack([1 - passes.share, passes.share], axis=1) / passes.steepness[:, None]
+    by_squares = sparse.csr_array((shares.ravel(), (row, columns)), shape=(count, len(profile.heights)))
+    by_axis = []
+    for shift in STEP * np.eye(2):
+        moved = dataclasses.replace(profile, axis=profile.axis.moved(np.zeros(2), shift))
+        distance = _at(rays, passes.t[:, None], moved).distance[:, 0]
+        by_axis.append((distance - passes.distance) / STEP)
+    return sparse.csr_array(sparse.hstack([by_squares, sparse.csr_array(np.stack(by_axis, axis=1))]))
+
+
+def _only(passes: _Passes, kept: np.ndarray | tuple[np.ndarray, np.ndarray]) -> _Passes:
+    return _Passes(**{name: value[kept] for name, value in vars(passes).items()})

@@ -1,0 +1,358 @@
+"""Glass of revolution as a few numbers, and its mesh. Vertex and face counts are constant, so that a loaded scene can
+be updated in place."""
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64
+
+from datagen.data.meshes import Mesh
+from datagen.scene.materials import Dielectric, Material, RoughDielectric
+from hyaline_photos.fit.lathe import Axis, Outline, evenly, lengths_of, perpendicular, point_at, revolved, spread
+from hyaline_photos.fit.section import SHARP, Section
+
+OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
+"""Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
+
+POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
+"""Points of a whole section."""
+
+MOST_FLOOR = 0.95
+"""Highest floor of a hollow, in parts of the height."""
+
+DRINK_REACH = 0.3
+"""How far a drink reaches into its glass, in parts of the thinnest wall."""
+
+USUAL_WALL = 0.05
+"""Thickness of a usual vessel's wall, in parts of the largest radius."""
+
+MOSTLY_INSIDE = 0.5
+"""Share of the vertices of a thing inside a vessel that lie within its outside; a straw stands out."""
+
+FOOT, PANE_FOOT = 0.04, 0.004
+"""First guess of a foot's rounding, in parts of the largest radius; of a vessel made of panes."""
+
+MOST_DISH = 0.48
+"""How far an end is sunk at most, in parts of the height."""
+
+SAG = 1.5
+"""First guess of a foot's sag."""
+
+SHELF = np.tan(np.radians(40))
+"""Steepest rise of the upper side of a foot, beside a stem."""
+
+LEAST_SHELF = 0.15
+"""Least width of such a side, in parts of the largest radius."""
+
+Body = tuple[Mesh, Material]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Glass:
+    """A fitted object: its material; derived records add the shape."""
+
+    ior: float = 1.5
+    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1/m, by colour channel."""
+    roughness: float | None = None
+    """None: smooth."""
+
+    @property
+    def kind(self) -> str:
+        raise NotImplementedError
+
+    def bodies(self) -> tuple[Body, ...]:
+        """Mesh and material of the object, then of its drink."""
+        return ((self.mesh(), self.material()),)
+
+    def mesh(self) -> Mesh:
+        """A closed mesh; vertex and face counts are independent of the parameters."""
+        raise NotImplementedError
+
+    def settled(self) -> "Glass":
+        """The shape that it is with these numbers."""
+        return self
+
+    def material(self) -> Material:
+        if self.roughness is None:
+            return Dielectric(ior=self.ior, absorption=self.absorption)
+        return RoughDielectric(ior=self.ior, absorption=self.absorption, roughness=self.roughness)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Revolution(Glass):
+    """A glass of revolution: solid, or a vessel whose hollow is its outside moved inwards and cut by a floor."""
+
+    axis: Axis
+    outside: Outline
+    """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
+    solid: Outline | None = None
+    """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
+    as_solid: Glass | None = None
+    """What it is if it is found solid; None: this."""
+    dish: float | None = None
+    """How far the flat ends of solid glass are sunk in their middle, as spheres, in parts of their radius: masks do not
+    show that. None: they are flat, or stand on something."""
+    section: Section | None = None
+    """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
+    wall: float | None = None
+    """Thickness of a vessel's wall above the floor, in metres; None: solid."""
+    taper: float | None = None
+    """Thickness at the rim over that above the floor."""
+    floor: float | None = None
+    """Height of the hollow's lowest point above the outside's lowest, in metres."""
+    most_floor: float | None = None
+    """Its limit, which things that are known to be in the hollow set; None: there are none."""
+    corner: float | None = None
+    """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
+    foot: float | None = None
+    """How far the rounding between the flat bottom and the side reaches, in metres."""
+    sag: float | None = None
+    """Exponent of the heights of a foot's upper side, from 0 at its edge to 1 at the stem; 1: as in `outside`. Masks do
+    not show this side where it is flatter than the lowest view. None: it has no foot."""
+    level: float | None = None
+    """Height of a drink's surface above the outside's lowest point, in metres; None: the vessel is empty."""
+    drink_ior: float | None = None
+    drink_absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """1/m, by colour channel."""
+
+    @property
+    def kind(self) -> str:
+        if self.section is not None:
+            return "oblong" if self.section.is_oblong else f"{self.section.sides}-sided"
+        return "ball" if self.is_closed and self._is_spherical() else "revolution"
+
+    @property
+    def is_of_panes(self) -> bool:
+        """Its sides are flat, with sharp edges between them, as a tank's."""
+        return self.section is not None and self.section.sharpness == SHARP
+
+    @property
+    def height(self) -> float:
+        return float(np.ptp(self.outside[:, 1]))
+
+    @property
+    def is_closed(self) -> bool:
+        """The outside ends on the axis: it has no rim, and so no hollow."""
+        return bool(self.outside[-1, 0] < 1e-6)
+
+    @property
+    def has_flat_top(self) -> bool:
+        """Its solid has one, which may be an opening."""
+        return self.solid is not None and bool(self.solid[-2, 1] > self.solid[-1, 1] - 1e-9)
+
+    def _is_spherical(self) -> bool:
+        from_middle = self.outside - [0, self.outside[[0, -1], 1].mean()]
+        return bool(np.ptp(np.linalg.norm(from_middle, axis=1)) < 1e-6)
+
+    def hollowed(self, wall: float, floor: float, corner: float) -> "Revolution":
+        """A vessel with this outside.
+
+        Args:
+            wall: in parts of the largest radius.
+            floor: in parts of the height.
+        """
+        radius = float(self.outside[:, 0].max())
+        height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
+        return dataclasses.replace(
+            self,
+            dish=None,
+            wall=wall * radius,
+            taper=1.0,
+            floor=height,
+            corner=corner,
+            foot=(PANE_FOOT if self.is_of_panes else FOOT) * radius,
+            sag=None if find_shelf(self.outside) is None else SAG,
+        )
+
+    def settled(self) -> Glass:
+        if self.as_solid is None or self.wall is not None:
+            return self
+        return dataclasses.replace(self.as_solid, ior=self.ior, absorption=self.absorption, roughness=self.roughness)
+
+    def around(self, things: Sequence[Mesh]) -> "Revolution":
+        """The same outside, where the things that lie inside it leave no room for a higher floor."""
+        lowest, radius = float(self.outside[:, 1].min()), float(self.outside[:, 0].max())
+        floors = []
+        for mesh in things:
+            from_axis = mesh.vertices - self.axis.point
+            height = from_axis @ self.axis.direction
+            x, y = perpendicular(self.axis.direction) @ from_axis.T
+            distance = np.hypot(x, y) if self.section is None else self.section.outline_radii(x, y, height)
+            if (distance < np.interp(height, self.outside[:, 1], self.outside[:, 0])).mean() > MOSTLY_INSIDE:
+                floors.append(float(height.min()) - lowest + DRINK_REACH * USUAL_WALL * radius)
+        return dataclasses.replace(self, most_floor=min(floors)) if floors and min(floors) > 0 else self
+
+    def outline(self) -> Outline:
+        """The whole section."""
+        if self.wall is None and self.solid is not None:
+            return self.solid if self.dish is None else _dished(self.solid, self.dish)
+        if self.wall is None:
+            if self.is_closed:
+                return evenly(self.outside, POINTS)
+            top = np.linspace(self.outside[-1], (0.0, self.outside[-1, 1]), POINTS - OUTSIDE + 1)[1:]
+            return np.concatenate([self.outside, top])
+        assert self.taper is not None
+        assert self.floor is not None
+        assert self.corner is not None
+        assert self.foot is not None
+        at_rim = self.wall * self.taper
+        outside = self.outside if self.sag is None else _sagged(self.outside, self.sag)
+        # The rim is a half circle, below which the outside ends; that of panes is flat.
+        side = _with_foot(outside if self.is_of_panes else _cut(outside, outside[-1, 1] - at_rim / 2), self.foot)
+        inside = _hollow(side, self.wall, at_rim, self.floor, self.corner, has_flat_rim=self.is_of_panes)
+        return np.concatenate([side, inside])
+
+    def mesh(self) -> Mesh:
+        return revolved(self.axis, self.outline(), self.section)
+
+    def bodies(self) -> tuple[Body, ...]:
+        if self.drink_ior is None:
+            return super().bodies()
+        # Where the drink reaches into the wall, its lower priority lets the glass win.
+        drink = Dielectric(ior=self.drink_ior, absorption=self.drink_absorption, priority=-1)
+        return (*super().bodies(), (revolved(self.axis, self.drink_outline(), self.section), drink))
+
+    def drink_outline(self) -> Outline:
+        """The section of the drink; it extends slightly into floor and wall."""
+        assert self.wall is not None
+        assert self.taper is not None
+        assert self.floor is not None
+        assert self.level is not None
+        inside = self.outline()[OUTSIDE + RIM - 1 :][::-1]
+        low, high = inside[0, 1], inside[-1, 1]
+        surface = float(np.clip(self.outside[:, 1].min() + self.level, low + 0.02 * (high - low), high - 1e-6))
+        inside = _cut(inside, surface)
+        tangents = np.gradient(inside, axis=0)
+        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+        outward = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        line = inside + DRINK_REACH * min(self.wall, self.wall * self.taper, self.floor) * outward
+        line[0, 0], line[-1, 1] = 0.0, surface
+        line[:, 1] = np.minimum(line[:, 1], surface)
+        return np.concatenate([line, [(0.0, surface)]])
+
+
+def _dished(solid: Outline, dish: float) -> Outline:
+    """The outline with its flat ends sunk."""
+    line = solid.copy()
+    for end, inward in ((0, 1), (-1, -1)):
+        is_end = np.abs(solid[:, 1] - solid[end, 1]) < 1e-9
+        radius = solid[is_end, 0].max()
+        # A sphere through the edge, which is `depth` below it on the axis.
+        depth = min(dish * radius, MOST_DISH * float(np.ptp(solid[:, 1])))
+        slope = 2 * depth / (radius**2 + depth**2)
+        sunk = (1 - np.sqrt(1 - np.minimum(slope * solid[is_end, 0], 1) ** 2)) / slope if slope > 0 else 0.0
+        line[is_end, 1] += inward * (depth - sunk)
+    return line
+
+
+def _hollow(
+    outside: Outline, wall: float, at_rim: float, floor: float, corner: float, *, has_flat_rim: bool
+) -> Outline:
+    """The inside of a vessel from its rim down to the axis."""
+    tangents = np.gradient(outside, axis=0)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    inward = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    bottom = outside[:, 1].min() + min(floor, MOST_FLOOR * float(np.ptp(outside[:, 1])))
+    height = np.clip((outside[:, 1] - bottom) / (outside[-1, 1] - bottom), 0, 1)
+    inner = outside + (wall + height * (at_rim - wall))[:, None] * inward
+    # As a function of height, from the floor up: what lies below, or would fold over the axis, is cut.
+    above = (inner[:, 1] > bottom) & (inner[:, 0] > 0)
+    first = len(inner) - int(np.argmin(above[::-1])) if not above.all() else 0
+    first = min(first, len(inner) - 2)
+    line = inner[first:]
+    if first > 0 and inner[first - 1, 1] < bottom < line[0, 1]:
+        share = (bottom - inner[first - 1, 1]) / (line[0, 1] - inner[first - 1, 1])
+        lowest = inner[first - 1] + share * (line[0] - inner[first - 1])
+    else:
+        lowest = np.array([line[0, 0], bottom])
+    lowest[0] = max(lowest[0], 1e-4)
+    middle, arm = (outside[-1] + inner[-1]) / 2, (outside[-1] - inner[-1]) / 2
+    up = np.array([-arm[1], arm[0]])
+    up = up if up @ tangents[-1] > 0 else -up
+    angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
+    rim = middle + np.cos(angles) * arm + (0 if has_flat_rim else np.sin(angles) * up)
+    side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
+    return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
+
+
+def find_shelf(line: Outline) -> slice | None:
+    """The points of an outside's foot from its edge to its stem, where it rises less steeply than a stem or a side;
+    None if it has no such foot.
+
+    Args:
+        line: radii and heights of a side, from the bottom up, with or without the flat bottom.
+    """
+    flat = _flat(line)
+    radii, heights = line[flat:].T
+    lower = heights < heights.min() + np.ptp(heights) / 2
+    stem = int(np.where(lower, radii + heights, np.inf).argmin())
+    edge = int((radii + heights)[: stem + 1].argmax())
+    width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
+    is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
+    return slice(flat + edge, flat + stem + 1) if is_shelf else None
+
+
+def _sagged(outside: Outline, sag: float) -> Outline:
+    """The outline with a lower upper side of its foot."""
+    shelf = find_shelf(outside)
+    if shelf is None:
+        return outside
+    line = outside.copy()
+    low, high = line[shelf, 1][[0, -1]]
+    line[shelf, 1] = low + (high - low) * ((line[shelf, 1] - low) / (high - low)) ** sag
+    return line
+
+
+def _with_foot(line: Outline, reach: float) -> Outline:
+    """The line, the corner between its flat bottom and its side rounded by an arc; the point count is unchanged."""
+    side = line[_flat(line) :]
+    way = lengths_of(side)
+    reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
+    if reach <= 0:
+        return line
+    start = np.array([side[0, 0] - reach, line[0, 1]])
+    arc = _arc(start, side[0], point_at(side, reach))
+    return spread(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
+
+
+def _flat(line: Outline) -> int:
+    """Where the flat bottom of an outline ends, and its side begins."""
+    return int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0]) - 1
+
+
+def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:
+    """The line and a straight way on to `end`, their corner rounded from `reach` before it to as far behind."""
+    way = lengths_of(line)
+    reach = min(reach, 0.5 * float(way[-1]), 0.95 * float(np.linalg.norm(line[-1] - end)))
+    start = point_at(line, way[-1] - reach)
+    kept = evenly(np.concatenate([line[way < way[-1] - reach], start[None]]), INSIDE)
+    stop = line[-1] + reach * (end - line[-1]) / np.linalg.norm(end - line[-1])
+    return np.concatenate([kept, _arc(start, line[-1], stop), end[None]])
+
+
+def _arc(start: Float64[np.ndarray, "2"], corner: Float64[np.ndarray, "2"], stop: Float64[np.ndarray, "2"]) -> Outline:
+    """Points of the curve that leaves `start` towards `corner` and reaches `stop` from there; without `start`."""
+    t = np.linspace(0, 1, CORNER + 1)[1:, None]
+    # A rational quadratic: a circle where both legs are as long.
+    back, forth = start - corner, stop - corner
+    cosine = np.clip(back @ forth / (np.linalg.norm(back) * np.linalg.norm(forth)), -1, 1)
+    a, b, c = (1 - t) ** 2, 2 * np.sqrt((1 - cosine) / 2) * t * (1 - t), t**2
+    return (a * start + b * corner + c * stop) / (a + b + c)
+
+
+def _cut(line: Outline, height: float) -> Outline:
+    """The line up to a height; the point count is unchanged."""
+    above = int(np.flatnonzero(line[:, 1] < height)[-1])
+    share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
+    end = line[above] + share * (line[above + 1] - line[above])
+    return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
+
+
+def hollow_of(glass: Glass) -> tuple[float, float] | None:
+    """Wall and floor in metres; None: solid."""
+    if not isinstance(glass, Revolution) or glass.wall is None or glass.floor is None:
+        return None
+    return glass.wall, glass.floor

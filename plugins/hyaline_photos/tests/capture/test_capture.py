@@ -1,0 +1,610 @@
+"""Tests that a folder of pictures and masks becomes a dataset, and that what is wrong with it is named."""
+
+import json
+import math
+import shutil
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hyaline_photos.capture.folder import Masks, find_pictures, read_capture
+from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
+from hyaline_photos.capture.outlines import Outline
+from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.planes import find_up
+from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.room import fit_room
+from PIL import Image
+from support.commands import call
+from support.traced_dataset import write_traced_dataset
+
+from datagen.build.verify import verify_dataset
+from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.config import SPLITS
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import mask_pixels
+from datagen.data.meshes import signed_volume
+from datagen.disk.errors import HyalineError
+from datagen.scene.folder import load_scene, open_scene
+
+SIDE = 48
+FOV = 0.6
+BALLS = {"ball": ((0.0, 0.0, 0.10), 0.10), "wine glass (1)": ((0.22, 0.05, 0.08), 0.08)}
+"""Centre and radius of the objects of glass, by the names of their masks' folders."""
+
+
+def circle(count: int = 18, distance: float = 1.0) -> Cameras:
+    """Cameras around the balls, at two heights."""
+    places = []
+    for view in range(count):
+        azimuth, elevation = 2 * math.pi * view / count, math.radians(25 + 25 * (view % 2))
+        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+        places.append(look_at(np.array((0.08, 0.02, 0.08)) + distance * np.array(away), (0.08, 0.02, 0.08)))
+    return Lens(fov_x=FOV, width=SIDE, height=SIDE).cameras(np.stack(places))
+
+
+def balls_seen(cameras: Cameras, view: int) -> np.ndarray:
+    """1 + the place of the ball that each pixel's ray meets first, 0 elsewhere."""
+    origin, directions = cameras[view].rays()
+    nearest, ids = np.full(directions.shape[:2], np.inf), np.zeros(directions.shape[:2], np.uint8)
+    for index, (center, radius) in enumerate(BALLS.values(), start=1):
+        to_center = np.array(center) - origin
+        along = directions @ to_center
+        root = along**2 - to_center @ to_center + radius**2
+        distance = np.where(root > 0, along - np.sqrt(np.maximum(root, 0)), np.inf)
+        ids[distance < nearest] = index
+        nearest = np.minimum(nearest, distance)
+    return ids
+
+
+def write_folder(root: Path, *, cameras: str = "transforms") -> Cameras:
+    """A capture of the balls, with a name for each picture that no shell likes."""
+    made = circle()
+    rng = np.random.default_rng(0)
+    frames = []
+    (root / "images").mkdir(parents=True)
+    for view in range(len(made)):
+        name = f"DSC 00{view:02d} é.png"
+        ids = balls_seen(made, view)
+        Image.fromarray(rng.integers(0, 256, (SIDE, SIDE, 3), np.uint8)).save(root / "images" / name)
+        for index, folder in enumerate(BALLS, start=1):
+            path = root / "masks" / folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(ids == index, 255, 0).astype(np.uint8)).save(path)
+        frames.append({"file_path": f"images/{name}", "transform_matrix": made[view].world_from_camera.tolist()})
+    if cameras == "transforms":
+        (root / "transforms.json").write_text(json.dumps({"camera_angle_x": FOV, "frames": frames}))
+    return made
+
+
+def write_colmap(root: Path, cameras: Cameras, points: np.ndarray, *, turned: np.ndarray, scale: float) -> None:
+    """A model as COLMAP writes it as text, in a world of its own axes and unit."""
+    folder = root / "sparse" / "0"
+    folder.mkdir(parents=True)
+    focal = cameras.focal
+    (folder / "cameras.txt").write_text(f"# cameras\n1 SIMPLE_PINHOLE {SIDE} {SIDE} {focal} {SIDE / 2} {SIDE / 2}\n")
+    lines = []
+    for view, path in enumerate(sorted((root / "images").iterdir())):
+        pose = cameras.world_from_camera[view]
+        rotation = ((turned @ pose[:3, :3]) * [1, -1, -1]).T
+        w = math.sqrt(max(0.0, 1 + np.trace(rotation))) / 2
+        x = (
+            np.sign(rotation[2, 1] - rotation[1, 2])
+            * math.sqrt(max(0.0, 1 + 2 * rotation[0, 0] - np.trace(rotation)))
+            / 2
+        )
+        y = (
+            np.sign(rotation[0, 2] - rotation[2, 0])
+            * math.sqrt(max(0.0, 1 + 2 * rotation[1, 1] - np.trace(rotation)))
+            / 2
+        )
+        z = (
+            np.sign(rotation[1, 0] - rotation[0, 1])
+            * math.sqrt(max(0.0, 1 + 2 * rotation[2, 2] - np.trace(rotation)))
+            / 2
+        )
+        moved = -rotation @ (scale * turned @ pose[:3, 3])
+        lines += [f"{view + 1} {w} {x} {y} {z} {moved[0]} {moved[1]} {moved[2]} 1 {path.name}", ""]
+    (folder / "images.txt").write_text("\n".join(lines) + "\n")
+    rows = [f"{i} {p[0]} {p[1]} {p[2]} 0 0 0 0.5 1 1" for i, p in enumerate(scale * points @ turned.T)]
+    (folder / "points3D.txt").write_text("\n".join(rows) + "\n")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("captures") / "two balls"
+    write_folder(root)
+    return root
+
+
+@pytest.fixture
+def own(folder: Path, tmp_path: Path) -> Path:
+    return shutil.copytree(folder, tmp_path / "own")
+
+
+@pytest.fixture(scope="module")
+def captured(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("datasets") / "balls"
+    answer = call(f"datagen capture '{folder}' --out {root}")
+    assert answer.status == 0, answer.error
+    return open_dataset(root)
+
+
+def test_where_colmap_finds_no_points_the_room_is_a_floor_and_glass_may_be_called_so(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    colmap = SimpleNamespace(
+        logging=SimpleNamespace(minloglevel=0),
+        set_random_seed=lambda _: None,
+        triangulate_points=lambda *_: SimpleNamespace(points3D={}),
+    )
+    monkeypatch.setattr("hyaline_photos.capture.structure._colmap", lambda _: colmap)
+    for name in ("_matched", "_known"):
+        monkeypatch.setattr(f"hyaline_photos.capture.structure.{name}", lambda *_, **__: None)
+    (own / "masks" / "ball").rename(own / "masks" / "floor")
+    answer = call(f"datagen capture {own} --out {tmp_path / 'balls'}")
+    assert answer.status == 0, answer.error
+    objects = {item.name: item.is_glass for item in open_dataset(tmp_path / "balls").objects}
+    assert objects == {"floor": True, "wine_glass__1_": True, "room_floor": False}
+    assert "no points were found, for want of detail beside the glass" in answer.err
+    assert not (own / "points3d.ply").exists()
+
+
+# Masks
+
+
+@pytest.mark.parametrize("kind", ["1", "L", "I;16", "LA", "RGB", "red", "palette", "cut out", "white on nothing"])
+def test_masks_of_all_kinds_show_the_same(kind: str) -> None:
+    shown = np.random.default_rng(0).random((9, 7)) < 0.5
+    grey = np.where(shown, 255, 0).astype(np.uint8)
+    zero, full = np.zeros_like(grey), np.full_like(grey, 255)
+    pictures = {
+        "I;16": Image.fromarray(np.where(shown, 0xFFFF, 1000).astype(np.uint16)),
+        "red": Image.fromarray(np.stack([grey, zero, zero], axis=-1)),
+        "palette": Image.fromarray(shown.astype(np.uint8)).convert("P"),
+        "cut out": Image.fromarray(np.stack([zero, zero, zero, grey], axis=-1)),
+        "white on nothing": Image.fromarray(np.stack([full, grey], axis=-1)),
+    }
+    pictures["palette"].putpalette([0, 0, 0, 128, 0, 0])
+    assert np.array_equal(mask_pixels(pictures.get(kind) or Image.fromarray(grey).convert(kind)), shown)
+
+
+def test_masks_are_found_whatever_their_ending(tmp_path: Path) -> None:
+    names = ("a.png", "b.JPG", "c.webp", "d.jpg", "e.jpg.png", "f.JPEG.PNG")
+    pictures = [tmp_path / "images" / f"{letter}.{ending}" for letter, ending in zip("abcdef", ["jpg"] * 5 + ["JPEG"])]
+    for path in [
+        *(tmp_path / "masks" / "ball" / name for name in (*names, "._a.png")),
+        tmp_path / "masks" / ".x" / "y",
+    ]:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    masks = Masks(tmp_path, pictures)
+    assert masks.objects == ("ball",)
+    assert [masks.of(path)[0].name for path in pictures] == list(names)
+    (tmp_path / "masks" / "ball" / "a.webp").touch()
+    with pytest.raises(HyalineError, match="two masks of one picture"):
+        Masks(tmp_path, pictures)
+
+
+# The dataset
+
+
+def test_each_object_has_a_mask_by_its_id_in_the_dataset(captured: Dataset, folder: Path) -> None:
+    ids = {"ball": captured.object_id("ball"), "wine glass (1)": captured.object_id("wine_glass__1_")}
+    made, seen = circle(), set()
+    for split in SPLITS:
+        for view in captured.views(split):
+            place = int(np.abs(made.world_from_camera - view.camera.world_from_camera).sum(axis=(1, 2)).argmin())
+            assert np.allclose(made.world_from_camera[place], view.camera.world_from_camera)
+            expected = np.array([0, *ids.values()], np.uint8)[balls_seen(made, place)]
+            found = view.imported_object_ids
+            assert found is not None and np.array_equal(found, expected)
+            assert np.array_equal(view.mask("glass"), expected > 0)
+            picture = np.asarray(Image.open(folder / "images" / f"DSC 00{place:02d} é.png"))
+            assert np.array_equal(view.image, picture)
+            seen.add((split, place))
+    assert {place for split, place in seen if split != "train"} == {0, 8, 16}
+    assert len(seen) == len(made) and captured.num_views == {"train": 15, "interpolating": 2, "extrapolating": 1}
+
+
+def test_a_stand_in_is_where_the_masks_of_an_object_meet(captured: Dataset) -> None:
+    meshes = {item.name: item.mesh for item in open_scene(captured).objects}
+    pixel = 1.0 * FOV / SIDE
+    for name, (center, radius) in zip(("ball", "wine_glass__1_"), BALLS.values(), strict=True):
+        low, high = meshes[name].vertices.min(axis=0), meshes[name].vertices.max(axis=0)
+        assert np.abs((low + high) / 2 - center).max() < pixel
+        assert np.abs((high - low) / 2 - radius).max() < 2 * pixel
+        assert signed_volume(meshes[name]) > 0
+    assert [item.name for item in captured.objects if item.is_glass] == ["ball", "wine_glass__1_"]
+
+
+def test_it_is_whole_and_can_be_peeled(captured: Dataset, folder: Path) -> None:
+    assert verify_dataset(captured.root).problems == []
+    again = call(f"datagen capture '{folder}' --out {captured.root}")
+    assert again.status == 0, again.error
+    assert call(f"datagen peel {captured.root}").error == f"next: model fit {captured.root}"
+    layers = captured.view("train", 0).layers()
+    view = captured.view("train", 0)
+    assert view.imported_mask is not None and np.array_equal(view.mask("glass"), view.imported_mask)
+    assert not np.array_equal(view.mask("glass"), np.isin(layers.object_id[0], (1, 2)))  # Those are of ellipsoids.
+    assert set(np.unique(layers.object_id)) >= {0, captured.object_id("ball"), captured.object_id("floor")}
+
+
+def test_an_exported_dataset_comes_back_without_its_shapes(tmp_path: Path) -> None:
+    write_traced_dataset(tmp_path / "glasses", resolution=32)
+    ours = open_dataset(tmp_path / "glasses")
+    answer = call(f"datagen export {ours.root} --format capture --out {tmp_path / 'folder'}")
+    assert answer.status == 0, answer.error
+    assert not list((tmp_path / "folder").rglob("*.ply"))
+    answer = call(f"datagen capture {tmp_path / 'folder'} --out {tmp_path / 'again'}")
+    assert answer.status == 0, answer.error
+    again = open_dataset(tmp_path / "again")
+    assert again.num_views == ours.num_views and again.license == ours.license
+    glass = {item.name for item in ours.objects if item.is_glass}
+    assert {item.name for item in again.objects if item.is_glass} == glass
+    for split in SPLITS:
+        for old, new in zip(ours.views(split), again.views(split), strict=True):
+            assert np.array_equal(old.image, new.image) and new.imported_object_ids is not None
+            first = old.object_ids()[0]
+            for name in glass:
+                assert np.array_equal(new.imported_object_ids == again.object_id(name), first == ours.object_id(name))
+
+
+def test_masks_that_a_refref_scene_names_are_of_one_object(own: Path, tmp_path: Path) -> None:
+    content = json.loads((own / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["mask_file_path"] = frame["file_path"].replace("images/", "masks/ball/")
+    (own / "transforms.json").unlink()
+    (own / "masks" / "ball").rename(own / "silhouettes")
+    shutil.rmtree(own / "masks")
+    for frame in content["frames"]:
+        frame["mask_file_path"] = frame["mask_file_path"].replace("masks/ball", "silhouettes")
+    for role, frames in (("train", content["frames"][4:]), ("test", content["frames"][:4])):
+        (own / f"transforms_{role}.json").write_text(json.dumps({**content, "frames": frames}))
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    dataset = open_dataset(tmp_path / "out")
+    assert [item.name for item in dataset.objects if item.is_glass] == ["glass"]
+    assert dataset.num_views == {"train": 14, "interpolating": 3, "extrapolating": 1}
+
+
+# COLMAP's world
+
+
+def room_points(rng: np.random.Generator) -> np.ndarray:
+    """Points on a floor 0.7 m below a table, on the table, on two walls, on a box, and nowhere."""
+
+    def on(low: tuple[float, float, float], high: tuple[float, float, float], count: int) -> np.ndarray:
+        return rng.uniform(low, high, (count, 3))
+
+    return np.concatenate(
+        [
+            on((-2, -2, -0.7), (2, 2, -0.7), 400),
+            on((-0.5, -0.4, 0), (0.5, 0.4, 0), 600),
+            on((-2, 2, -0.6), (2, 2, 1.2), 300),
+            on((-2, -2, -0.6), (-2, 2, 1.2), 300),
+            on((-0.35, 0.2, 0.12), (-0.20, 0.3, 0.12), 10),
+            on((-0.35, 0.2, 0.005), (-0.20, 0.2, 0.12), 60),
+            on((-0.35, 0.2, 0.005), (-0.35, 0.3, 0.12), 60),
+            on((-1, -1, -1), (1, 1, 1), 60),
+        ]
+    ) + rng.normal(0, 0.001, (1790, 3))
+
+
+@pytest.fixture(scope="module")
+def rotation() -> np.ndarray:
+    axes = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    return axes * np.sign(np.linalg.det(axes))
+
+
+def test_a_model_of_colmap_is_turned_upright_scaled_by_a_diameter_and_given_a_room(
+    tmp_path: Path, rotation: np.ndarray
+) -> None:
+    made = write_folder(tmp_path / "shots", cameras="none")
+    points = room_points(np.random.default_rng(1))
+    write_colmap(tmp_path / "shots", made, points, turned=rotation, scale=3.7)
+    answer = call(f"datagen capture {tmp_path / 'shots'} --diameter ball=0.2 --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    dataset = open_dataset(tmp_path / "out")
+    meshes = {item.name: item.mesh.vertices for item in open_scene(dataset).objects}
+    assert meshes["floor"][:, 2].mean() == pytest.approx(-0.7, abs=0.05)
+    assert meshes["table"][:, 2].max() == pytest.approx(0, abs=0.02)
+    assert np.sort(np.ptp(meshes["table"], axis=0)[:2]).min() > 0.7
+    poses = np.concatenate([dataset.cameras(split).world_from_camera for split in SPLITS])
+    heights = np.sort(poses[:, 2, 3])
+    assert np.allclose(heights, np.sort(made.world_from_camera[:, 2, 3]), atol=0.06)
+    assert any("were fitted to" in line for line in (dataset.imported.remarks if dataset.imported else ()))
+    answer = call(f"datagen capture {tmp_path / 'shots'} --out {tmp_path / 'guessed'}")
+    assert "scale: is unknown; the cameras were put 1 m away from the glass" in answer.err
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_planes_and_boxes_are_fitted_in_spite_of_points_that_are_nowhere(seed: int) -> None:
+    points = room_points(np.random.default_rng(seed))
+    glass = [Outline(name="ball", center=(0.0, 0.0, 0.1), radii=(0.1, 0.1, 0.1))]
+    room = fit_room(points, glass, circle().world_from_camera[:, :3, 3])
+    meshes = {part.name: part.mesh.vertices for part in room.parts}
+    assert room.support == pytest.approx(0, abs=0.005)
+    assert {"floor", "table", "wall_0", "wall_1"} <= meshes.keys()
+    assert "wall_2" not in meshes
+    assert np.abs(meshes["floor"][:, 2] + 0.7).max() < 0.005
+    assert np.abs(np.ptp(meshes["table"], axis=0)[:2] - (1, 0.8)).max() < 0.08
+    assert meshes["table"][:, 2].max() == pytest.approx(0, abs=0.005)
+    fitted = sorted((meshes["wall_0"], meshes["wall_1"]), key=lambda vertices: np.ptp(vertices[:, 0]))
+    assert np.abs(fitted[0][:, 0] + 2).max() < 0.03 and np.abs(fitted[1][:, 1] - 2).max() < 0.03
+    boxes = [vertices for name, vertices in meshes.items() if name.startswith("box")]
+    (box,) = [box for box in boxes if np.abs(box.mean(axis=0) - (-0.275, 0.25, 0.06)).max() < 0.05]
+    assert np.abs(np.ptp(box, axis=0) - (0.15, 0.1, 0.12)).max() < 0.06
+
+
+def test_without_points_the_floor_is_below_all_glass() -> None:
+    ball = Outline(name="ball", center=(0.0, 0.0, 0.1), radii=(0.1, 0.1, 0.1))
+    top = Outline(name="top", center=(0.0, 0.0, -0.01), radii=(0.5, 0.5, 0.01))
+    pane = Pane(name="top", footprint=Rectangle(center=(0, 0), half=(0.5, 0.5), angle=0), top=0, thickness=0.02)
+    room = fit_room(np.zeros((0, 3)), [ball, top], circle().world_from_camera[:, :3, 3], None, [pane])
+    assert room.parts[0].mesh.vertices[:, 2].max() < -0.02
+
+
+def test_the_lists_of_a_transforms_file_say_what_is_for_tests(own: Path, tmp_path: Path) -> None:
+    content = json.loads((own / "transforms.json").read_text())
+    names = [frame["file_path"] for frame in content["frames"]]
+    lists = {"train_filenames": names[3:], "val_filenames": [], "test_filenames": names[:3]}
+    (own / "transforms.json").write_text(json.dumps(content | lists))
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    assert open_dataset(tmp_path / "out").num_views == {"train": 15, "interpolating": 2, "extrapolating": 1}
+
+
+def test_pictures_in_none_of_a_files_lists_are_counted(own: Path) -> None:
+    names = [frame["file_path"] for frame in json.loads((own / "transforms.json").read_text())["frames"]]
+    edit(own, train_filenames=names[5:], test_filenames=names[:3])
+    remarks = read_capture(own, lambda *_: None).remarks
+    assert remarks == ("splits: 2 of 18 pictures are in none of the file's lists; left out",)
+
+
+def test_pictures_of_kinds_that_are_not_read_are_counted(tmp_path: Path) -> None:
+    write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
+    for name in ("a.HEIC", "b.heic", "c.tif"):
+        (tmp_path / "images" / name).touch()
+    remarks = read_capture(tmp_path, lambda *_: None).remarks
+    assert remarks == ("pictures: 3 of other kinds (.heic, .tif) were left out; convert them to PNG or JPEG",)
+    for path in (tmp_path / "images").glob("*.png"):
+        path.unlink()
+    with pytest.raises(HyalineError, match=r"has 0 pictures beside 3 of other kinds \(\.heic, \.tif\); expected 3"):
+        find_pictures(tmp_path)
+
+
+def test_points_beside_a_model_of_colmap_without_points_are_read(tmp_path: Path) -> None:
+    write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
+    header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
+    (tmp_path / "points3d.ply").write_text(f"{header}end_header\n1 2 3\n4 5 6\n")
+    assert read_capture(tmp_path, lambda *_: None).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_up_is_across_the_plane_that_cameras_look_down_on(seed: int, rotation: np.ndarray) -> None:
+    points = room_points(np.random.default_rng(seed)) @ rotation.T
+    poses = circle().world_from_camera[:6].copy()  # From one side alone, so that their own up is oblique.
+    poses[:, :3] = rotation @ poses[:, :3]
+    up = find_up(points, poses)
+    assert np.degrees(np.arccos(np.clip(up @ rotation[:, 2], -1, 1))) < 0.5
+    own = poses[:, :3, 1].mean(axis=0)
+    assert np.degrees(np.arccos(own @ rotation[:, 2] / np.linalg.norm(own))) > 5
+
+
+# Lenses
+
+
+def test_a_distorted_picture_is_redrawn_as_a_pinhole_sees_it() -> None:
+    bent = TakenLens(
+        width=200, height=150, focal=(180, 184), center=(97, 79), radial=(-0.2, 0.05), tangential=(0.003, -0.002)
+    )
+    lens, remarks = shared_lens([bent], 50)
+    assert (lens.width, lens.height) == (50, 38) and "distorted" in remarks[0]
+    rows, columns = np.mgrid[:150, :200] + 0.5
+    # Where a point of the plane ahead is seen, inverted by Newton's method in a loop of its own.
+    points = np.stack([(columns - 97) / 180, (rows - 79) / 184], axis=-1)
+    target = np.stack([columns, rows], axis=-1)
+    for _ in range(30):
+        points = points + (target - bent.pixels(points)) / [180, 184]
+    assert np.abs(bent.pixels(points) - target).max() < 1e-6
+    ramp = np.clip(np.stack([0.5 + 0.6 * points[..., 0], 0.5 + 0.6 * points[..., 1], 0 * rows + 0.5], axis=-1), 0, 1)
+    picture = np.rint(255 * ramp).astype(np.uint8)
+    x = (np.arange(50) + 0.5 - 25) / lens.focal
+    y = (np.arange(38) + 0.5 - 19) / lens.focal
+    found = redrawn(picture, bent, lens).astype(float) / 255
+    assert np.abs(found[..., 0] - (0.5 + 0.6 * x)).max() < 0.006
+    assert np.abs(found[..., 1] - (0.5 + 0.6 * y)[:, None]).max() < 0.006
+    mask = redrawn_mask(points[..., 0] > 0, bent, lens)
+    assert np.array_equal(mask, np.tile(x > 0, (38, 1)))
+
+
+def test_pictures_of_one_pinhole_are_taken_over_as_they_are() -> None:
+    taken = TakenLens(width=30, height=20, focal=(33, 33), center=(14, 11))
+    lens, remarks = shared_lens([taken, taken], 100)
+    assert remarks == [] and (lens.width, lens.height, lens.center) == (30, 20, (14, 11))
+    picture = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+    assert np.array_equal(redrawn(picture, taken, lens), picture)
+    half, _ = shared_lens([taken], 15)
+    assert half.center == (7, 5.5) and redrawn(np.full_like(picture, 77), taken, half).min() == 77
+
+
+def test_a_mask_of_half_the_size_is_not_wider() -> None:
+    taken = TakenLens(width=80, height=80, focal=(80, 80), center=(40, 40))
+    half, _ = shared_lens([taken], 40)
+    rng, areas = np.random.default_rng(0), []
+    y, x = np.indices((80, 80)) + 0.5
+    for center in rng.uniform(38, 42, (50, 2)):
+        mask = np.hypot(x - center[0], y - center[1]) < 24
+        areas.append(4 * redrawn_mask(mask, taken, half).sum() / mask.sum())
+    assert np.mean(areas) == pytest.approx(1, abs=0.004)  # 1.02 if every pixel that is half covered were set
+
+
+def test_pictures_of_several_shapes_show_what_all_of_them_see() -> None:
+    wide = TakenLens(width=60, height=40, focal=(50, 50), center=(30, 20))
+    high = TakenLens(width=40, height=60, focal=(50, 50), center=(20, 30))
+    lens, _ = shared_lens([wide, high], 60)
+    assert math.tan(lens.fov_x / 2) == pytest.approx(0.4, rel=1e-6) and (lens.width, lens.height) == (60, 40)
+
+
+def test_a_strong_distortion_is_not_followed_to_where_it_folds_back() -> None:
+    bent = TakenLens(width=200, height=150, focal=(100, 100), center=(100, 75), radial=(-0.4,))
+    lens, _ = shared_lens([bent], 200)
+    x = np.linspace(0, 1, 99)[:, None] * np.tan(lens.fov_x / 2) * [1, 0.75]
+    assert (np.diff(bent.pixels(x), axis=0) > 0).all() and np.tan(lens.fov_x / 2) > 0.6
+
+
+# What is wrong
+
+
+def without_masks(root: Path) -> None:
+    shutil.rmtree(root / "masks")
+
+
+def without_a_mask(root: Path) -> None:
+    (root / "masks" / "ball" / "DSC 0003 é.png").unlink()
+
+
+def with_a_small_mask(root: Path) -> None:
+    Image.new("L", (SIDE, SIDE // 2)).save(root / "masks" / "ball" / "DSC 0003 é.png")
+
+
+def with_masks_of_other_pictures(root: Path) -> None:
+    for path in list((root / "masks" / "ball").iterdir()):
+        path.rename(path.with_name(f"other-{path.name}"))
+
+
+def with_black_masks(root: Path) -> None:
+    for path in (root / "masks" / "ball").iterdir():
+        Image.new("L", (SIDE, SIDE)).save(path)
+
+
+def with_inverted_masks(root: Path) -> None:
+    for path in (root / "masks" / "ball").iterdir():
+        Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
+
+
+def with_masks_that_never_meet(root: Path) -> None:
+    for view, path in enumerate(sorted((root / "masks" / "ball").iterdir())):
+        mask = np.zeros((SIDE, SIDE), np.uint8)
+        mask[:4, 8 * (view % 6) : 8 * (view % 6) + 4] = 255
+        Image.fromarray(mask).save(path)
+
+
+def without_pictures(root: Path) -> None:
+    (root / "transforms.json").unlink()
+    shutil.rmtree(root / "images")
+
+
+def with_a_broken_mask(root: Path) -> None:
+    (root / "masks" / "ball" / "DSC 0003 é.png").write_bytes(b"no picture")
+
+
+def stored_on_its_side(root: Path) -> None:
+    path = next((root / "images").iterdir())
+    picture = Image.open(path)
+    exif = picture.getexif()
+    exif[0x0112] = 6
+    picture.save(path, exif=exif)
+
+
+def with_a_fisheye(root: Path) -> None:
+    edit(root, camera_model="OPENCV_FISHEYE")
+
+
+def with_a_fisheye_of_instant_ngp(root: Path) -> None:
+    edit(root, is_fisheye=True, k1=0.05)
+
+
+def with_a_panorama(root: Path) -> None:
+    edit(root, camera_model="EQUIRECTANGULAR")
+
+
+def in_kilometres(root: Path) -> None:
+    frames = json.loads((root / "transforms.json").read_text())["frames"]
+    for frame in frames:
+        for row in frame["transform_matrix"][:3]:
+            row[3] /= 1000
+    edit(root, frames=frames)
+
+
+def with_a_lens_of_another_shape(root: Path) -> None:
+    edit(root, fl_x=50.0, w=SIDE, h=2 * SIDE)
+
+
+def edit(root: Path, **more: object) -> None:
+    content = json.loads((root / "transforms.json").read_text())
+    (root / "transforms.json").write_text(json.dumps({**content, **more}))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "expected"),
+    [
+        (without_masks, "has 0 folders; expected one for each object of glass"),
+        (without_a_mask, "has no mask for 1 of 18 pictures (DSC 0003 é.png); expected one for each"),
+        (with_a_small_mask, f"DSC 0003 é.png: is {SIDE} x {SIDE // 2} pixels; expected {SIDE} x {SIDE}"),
+        (with_masks_of_other_pictures, "its masks are of none of the pictures; expected the pictures' names"),
+        (with_black_masks, "the masks of ball are black (below 128 of 255) in all 18 pictures"),
+        (with_inverted_masks, "expected white where the object is seen, black around it: invert them"),
+        (with_masks_that_never_meet, "masks/ball: its masks do not meet in space"),
+        (without_pictures, "has 0 pictures; expected 3 to"),
+        (with_a_broken_mask, "DSC 0003 é.png: not a picture that can be read (no PNG, JPEG or WebP)"),
+        (stored_on_its_side, "is stored turned or mirrored (EXIF orientation 6), which some tools undo"),
+        (with_a_fisheye, "its camera is not a pinhole camera ('OPENCV_FISHEYE'); expected PINHOLE or OPENCV"),
+        (with_a_fisheye_of_instant_ngp, "is not a pinhole camera (is_fisheye); expected PINHOLE or OPENCV"),
+        (with_a_panorama, "its camera is not a pinhole camera ('EQUIRECTANGULAR'); expected PINHOLE or OPENCV"),
+        (
+            in_kilometres,
+            "ball is 0.19 mm large by its masks and cameras; expected at least 4 mm: give the cameras' unit",
+        ),
+        (with_a_lens_of_another_shape, f"for pictures of {SIDE} x {2 * SIDE} pixels, and the picture has"),
+    ],
+)
+def test_a_gap_in_a_folder_is_named(spoil, expected: str, own: Path, tmp_path: Path) -> None:
+    spoil(own)
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and expected in answer.error
+    assert answer.error.count("\n") <= 1 and not (tmp_path / "out").exists()
+
+
+def test_without_cameras_and_pycolmap_it_says_what_to_install(
+    own: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pycolmap", None)
+    (own / "transforms.json").unlink()
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and "pip install 'hyaline-glass[capture]'" in answer.error
+    assert "has no cameras (transforms.json, or COLMAP's sparse/0)" in answer.error
+
+
+@pytest.mark.parametrize(
+    ("flags", "expected"),
+    [
+        ("--diameter bottle=0.1", "bottle is not an object; expected one of ball, wine_glass__1_"),
+        ("--diameter ball=tall", "expected an object and metres, such as tumbler=0.08"),
+        ("--diameter ball=0.2 --scale 2", "gives the scale, as --scale does"),
+        ("--longest 2", "expected 8 to"),
+        ("--ior 0.9", "--ior: is 0.9; expected more than 1"),
+        ("--room nothing.ply", "nothing.ply"),
+    ],
+)
+def test_a_flag_that_cannot_be_is_refused(flags: str, expected: str, folder: Path, tmp_path: Path) -> None:
+    answer = call(f"datagen capture '{folder}' --out {tmp_path / 'out'} {flags}")
+    assert answer.status == 1 and expected in answer.error
+
+
+def test_a_given_room_is_diffuse_and_in_the_cameras_axes(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "room.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3 4\n")
+    answer = call(f"datagen capture '{folder}' --room {tmp_path / 'room.obj'} --scale 2 --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    (room,) = [item for item in load_scene(tmp_path / "out" / "scene", is_checked=True).objects if item.name == "room"]
+    assert np.ptp(room.mesh.vertices, axis=0).tolist() == [4, 4, 0] and type(room.material).__name__ == "Diffuse"
+
+
+def test_two_pictures_of_one_name_are_refused(own: Path, tmp_path: Path) -> None:
+    (own / "transforms.json").unlink()
+    Image.new("RGB", (SIDE, SIDE)).save(own / "images" / "DSC 0003 é.jpg")
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 1 and "two pictures are called 'DSC 0003" in answer.error

@@ -1,0 +1,135 @@
+"""Tests what stands in vessels: drinks, marbles and straws, seen by another tracer's first hits."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hyaline_photos.fit.drinks import find_filling, find_holders, merged, with_drink
+from hyaline_photos.fit.lathe import Axis, evenly, revolved
+from hyaline_photos.fit.shapes import OUTSIDE, Revolution
+from hyaline_photos.fit.views import Sightings
+from support.silhouettes import views_around
+
+from datagen.data.meshes import Mesh, check_mesh, no_mesh, open_edges, signed_volume
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.materials import Dielectric
+from datagen.scene.modelling import moved, rounded_box
+
+AXIS = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
+RADIUS, HEIGHT, LEVEL = 0.035, 0.09, 0.06
+SIDE = evenly(np.array([(0, 0), (RADIUS, 0), (1.1 * RADIUS, HEIGHT)]), OUTSIDE)
+OUTER = Revolution(axis=AXIS, outside=SIDE)
+FULL = dataclasses.replace(
+    OUTER.hollowed(0.08, 0.15, 0.3), level=LEVEL, drink_ior=1.36, drink_absorption=(1.0, 2.0, 30.0)
+)
+VESSEL, DRINK = 1, 2
+
+
+def ball(radius: float, height: float) -> Mesh:
+    angles = np.linspace(-np.pi / 2, np.pi / 2, 60)
+    outline = np.stack([radius * np.cos(angles).round(9), height + radius * np.sin(angles)], axis=1)
+    return revolved(AXIS, outline)
+
+
+def seen(*meshes: Mesh, unknown: tuple[int, ...]) -> Sightings:
+    """Views from all around of objects with the ids 1, 2, ..."""
+    use_mitsuba()
+    from datagen.trace.peel import Peeler
+
+    cameras, peeler = views_around(views=40, size=64), Peeler(meshes)
+    known = Peeler(tuple(mesh for place, mesh in enumerate(meshes) if place + 1 not in unknown) or meshes)
+    first, met, depth = [], [], []
+    for view in range(len(cameras)):
+        origin, directions = cameras[view].rays()
+        hits = peeler.trace(origin, directions.reshape(-1, 3), 1)
+        ids = (hits.shape[0] + 1).reshape(directions.shape[:2])
+        behind = known.trace(origin, directions.reshape(-1, 3), 1)
+        is_known = (behind.shape[0] >= 0) & (len(unknown) < len(meshes))
+        first.append(np.where(np.isin(ids, unknown), ids, 0))
+        met.append(np.where(is_known, len(meshes), 0).reshape(ids.shape))
+        depth.append(np.where(is_known, behind.t[0], np.inf).reshape(ids.shape))
+    return Sightings(
+        cameras=cameras,
+        first=np.stack(first).astype(np.uint8),
+        touched=np.stack(first) > 0,
+        depth=np.stack(depth).astype(np.float32),
+        met=np.stack(met).astype(np.uint8),
+        unknown=unknown,
+    )
+
+
+def test_a_drink_is_closed_fills_the_hollow_and_gives_way_to_the_glass() -> None:
+    (vessel, glass), (drink, liquid) = FULL.bodies()
+    check_mesh(drink, where="drink")
+    assert open_edges(drink) == 0
+    assert isinstance(glass, Dielectric)
+    assert liquid == Dielectric(ior=1.36, absorption=(1.0, 2.0, 30.0), priority=-1)
+    assert drink.vertices[:, 2].max() == pytest.approx(LEVEL)
+    # A little more than the hollow: it reaches 0.3 of the wall into the glass.
+    wall, floor = 0.08 * 1.1 * RADIUS, 0.15 * HEIGHT
+    middle = RADIUS * (1 + 0.1 * (LEVEL + floor) / 2 / HEIGHT) - 0.7 * wall
+    assert signed_volume(drink) == pytest.approx(np.pi * middle**2 * (LEVEL - floor + 0.3 * wall), rel=0.04)
+    assert drink.vertices[:, 2].min() == pytest.approx(floor - 0.3 * wall, abs=2e-4)
+    assert vessel.vertices.shape == OUTER.mesh().vertices.shape
+    for level in (0.0, 0.02, 0.2):
+        other = dataclasses.replace(FULL, level=level).bodies()[1][0]
+        assert other.vertices.shape == drink.vertices.shape
+        assert open_edges(other) == 0
+
+
+def test_masks_show_which_object_is_a_drink_and_its_level() -> None:
+    (vessel, _), (drink, _) = FULL.bodies()
+    sightings = seen(vessel, drink, unknown=(VESSEL, DRINK))
+    assert find_holders(sightings) == {DRINK: VESSEL}
+    both = merged(sightings, {DRINK: VESSEL})
+    assert both.unknown == (VESSEL,)
+    assert np.array_equal(both.first > 0, sightings.first > 0)
+    found = with_drink(OUTER, sightings, DRINK, VESSEL)
+    assert found is not None
+    assert found.level == pytest.approx(LEVEL, abs=0.0015)
+
+
+def test_ice_in_a_drink_is_none_and_its_drink_is_seen_around_it() -> None:
+    (vessel, _), (drink, _) = FULL.bodies()
+    ice = moved(ball(0.015, 0.0), (0, 0, LEVEL))
+    sightings = seen(vessel, drink, ice, unknown=(VESSEL, DRINK, 3))
+    assert (sightings.first == 3).sum() > 100
+    assert find_holders(sightings) == {DRINK: VESSEL}
+
+
+def test_a_ball_beside_a_vessel_and_what_lies_in_a_solid_are_no_drinks() -> None:
+    (vessel, _), (drink, _) = FULL.bodies()
+    beside = ball(0.03, 0.03)
+    beside = dataclasses.replace(beside, vertices=beside.vertices + np.float32([0.075, 0, 0]))
+    assert find_holders(seen(vessel, beside, unknown=(VESSEL, DRINK))) == {}
+    sightings = seen(vessel, drink, unknown=(VESSEL, DRINK))
+    assert with_drink(dataclasses.replace(OUTER, outside=ball_outline()), sightings, DRINK, VESSEL) is None
+    low = dataclasses.replace(OUTER, outside=SIDE * [1, 0.5])
+    assert with_drink(low, sightings, DRINK, VESSEL) is None
+
+
+def ball_outline() -> np.ndarray:
+    angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
+    return np.stack([0.03 * np.cos(angles).round(9), 0.03 + 0.03 * np.sin(angles)], axis=1)
+
+
+def test_a_known_straw_says_nothing_of_the_outside_of_its_vessel() -> None:
+    (vessel, _), _ = FULL.bodies()
+    straw = revolved(AXIS, np.array([(0, 0.02), (0.004, 0.02), (0.004, 0.12), (0, 0.12)]))
+    sightings = seen(vessel, straw, unknown=(VESSEL,))
+    empty = type(straw)(vertices=straw.vertices[:0], faces=straw.faces[:0], normals=straw.normals[:0], uv=straw.uv[:0])
+    found = find_filling(sightings, (empty, straw))
+    assert found.filling == (2,)
+    sees_straw = (sightings.first == 0) & (sightings.met == 2)
+    assert sees_straw.sum() > 100
+    assert not found.is_open(VESSEL)[sees_straw].any()
+    assert found.is_open(VESSEL)[~sees_straw].all()
+    table = dataclasses.replace(straw, vertices=straw.vertices * np.float32([100, 100, 1]))
+    assert find_filling(sightings, (empty, table)).filling == ()
+
+
+def test_what_is_on_a_pane_is_not_inside_it() -> None:
+    pane = moved(rounded_box((0.2, 0.2, 0.01), bevel=0.001), (0, 0, 0.005))
+    book = moved(rounded_box((0.06, 0.04, 0.03), bevel=0.001), (0.02, 0, 0.026))
+    sightings = seen(pane, book, unknown=(VESSEL,))
+    assert find_filling(sightings, (no_mesh(), book)).filling == ()

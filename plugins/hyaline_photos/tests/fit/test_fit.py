@@ -1,0 +1,316 @@
+"""Tests `model fit` as a command, and what others make of the geometry that it writes."""
+
+import dataclasses
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hyaline_photos.fit.found import FoundGlass, write_geometry
+from hyaline_photos.fit.hull import HullShape
+from hyaline_photos.fit.pictures import SKY_HEIGHT
+from PIL import Image
+from scipy import ndimage
+from support.builds import tree
+from support.commands import call
+from support.traced_dataset import BALL, glass_scene, write_traced_dataset
+
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
+from datagen.data.paths import geometry_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import load_sealed
+from datagen.scene.folder import open_scene
+from datagen.scene.materials import Dielectric, Diffuse
+
+FIT = "--unknown ball --steps 2 --skip grid --skip again"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_traced_dataset(tmp_path_factory.mktemp("fit") / "glasses", resolution=24)
+
+
+@pytest.fixture(scope="module")
+def fitted(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a fit of the ball; its pictures show no refraction, so that its material means nothing."""
+    out = tmp_path_factory.mktemp("runs") / "fit"
+    answer = call(f"model fit {dataset.root} {FIT} --out {out}")
+    assert answer.status == 0, answer.err
+    assert f"next: model train light-path {dataset.root} --geometry fitted" in answer.err + answer.out
+    return out
+
+
+def test_the_geometry_has_the_ball_that_masks_show_and_all_else_as_it_is(dataset: Dataset, fitted: Path) -> None:
+    assert fitted.is_dir()
+    truth, found = read_meshes(dataset, "truth"), read_meshes(dataset, "fitted")
+    center, radius = BALL
+    # Ten coarse views from above show its girth.
+    assert np.linalg.norm((found[1].vertices - center)[:, :2], axis=1).max() == pytest.approx(radius, rel=0.08)
+    for place in (0, 2, 3, 4):
+        assert np.array_equal(found[place].vertices, truth[place].vertices)
+    assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
+    material = open_scene(dataset, "fitted").objects[1].material
+    assert isinstance(material, Dielectric)
+    assert list(read_materials(dataset, "fitted")) == ["ball"]
+    assert open_scene(dataset, "truth").objects[1].material != material
+
+
+def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
+    record = load_sealed(fitted / "fit.json")
+    (item,) = record["objects"]
+    assert item["name"] == "ball"
+    ior = item["numbers"]["ior"]
+    assert ior["low"] < ior["value"] < ior["high"]
+    assert item["unexplained"] < 0.05
+    assert len(item["outline"]) > 100
+    assert [row["stage"] for row in item["history"]] == ["search"] * 4
+    for name in ("room", "outside", "search"):
+        assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
+    sky = np.asarray(Image.open(fitted / "sky.png"))
+    assert sky.shape[1] >= 2 * SKY_HEIGHT and len(np.unique(sky.reshape(-1, 3), axis=0)) > 20
+
+
+def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    assert fitted.is_dir()
+    assert "fitted" in list_geometries(dataset)
+    check = call(f"proxies check {dataset.root} --name fitted")
+    assert check.status == 0, check.err
+    run = tmp_path / "run"
+    for words in (
+        f"model train light-path {dataset.root} --geometry fitted --steps 2 --batch 64 --device cpu --out {run}",
+        f"model export {run} --out {tmp_path / 'page.html'} --truths none",
+        f"datagen verify {dataset.root}",
+    ):
+        answer = call(words)
+        assert answer.status == 0, answer.err
+
+
+def test_runs_record_what_a_fit_did_not_find_itself(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    assert fitted.is_dir()
+    skipped = "--steps 2 --skip grid --skip search --skip again"
+    answer = call(
+        f"model fit {dataset.root} {skipped} --unknown ball --room matt --name fitted-matt --out {tmp_path / 'fit'}"
+    )
+    assert answer.status == 0, answer.err
+    glass = [item.name for item in dataset.objects if item.is_glass and item.name != "ball"]
+    others = [item.name for item in dataset.objects if not item.is_glass]
+    assert sorted(read_materials(dataset, "fitted-matt")) == sorted(["ball", *others])
+    shiny = [
+        item.name
+        for item in open_scene(dataset, "truth").objects
+        if not item.material.is_glass and not isinstance(item.material, Diffuse)
+    ]
+    assert glass and shiny
+    for method, geometry, told in (
+        ("light-path", "fitted", {*glass, *shiny}),
+        ("light-path", "fitted-matt", {*glass}),
+        ("paper", "fitted", {*glass}),
+        ("light-path", "truth", set[str]()),
+    ):
+        run = tmp_path / f"{method}-{geometry}"
+        words = f"--geometry {geometry} --steps 1 --batch 64 --device cpu --out {run}"
+        answer = call(f"model train {method} {dataset.root} {words}")
+        assert answer.status == 0, answer.err
+        assert set(load_sealed(run / "run.json")["told"]) == told
+
+
+def test_a_fit_of_other_glass_does_not_replace_what_was_found(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    before = tree(dataset.root / "proxies")
+    answer = call(f"model fit {dataset.root} --unknown slab --steps 2 --skip grid --skip search --out {tmp_path / 'b'}")
+    assert answer.status == 1 and "fitted: holds a fit of ball, too; replace it with --overwrite" in answer.error
+    assert fitted.is_dir() and not (tmp_path / "b").exists() and tree(dataset.root / "proxies") == before
+
+
+def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
+    masks = tmp_path / "masks"
+    for name, seen in (("ball", True), ("slab", False)):
+        (masks / name).mkdir(parents=True)
+        for view in dataset.views("train"):
+            mask = np.full(dataset.config.resolution.shape, seen) & (view.object_ids()[0] == 2)
+            Image.fromarray(mask).save(masks / name / f"{view.index:04d}.png")
+    skipped = "--steps 2 --skip grid --skip search --skip again --name fitted-all"
+    answer = call(f"model fit {dataset.root} {skipped} --masks {masks} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    assert "taken as known, because pictures do not show their outside: slab" in answer.err + answer.out
+    assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
+    alone = call(f"model fit {dataset.root} {skipped}-b --unknown slab --masks {masks} --out {tmp_path / 'alone'}")
+    assert alone.status == 1 and "nothing to fit: pictures do not show the outside of slab" in alone.error
+    assert not (tmp_path / "alone").exists() and not geometry_root(dataset.root, "fitted-all-b").exists()
+
+
+def test_glass_seen_through_other_glass_alone_is_taken_as_known(tmp_path: Path) -> None:
+    dataset = write_traced_dataset(tmp_path / "glasses", resolution=36)
+    for name in ("ball", "slab"):
+        (tmp_path / "masks" / name).mkdir(parents=True)
+        for view in dataset.views("train"):
+            sees_ball = view.object_ids()[0] == 2
+            # Seen through the ball, which is no vessel, so this is no drink; and no ray passes beside it.
+            within = ndimage.binary_erosion(sees_ball, np.ones((3, 3)), iterations=2)
+            mask = within if name == "slab" else sees_ball & ~within
+            Image.fromarray(mask).save(tmp_path / "masks" / name / f"{view.index:04d}.png")
+    skipped = f"--steps 2 --skip grid --skip search --skip again --masks {tmp_path / 'masks'}"
+    answer = call(f"model fit {dataset.root} {skipped} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    assert "taken as known: slab: masks do not show its shape" in answer.err
+    assert [item["name"] for item in load_sealed(tmp_path / "fit" / "fit.json")["objects"]] == ["ball"]
+    assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
+
+
+def test_what_masks_do_not_show_is_refused_by_name_and_left_out_otherwise(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hidden(*_: object, **__: object) -> None:
+        raise HyalineError("masks do not show its shape")
+
+    monkeypatch.setattr("hyaline_photos.fit.fit.choose_outside", hidden)
+    rest = f"--steps 2 --skip grid --skip search --skip again --name fitted-none --out {tmp_path / 'fit'} --overwrite"
+    named = call(f"model fit {dataset.root} --unknown ball {rest}")
+    assert named.status == 1 and "ball: masks do not show its shape" in named.error
+    monkeypatch.setattr("hyaline_photos.fit.drinks.find_holders", lambda sightings: {3: 2})
+    all_glass = call(f"model fit {dataset.root} {rest}")
+    assert all_glass.status == 1 and "masks show the shape of none of the unknown objects" in all_glass.error
+    assert not geometry_root(dataset.root, "fitted-none").exists()
+    for name in ("ball", "slab"):
+        assert all_glass.err.count(f"taken as known: {name}: masks do not show its shape") == 1
+
+
+def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:
+    before = geometry_key(dataset, "fitted")
+    times = {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")}
+    again = call(f"model fit {dataset.root} {FIT} --out {fitted}")
+    assert again.status == 0, again.err
+    assert {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")} == times
+    assert geometry_key(open_dataset(dataset.root), "fitted") == before
+    (fitted / "search.pt").write_bytes((fitted / "search.pt").read_bytes()[:-100])
+    assert "damaged" in call(f"model fit {dataset.root} {FIT} --out {fitted}").err
+    assert geometry_key(open_dataset(dataset.root), "fitted") == before
+    other = call(f"model fit {dataset.root} {FIT.replace('ball', 'slab')} --out {fitted}")
+    assert other.status == 1
+    assert "holds a fit of ball, too" in other.error
+    other = call(f"model fit {dataset.root} {FIT.replace('ball', 'slab')} --out {fitted} --name fitted-slab")
+    assert "holds a fit with another geometry" in other.error
+
+
+def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it(
+    dataset: Dataset, fitted: Path, tmp_path: Path
+) -> None:
+    copy, out = Path(shutil.copytree(dataset.root, tmp_path / "copy")), shutil.copytree(fitted, tmp_path / "fit")
+    fit = f"model fit {copy} {FIT} --out {out}"
+    train = (
+        f"model train light-path {copy} --geometry fitted --steps 2 --batch 64 --device cpu --out {tmp_path / 'run'}"
+    )
+    assert call(train).status == 0
+    searched = geometry_key(open_dataset(copy), "fitted")
+    assert call(f"{fit} --skip search").status == 0
+    assert geometry_key(open_dataset(copy), "fitted") != searched
+    assert call(f"datagen verify {copy}").status == 0
+    answer = call(train)
+    assert answer.status == 1
+    assert (
+        "was trained on another geometry or number of layers than is there now; restore that, or train again"
+        in answer.error
+    )
+    assert (tmp_path / "fit" / "search.pt").exists()
+    assert call(f"{fit} --skip search --seed 1 --overwrite").status == 0
+    assert not (tmp_path / "fit" / "search.pt").exists()
+
+
+def test_layers_of_a_fit_follow_those_of_the_dataset(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    copy, out = Path(shutil.copytree(dataset.root, tmp_path / "copy")), shutil.copytree(fitted, tmp_path / "fit")
+    assert call(f"datagen peel {copy} --num-layers 4 --overwrite").status == 0
+    answer = call(f"model fit {copy} {FIT} --out {out}")
+    assert answer.status == 0, answer.err
+    assert open_dataset(copy).layer_store("fitted").head.num_layers == 4
+
+
+def test_an_object_that_few_pictures_show_all_of_them_even_is_fitted(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    masks = tmp_path / "masks" / "ball"
+    masks.mkdir(parents=True)
+    for view in dataset.views("train"):
+        Image.fromarray((view.object_ids()[0] == 2) & (view.index in (2, 4, 6, 8))).save(
+            masks / f"{view.index:04d}.png"
+        )
+    monkeypatch.setattr("hyaline_photos.fit.fit.MOST_WRONG", -1.0)
+    words = f"--unknown ball --masks {tmp_path / 'masks'} --mask-errors 0 --steps 1 --skip grid --skip again"
+    answer = call(f"model fit {dataset.root} {words} --name fitted-few --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    (item,) = load_sealed(tmp_path / "fit" / "fit.json")["objects"]
+    assert item["numbers"]["ior"]["low"] < item["numbers"]["ior"]["high"]
+    assert "ball: its masks contradict the cameras; check the order of the masks" in answer.err
+
+
+def test_masks_that_are_too_dark_are_named(dataset: Dataset, tmp_path: Path) -> None:
+    masks = tmp_path / "masks" / "ball"
+    masks.mkdir(parents=True)
+    for view in dataset.views("train"):
+        Image.fromarray((view.object_ids()[0] == 2).astype(np.uint8)).save(masks / f"{view.index:04d}.png")
+    answer = call(f"model fit {dataset.root} --unknown ball --masks {tmp_path / 'masks'} --out {tmp_path / 'fit'}")
+    assert answer.status == 1
+    assert f"{masks}: its masks are black everywhere; the brightest pixel is 1, expected 255" in answer.error
+
+
+@pytest.mark.parametrize(
+    ("names", "why"),
+    [
+        (("ball",), "only unknown glass has a mesh; add meshes of"),
+        (("floor", "pane"), "its only glass is thin panes (pane), which are not fitted"),
+        (("floor",), "has no object of glass"),
+    ],
+)
+def test_scenes_without_glass_to_fit_or_without_anything_around_it_are_refused(
+    tmp_path: Path, names: tuple[str, ...], why: str
+) -> None:
+    scene = glass_scene()
+    scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if item.name in names))
+    dataset = write_traced_dataset(tmp_path / "glasses", scene=scene, resolution=24)
+    answer = call(f"model fit {dataset.root} --out {tmp_path / 'fit'}")
+    assert answer.status == 1
+    assert why in answer.error
+    assert not (tmp_path / "fit").exists()
+
+
+@pytest.mark.parametrize(
+    ("flags", "why"),
+    [
+        ("--unknown bal", "no object 'bal'"),
+        ("--unknown floor", "is opaque"),
+        ("--name box", "--name"),
+        ("--masks nowhere", "nowhere/ball/0000.png: the file is missing; expected masks of all glass, or of --unknown"),
+        ("--steps 0", "--steps"),
+        ("--seed -1", "--seed: is -1"),
+    ],
+)
+def test_what_cannot_be_fitted_is_one_line(dataset: Dataset, tmp_path: Path, flags: str, why: str) -> None:
+    unknown = "" if "unknown" in flags else "--unknown ball"
+    answer = call(f"model fit {dataset.root} {unknown} {flags} --out {tmp_path / 'fit'}")
+    assert answer.status != 0
+    assert why in answer.error
+
+
+def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
+    masks = tmp_path / "masks" / "ball"
+    masks.mkdir(parents=True)
+    for view in dataset.views("train"):
+        seen = (view.object_ids()[0] == 2).astype(np.uint8) * 255
+        Image.fromarray(seen).save(masks / f"{view.index:04d}.png")
+    words = f"{FIT} --name fitted-png --masks {tmp_path / 'masks'} --mask-errors 0 --skip search"
+    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'fit'}")
+    assert answer.status == 0, answer.err
+    first, second = (json.loads((place / "fit.json").read_text())["objects"][0] for place in (fitted, tmp_path / "fit"))
+    assert first["hull_outline"] == second["hull_outline"]
+    for path in masks.iterdir():
+        Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
+    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'inverted'}")
+    assert answer.status == 1 and f"{masks}: its masks show" in answer.error and "invert them" in answer.error
+
+
+def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:
+    truth = read_meshes(dataset, "truth")
+    flat = dataclasses.replace(truth[1], faces=np.concatenate([truth[1].faces, truth[1].faces[:1, [0, 0, 1]]]))
+    glass = HullShape(surface=flat)
+    write_geometry(dataset, "fitted-flat", truth, {}, {2: FoundGlass(glass=glass, hull=glass, unexplained=0.0)})
+    assert len(read_meshes(dataset, "fitted-flat")[1].faces) == len(truth[1].faces)

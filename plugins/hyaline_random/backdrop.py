@@ -1,0 +1,350 @@
+"""What is around the things of a random scene: what they are placed on, a room or a landscape, and the light.
+
+Three kinds: two walls of a room that cameras look into; a round or square screen with a pattern all around, open at
+its top; and nothing but a ground in a drawn map of the environment.
+"""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, TypedDict
+
+import numpy as np
+from jaxtyping import Float
+
+from datagen.data.images import encode_float_exr
+from datagen.data.meshes import Mesh
+from datagen.scene.description import EnvironmentMap, SceneObject
+from datagen.scene.materials import Diffuse, Plastic
+from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
+from datagen.scene.textures import SolidTexture, fractal_noise
+from hyaline_random.chance import between, color_pair, happens, pattern, pick, weigh, wood
+from hyaline_random.solids import corners_of, polygon
+
+Support = Literal["floor", "plinth", "table"]
+
+GAP = 0.001
+"""Metres between stacked things."""
+SKY_PATH = "maps/environment.exr"
+
+
+class Light(TypedDict):
+    """The map of the environment, and its file."""
+
+    environment: EnvironmentMap
+    files: Mapping[str, bytes]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Backdrop:
+    """All of a scene except its things."""
+
+    words: str
+    objects: tuple[SceneObject, ...]
+    environment: EnvironmentMap
+    files: Mapping[str, bytes]
+    """The map of the environment, by its path."""
+    azimuth_deg: tuple[float, float] = (0.0, 360.0)
+    """Where cameras may be."""
+
+
+def draw_backdrop(
+    stands_on: Mapping[Support, float], *, extent: float, radius: float, rng: np.random.Generator
+) -> Backdrop:
+    """A backdrop for things on z = 0.
+
+    Args:
+        stands_on: what the things may stand on, and how often.
+        extent: metres that the things reach from the z axis.
+        radius: metres from the cameras to the things.
+    """
+    support, below = _support(stands_on, extent, radius, rng)
+    kind = weigh({"room": 0.3, "screen": 0.35, "open": 0.35}, rng=rng)
+    match kind:
+        case "room":
+            around = _room(radius, below, rng)
+        case "screen":
+            around = _screen(radius, below, rng)
+        case _:
+            around = _open(radius, below, rng)
+    return dataclasses.replace(around, objects=(*support, *around.objects))
+
+
+# Below the things
+
+
+def _support(
+    stands_on: Mapping[Support, float], extent: float, radius: float, rng: np.random.Generator
+) -> tuple[list[SceneObject], float]:
+    """A table, a plinth, or nothing but the floor; and the height of the floor."""
+    top = max(0.03, round(extent, 3))
+    match weigh(stands_on, rng=rng):
+        case "floor":
+            return [], -GAP
+        case "plinth":
+            height = 0.6 * radius
+            wide = 2.0 * (1.25 * top + 0.03)
+            material = Plastic(color=_ground_pattern(0.2 * radius, -GAP, rng), roughness=0.25)
+            block = moved(rounded_box((wide, wide, height), bevel=0.006), (0, 0, -GAP - height / 2))
+            return [SceneObject(name="plinth", mesh=block, material=material)], -2 * GAP - height
+        case _:
+            height = 0.9 * radius
+            return _table(1.15 * top + 0.08, height, rng), -3 * GAP - height
+
+
+def _table(half: float, height: float, rng: np.random.Generator) -> list[SceneObject]:
+    """A top, round or square, on one leg."""
+    thick = 0.03
+    texture = wood(between(0.03, 0.09, rng=rng), rng=rng) if happens(0.5, rng=rng) else _ground_pattern(0.08, -GAP, rng)
+    if happens(0.5, rng=rng):
+        top = moved(cylinder(1.1 * half, thick, bevel=0.006, segments=96), (0, 0, -GAP - thick))
+    else:
+        top = moved(rounded_box((2 * half, 2 * half, thick), bevel=0.006), (0, 0, -GAP - thick / 2))
+    leg = moved(cylinder(0.3 * half, height - thick - 2 * GAP, top_radius=0.12 * half), (0, 0, -GAP - height))
+    return [
+        SceneObject(
+            name="table", mesh=top, material=Plastic(color=texture, roughness=round(between(0.15, 0.35, rng=rng), 3))
+        ),
+        SceneObject(name="table_leg", mesh=leg, material=Plastic(color=(0.12, 0.11, 0.10), roughness=0.3)),
+    ]
+
+
+def _ground_pattern(scale: float, height: float, rng: np.random.Generator) -> SolidTexture:
+    """A pattern that begins at the height of a level surface, so that none of its edges lies in it."""
+    texture = pattern(scale, rng=rng)
+    axis = "x" if texture.axis == "z" else texture.axis
+    return dataclasses.replace(texture, axis=axis, origin=(0.0, 0.0, round(height, 4)))
+
+
+# What is behind them
+
+
+def _room(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
+    """A floor and two walls that cameras look at, with a picture on each."""
+    far, tall = 1.7 * radius, 1.9 * radius - below
+    floor = SceneObject(
+        name="floor",
+        mesh=moved(rounded_box((2.6 * far, 2.6 * far, 0.05), bevel=0.004), (0.25 * far, -0.25 * far, below - 0.025)),
+        material=Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3),
+    )
+    middle = below + GAP + tall / 2
+    # The back wall reaches behind the left one: no camera in the room sees out through the corner.
+    back = moved(rounded_box((2.6 * far, 0.06, tall), bevel=0.004), (0.25 * far, far + 0.03, middle))
+    left = moved(
+        rounded_box((0.06, 2.55 * far - GAP, tall), bevel=0.004), (-far - 0.03, -0.275 * far - GAP / 2, middle)
+    )
+    paper = pattern(between(0.2, 0.4, rng=rng) * radius, rng=rng)
+    plain = _muted(pick(color_pair(rng=rng), rng=rng))
+    papers = [paper, plain] if happens(0.5, rng=rng) else [plain, paper]
+    size = 1.1 * radius
+    panel = moved(rounded_box((size, 0.02, size), bevel=0.004), (-0.2 * far, far - 0.03, below + 0.02 + size / 2))
+    art = pattern(between(0.16, 0.3, rng=rng) * radius, rng=rng)
+    return Backdrop(
+        words="in the corner of a room",
+        objects=(
+            floor,
+            SceneObject(name="wall_back", mesh=back, material=Diffuse(color=papers[0])),
+            SceneObject(name="wall_left", mesh=left, material=Diffuse(color=papers[1])),
+            SceneObject(name="panel", mesh=panel, material=Plastic(color=art, roughness=0.2)),
+        ),
+        azimuth_deg=(-150.0, 60.0),
+        **_lit_by_cards(rng),
+    )
+
+
+def _screen(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
+    """A floor inside a screen with a pattern, round or square, that is open to the sky."""
+    far, tall = 2.0 * radius, between(1.1, 1.4, rng=rng) * radius - below
+    sides = pick((4, 6, 96, 96), rng=rng)
+    outline = [(far, below + GAP), (far + 0.03, below + GAP), (far + 0.03, below + tall), (far, below + tall)]
+    wall = lathe(outline, segments=corners_of(sides), crease_deg=20, around=polygon(sides))
+    scale = round(between(0.25, 0.45, rng=rng) * radius, 4)
+    texture = dataclasses.replace(pattern(scale, rng=rng), origin=(0.0, 0.0, below))
+    return Backdrop(
+        words="inside a patterned screen",
+        objects=(
+            _disc("floor", 1.5 * far, below, Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3)),
+            SceneObject(name="screen", mesh=wall, material=Diffuse(color=texture)),
+        ),
+        **_lit_by_cards(rng),
+    )
+
+
+def _open(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
+    """A ground with a pattern that ends in a drawn map of the environment."""
+    shows = pick(tuple(SKIES), rng=rng)
+    exr = draw_sky(shows, rng=rng)
+    ground = Plastic(color=_ground_pattern(between(0.16, 0.3, rng=rng) * radius, below, rng), roughness=0.3)
+    return Backdrop(
+        words=f"in a {shows}",
+        objects=(_disc("ground", 2.2 * radius, below, ground),),
+        environment=EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1)),
+        files={SKY_PATH: exr},
+    )
+
+
+def _disc(name: str, radius: float, top: float, material: Plastic) -> SceneObject:
+    mesh: Mesh = moved(cylinder(radius, 0.04, bevel=0.006, segments=128), (0, 0, top - 0.04))
+    return SceneObject(name=name, mesh=mesh, material=material)
+
+
+def _lit_by_cards(rng: np.random.Generator) -> Light:
+    """Bright cards above, which the open top of a room lets in, and glass mirrors."""
+    return {
+        "environment": EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1)),
+        "files": {SKY_PATH: draw_cards(rng=rng)},
+    }
+
+
+def _muted(color: tuple[float, float, float]) -> tuple[float, float, float]:
+    """A wall's colour: half way to a middle grey."""
+    red, green, blue = (round(0.5 * channel + 0.5 * 0.4, 3) for channel in color)
+    return red, green, blue
+
+
+HEIGHT = 256
+"""Rows; a map is twice as wide."""
+
+Radiance = Float[np.ndarray, "h w 3"]
+Directions = Float[np.ndarray, "h w 3"]
+Shows = Callable[[Directions, np.random.Generator], Radiance]
+
+
+def draw_sky(shows: str, *, rng: np.random.Generator) -> bytes:
+    """The EXR of one of the SKIES; white paper that lies in the open has a radiance of 0.8 to 1 below it."""
+    return _exr(SKIES[shows], between(0.8, 1.0, rng=rng), rng)
+
+
+def draw_cards(*, rng: np.random.Generator) -> bytes:
+    """The EXR of what lights a room through its open top: bright cards in a dim dome."""
+    return _exr(_cards_overhead, between(1.3, 1.6, rng=rng), rng)
+
+
+def map_directions(height: int) -> Directions:
+    """Unit directions of the pixels of a map, +z up; see `EnvironmentMap`."""
+    azimuth = (0.5 - (np.arange(2 * height) + 0.5) / (2 * height)) * 2 * np.pi
+    polar = ((np.arange(height) + 0.5) / height * np.pi)[:, None]
+    return np.stack(
+        np.broadcast_arrays(np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)), axis=-1
+    )
+
+
+def paper_radiance(radiance: Radiance, directions: Directions) -> float:
+    """Radiance, averaged over the channels, of a level white sheet in this light."""
+    height = len(radiance)
+    polar = (np.arange(height) + 0.5) / height * np.pi
+    solid_angle = (np.sin(polar) * (np.pi / height) ** 2)[:, None]
+    return float((radiance.mean(axis=-1) * np.maximum(directions[..., 2], 0) * solid_angle).sum() / np.pi)
+
+
+def _studio(d: Directions, rng: np.random.Generator) -> Radiance:
+    """Rolls of coloured paper around, bright cards and dark flags above."""
+    azimuth, elevation = _angles(d)
+    first, second = (np.array(color) for color in color_pair(rng=rng))
+    cells = int(rng.integers(5, 13))
+    roll = _step(np.sin(cells * (azimuth + between(0, 6, rng=rng))), 0.04)[..., None]
+    # Below the horizon, too: there a camera that looks down sees it behind the ground.
+    paper = _step(np.radians(between(16, 26, rng=rng)) - elevation, 0.03)[..., None]
+    canvas = 0.8 + 0.7 * (_noise(d, 9, rng) - 0.5)[..., None]
+    return paper * canvas * 1.1 * (roll * first + (1 - roll) * second) + _cards(d, rng)
+
+
+def _cards(d: Directions, rng: np.random.Generator) -> Radiance:
+    """Bright rectangles, warm and cool, and one overhead; a dim dome behind them."""
+    azimuth, elevation = _angles(d)
+    radiance = np.full(d.shape, 0.5)
+    count = int(rng.integers(3, 6))
+    start = between(0, 2 * np.pi, rng=rng)
+    for number in range(count):
+        warm = between(-0.14, 0.14, rng=rng)
+        middle = start + 2 * np.pi * (number + between(-0.3, 0.3, rng=rng)) / count
+        half, tall = np.radians(between(18, 34, rng=rng)), np.radians(between(30, 48, rng=rng))
+        bottom = np.radians(between(24, 36, rng=rng))
+        across = half - np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
+        card = _step(across, 0.015) * _step(elevation - bottom, 0.015) * _step(bottom + tall - elevation, 0.015)
+        radiance = radiance + card[..., None] * between(3, 7, rng=rng) * np.array([1 + warm, 1, 1 - warm])
+    overhead = _step(d[..., 2] - between(0.94, 0.98, rng=rng), 0.01)[..., None]
+    return radiance + overhead * between(3, 6, rng=rng)
+
+
+def _cards_overhead(d: Directions, rng: np.random.Generator) -> Radiance:
+    """Cards, and nothing where the floor of a room would hide it: the path tracer aims at no light in vain."""
+    return _cards(d, rng) * _step(d[..., 2] + 0.45, 0.1)[..., None]
+
+
+def _hall(d: Directions, rng: np.random.Generator) -> Radiance:
+    """A room with rows of windows in two of its walls, their bars dark against the light."""
+    azimuth, elevation = _angles(d)
+    wall, dado = (np.array(color) for color in color_pair(rng=rng))
+    radiance = (0.6 + 0.3 * _noise(d, 5, rng))[..., None] * wall
+    low = _step(np.radians(between(4, 10, rng=rng)) - elevation, 0.02)[..., None]
+    panels = 0.5 + 0.5 * _step(np.sin(14 * azimuth), 0.1)[..., None]
+    radiance = (1 - low) * radiance + low * 0.5 * panels * dado
+    start, bars = between(0, 2 * np.pi, rng=rng), int(rng.integers(3, 6))
+    for side in range(2):
+        turned = (azimuth - start - side * between(1.7, 2.6, rng=rng) + np.pi) % (2 * np.pi) - np.pi
+        u, v = turned / np.radians(between(32, 46, rng=rng)), (elevation - np.radians(14)) / np.radians(42)
+        inside = _step(1 - np.abs(u), 0.02) * _step(v, 0.02) * _step(1 - v, 0.02)
+        panes = _step(np.abs(np.sin(np.pi * bars * (u + 1) / 2)) - 0.12, 0.04) * _step(
+            np.abs(np.sin(np.pi * 2 * v)) - 0.1, 0.04
+        )
+        outside = np.array([0.75, 0.9, 1.1]) * (0.6 + 0.6 * v[..., None])
+        radiance = radiance * (1 - inside[..., None]) + (inside * panes)[..., None] * between(4, 8, rng=rng) * outside
+    ceiling = _step(elevation - np.radians(62), 0.03)[..., None]
+    return (1 - ceiling) * radiance + ceiling * 0.8
+
+
+def _landscape(d: Directions, rng: np.random.Generator) -> Radiance:
+    """Hills below clouds and a hazy sun."""
+    azimuth, elevation = _angles(d)
+    up = np.clip(d[..., 2], 0, 1)[..., None]
+    clear = np.array([0.16, 0.34, 0.8]) * up**0.5 + np.array([0.85, 0.88, 0.9]) * (1 - up) ** 3
+    clouds = np.clip((_noise(d / (0.25 + up), 2.4, rng, octaves=6) - 0.48) * 5, 0, 1)[..., None]
+    radiance = clear * (1 - clouds) + clouds * np.array([1.15, 1.12, 1.08])
+    sun_height, sun_azimuth = np.radians(between(25, 60, rng=rng)), between(0, 2 * np.pi, rng=rng)
+    across = np.cos(sun_height)
+    sun = np.array([across * np.cos(sun_azimuth), across * np.sin(sun_azimuth), np.sin(sun_height)])
+    radiance = radiance + (np.exp(100 * (d @ sun - 1)) * 16)[..., None] * np.array([1.0, 0.92, 0.78])
+    around = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
+    for steep, color in ((0.20, (0.30, 0.42, 0.52)), (0.09, (0.16, 0.34, 0.10))):
+        crest = steep * _noise(around, 3.0, rng) - 0.02
+        hill = _step(crest - elevation, 0.01)[..., None]
+        shade = 0.5 + 1.0 * _noise(d, 14, rng)[..., None]
+        radiance = radiance * (1 - hill) + hill * shade * np.array(color)
+    # Fields in perspective, as from a hill: stripes that narrow towards the horizon.
+    ground = _step(-elevation - 0.01, 0.02)[..., None]
+    away = 1 / np.maximum(-d[..., 2], 0.05)
+    rows = _step(np.sin(2.2 * away * d[..., 0]) * np.sin(1.3 * away * d[..., 1] + 1), 0.1)[..., None]
+    crop, soil = np.array([0.40, 0.48, 0.20]), np.array([0.58, 0.46, 0.30])
+    fields = (0.7 + 0.6 * _noise(d, 10, rng)[..., None]) * (rows * crop + (1 - rows) * soil)
+    return radiance * (1 - ground) + ground * fields
+
+
+SKIES: dict[str, Shows] = {
+    "studio": _studio,
+    "hall": _hall,
+    "landscape": _landscape,
+}
+
+
+def _angles(d: Directions) -> tuple[np.ndarray, np.ndarray]:
+    return np.arctan2(d[..., 1], d[..., 0]), np.arcsin(np.clip(d[..., 2], -1, 1))
+
+
+def _step(x: np.ndarray, width: float) -> np.ndarray:
+    """From 0 to 1 around x = 0, over so much."""
+    return np.clip(x / width + 0.5, 0, 1)
+
+
+def _noise(d: np.ndarray, frequency: float, rng: np.random.Generator, *, octaves: int = 4) -> np.ndarray:
+    """Clouds of noise over directions, others each time."""
+    return fractal_noise(frequency * d + rng.uniform(0, 100, 3), octaves=octaves)
+
+
+def _exr(shows: Shows, paper: float, rng: np.random.Generator) -> bytes:
+    """A map in which white paper has this radiance, in half precision, which compresses better and looks the same."""
+    directions = map_directions(HEIGHT)
+    radiance = np.maximum(shows(directions, rng), 0)
+    radiance *= paper / paper_radiance(radiance, directions)
+    planes = radiance.astype(np.float16).astype(np.float32)
+    return encode_float_exr({name: planes[..., place] for place, name in enumerate("RGB")})

@@ -1,0 +1,293 @@
+"""A random scene from its seed: draws until one passes the checks of every scene, and keeps why others did not.
+
+Each draw has a generator of its own, made from the seed, the family and the number of the draw, so that the same name
+gives the same scene to the last bit.
+"""
+
+import dataclasses
+import zlib
+from collections import Counter
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from datagen.data.cameras import Cameras
+from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.meshes import face_corners, windings
+from datagen.data.metadata import OWN_LICENSE
+from datagen.disk.errors import HyalineError
+from datagen.scene.atlas import unwrap_all
+from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
+from datagen.scene.materials import ThinDielectric
+from datagen.scene.rig import make_cameras
+from datagen.scene.soundness import check_scene
+from datagen.scene.values import Vector
+from datagen.terminal.command import say
+from hyaline_random.backdrop import draw_backdrop
+from hyaline_random.chance import between
+from hyaline_random.families import Family
+from hyaline_random.names import FAMILIES, RandomName
+from hyaline_random.things import Thing, spread_out
+
+
+def glass_shares(objects: tuple[SceneObject, ...], cameras: Cameras) -> Float[np.ndarray, " view"]:
+    """The share of each picture's pixels in whose middle the nearest surface is glass.
+
+    Args:
+        objects: those that are glass or can be in front of glass, in front of all cameras; what is only behind glass
+            may be left out.
+    """
+    corners = np.concatenate([face_corners(item.mesh) for item in objects]).astype(np.float64)
+    is_glass = np.repeat([item.material.is_glass for item in objects], [len(item.mesh.faces) for item in objects])
+    return np.array([_seen_share(corners, is_glass, cameras, view) for view in range(len(cameras))])
+
+
+def _seen_share(
+    corners: Float[np.ndarray, "face 3 3"], is_glass: Bool[np.ndarray, " face"], cameras: Cameras, view: int
+) -> float:
+    world_from_camera = cameras.world_from_camera[view]
+    seen = (corners - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
+    # In pixels, right and down, from the middle of the first one; depth along the axis.
+    depth = -seen[..., 2]
+    right = cameras.width / 2 - 0.5 + cameras.focal * seen[..., 0] / depth
+    down = cameras.height / 2 - 0.5 - cameras.focal * seen[..., 1] / depth
+    face, column, row = _middles_in_boxes(right, down, cameras.width, cameras.height)
+    weights = _barycentric(right[face], down[face], column, row)
+    inside = (weights >= 0).all(axis=-1)
+    face, pixel = face[inside], (row * cameras.width + column)[inside]
+    near = 1 / (weights[inside] / depth[face]).sum(axis=-1)  # Perspective: 1 / depth is linear in the picture.
+    nearest = np.full(cameras.width * cameras.height, np.inf)
+    np.minimum.at(nearest, pixel, near)
+    is_seen = is_glass[face] & (near == nearest[pixel])
+    return len(np.unique(pixel[is_seen])) / len(nearest)
+
+
+def _middles_in_boxes(
+    right: Float[np.ndarray, "face 3"], down: Float[np.ndarray, "face 3"], width: int, height: int
+) -> tuple[Int[np.ndarray, " pair"], Int[np.ndarray, " pair"], Int[np.ndarray, " pair"]]:
+    """Face, column and row of each pixel whose middle is in the box around a face; most boxes have none."""
+    low_column, low_row = (np.maximum(np.ceil(x.min(axis=1)), 0).astype(np.int64) for x in (right, down))
+    columns = np.minimum(np.floor(right.max(axis=1)), width - 1).astype(np.int64) - low_column + 1
+    rows = np.minimum(np.floor(down.max(axis=1)), height - 1).astype(np.int64) - low_row + 1
+    counts = np.maximum(columns, 0) * np.maximum(rows, 0)
+    face = np.repeat(np.arange(len(counts)), counts)
+    place = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
+    row, column = np.divmod(place, np.maximum(columns, 1)[face])
+    return face, low_column[face] + column, low_row[face] + row
+
+
+def _barycentric(
+    right: Float[np.ndarray, "pair 3"],
+    down: Float[np.ndarray, "pair 3"],
+    column: Int[np.ndarray, " pair"],
+    row: Int[np.ndarray, " pair"],
+) -> Float[np.ndarray, "pair 3"]:
+    """Weights of a face's corners at a pixel's middle; one is negative outside of the face."""
+    x, y = right - column[:, None], down - row[:, None]
+    # Twice the area of the triangle that the middle makes with the two corners after each.
+    areas = np.stack(
+        [x[:, (k + 1) % 3] * y[:, (k + 2) % 3] - x[:, (k + 2) % 3] * y[:, (k + 1) % 3] for k in range(3)], -1
+    )
+    total = areas.sum(axis=-1, keepdims=True)
+    return np.divide(areas, total, out=np.full_like(areas, -1.0), where=total != 0)
+
+
+MAX_DRAWS = 20
+GLASS_SHARE = 0.05, 0.40
+"""Lowest and highest share of pixels that show glass, on average over the views."""
+VIEWS = 12
+"""Training cameras that see how much glass there is."""
+SIZE = 48
+"""Pixels a side of what they see."""
+FOV_DEG = 40.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """A random scene, not unwrapped yet."""
+
+    scene: Scene
+    refused: tuple[str, ...]
+    """Why each earlier draw was refused, in order."""
+    glass_share: float
+    """Share of pixels that show glass, on average."""
+    things: tuple[Thing, ...]
+    """The things in it; their objects are the scene's first ones."""
+
+
+def make_random(name: RandomName) -> Scene:
+    """The scene of this name, unwrapped and checked."""
+    say(f"scene {name}: generating it and unwrapping its surfaces")
+    drawn = draw_scene(name)
+    for reason in drawn.refused:
+        say(f"scene {name}: a candidate was rejected: {reason}")
+    meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
+    objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
+    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN_LICENSE)
+    check_scene(scene)
+    return scene
+
+
+def draw_scene(name: RandomName) -> Drawn:
+    """The first draw of this name that passes all checks."""
+    refused: list[str] = []
+    while len(refused) < MAX_DRAWS:
+        rng = np.random.default_rng([name.seed, _number(name.family), len(refused)])
+        try:
+            return _draw(name, tuple(refused), rng)
+        except HyalineError as error:
+            refused.append(str(error).removeprefix(f"scene {name}: "))
+    counts = Counter(refused).most_common(3)
+    reasons = "; ".join(f"{count} times: {reason}" for reason, count in counts)
+    raise HyalineError(f"scene {name}: {MAX_DRAWS} candidates were rejected; take another --seed. Reasons: {reasons}")
+
+
+def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) -> Drawn:
+    """One draw, which may be refused."""
+    family: Family = FAMILIES.find(name.family)
+    things = _with_own_names(spread_out(family.draw(rng), rng=rng))
+    check_inside(things, where=f"scene {name}")
+    objects = tuple(item for thing in things for item in thing.objects)
+    target = _target(things)
+    extent = max(float(np.linalg.norm(item.mesh.vertices[:, :2], axis=-1).max()) for item in objects)
+    radius, share = _radius(objects, target, extent, rng)
+    if not GLASS_SHARE[0] <= share <= GLASS_SHARE[1]:
+        raise HyalineError(
+            f"scene {name}: {100 * share:.1f} % of the pixels are glass; expected {100 * GLASS_SHARE[0]:g} to "
+            f"{100 * GLASS_SHARE[1]:g} %"
+        )
+    backdrop = draw_backdrop(family.stands_on, extent=extent, radius=radius, rng=rng)
+    words = (
+        f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} % of the pixels"
+    )
+    told = f"; draws refused before: {' | '.join(refused)}" if refused else ""
+    scene = Scene(
+        name=str(name),
+        description=f"Random scene, family {name.family}, seed {name.seed}: {words}{told}",
+        objects=(*objects, *backdrop.objects),
+        environment=backdrop.environment,
+        cameras=_rig(target, radius, backdrop.azimuth_deg, rng),
+        baked=backdrop.files,
+    )
+    check_scene(scene)
+    return Drawn(scene=scene, refused=refused, glass_share=share, things=tuple(things))
+
+
+def _number(family: str) -> int:
+    """A number for a family, so that equal seeds of two families differ."""
+    built_in = list(FAMILIES.built_in)
+    return built_in.index(family) if family in built_in else zlib.crc32(family.encode())
+
+
+def check_inside(things: list[Thing], *, where: str) -> None:
+    """Refuses ice, stones, cores and panes that reach into what they are in, or into each other.
+
+    Drinks reach into their glass on purpose, and cores and shells are wholly inside of what they are in. Of thin glass,
+    which may be open and bounds no solid, the question is whether some of it is in the other.
+    """
+    for thing in things:
+        loose = [item for item in thing.objects[1:] if not item.name.endswith("_drink")]
+        for one, other in combinations([thing.objects[0], *loose], 2):
+            if isinstance(one.material, ThinDielectric):
+                one, other = other, one
+            if isinstance(one.material, ThinDielectric):
+                continue
+            inside = windings(one.mesh.vertices[one.mesh.faces], other.mesh.vertices[::3]) > 0
+            if inside.any() and not inside.all():
+                raise HyalineError(
+                    f"{where}: {other.name} reaches into {one.name}; expected it to be clear of it or wholly inside"
+                )
+
+
+def _radius(
+    objects: tuple[SceneObject, ...], target: Vector, extent: float, rng: np.random.Generator
+) -> tuple[float, float]:
+    """How far the cameras are from the things, and the share of the pixels that is glass from there."""
+    wanted = between(0.15, 0.32, rng=rng)
+    nearest = 2.5 * max(extent, target[2])  # Less than that, and the outermost things would be cut off.
+    radius = nearest * 1.3
+    for _ in range(3):
+        share = _glass_share(objects, target, radius, views=4)
+        radius = max(nearest, radius * (max(share, 1e-3) / wanted) ** 0.5)
+    radius = round(radius, 3)
+    return radius, _glass_share(objects, target, radius, views=VIEWS)
+
+
+def _glass_share(objects: tuple[SceneObject, ...], target: Vector, radius: float, *, views: int) -> float:
+    split = SplitConfig(views=views, spp=2)
+    config = DatasetConfig(
+        scene="random",
+        preset="draw",
+        resolution=Resolution(width=SIZE, height=SIZE),
+        train=split,
+        interpolating=split,
+        extrapolating=split,
+    )
+    rig = _rig(target, radius, (0.0, 360.0), np.random.default_rng(0))
+    return float(glass_shares(objects, make_cameras(rig, config)["train"]).mean())
+
+
+def _rig(target: Vector, radius: float, azimuth_deg: tuple[float, float], rng: np.random.Generator) -> CameraRig:
+    """Cameras on a hemisphere, and a walk that comes nearer, goes lower and leaves it."""
+    first, last = azimuth_deg
+    start = between(first, last, rng=rng) if last - first >= 360 else first + 20
+    turn = 220.0 if last - first >= 360 else last - first - 40
+    walk = []
+    for share, away, elevation_deg, aside in (
+        (0.0, 1.0, 38.0, 0.0),
+        (0.2, 0.72, 24.0, 0.06),
+        (0.4, 0.62, 12.0, -0.05),
+        (0.6, 0.85, 8.0, 0.05),
+        (0.75, 1.3, 28.0, -0.1),
+        (0.9, 1.55, 42.0, 0.05),
+        (1.0, 1.45, 16.0, 0.0),
+    ):
+        azimuth, elevation = np.radians(start + share * turn), np.radians(elevation_deg)
+        across = np.cos(elevation)
+        position = np.array(target) + away * radius * np.array(
+            [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
+        )
+        x, y, z = np.round(position, 4).tolist()
+        looks_at = target[0] + round(aside * radius, 4), target[1] - round(aside * radius, 4), target[2]
+        walk.append(WalkPoint(position=(x, y, z), target=looks_at))
+    return CameraRig(
+        target=target,
+        radius=radius,
+        elevation_deg=(8.0, 65.0),
+        azimuth_deg=azimuth_deg,
+        fov_deg=FOV_DEG,
+        target_jitter=0.08,
+        walk=tuple(walk),
+    )
+
+
+def _target(things: list[Thing]) -> Vector:
+    """Over the middle, at half the mean height of the glass."""
+    heights = [thing.height for thing in things if thing.is_glass]
+    return 0.0, 0.0, round(0.5 * float(np.mean(heights)), 3)
+
+
+def _with_own_names(things: list[Thing]) -> list[Thing]:
+    """The things with a number in the names of the second and later ones of a kind."""
+    counts: Counter[str] = Counter()
+    named = []
+    for thing in things:
+        kind = thing.objects[0].name
+        counts[kind] += 1
+        number = counts[kind]
+        if number > 1:
+            renamed = tuple(
+                dataclasses.replace(item, name=f"{kind}_{number}{item.name.removeprefix(kind)}")
+                if item.name.startswith(kind)
+                else dataclasses.replace(item, name=f"{item.name}_{number}")
+                for item in thing.objects
+            )
+            thing = dataclasses.replace(thing, objects=renamed)
+        named.append(thing)
+    return named
+
+
+def _listed(words: list[str]) -> str:
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -1,0 +1,59 @@
+"""The names of random scenes: `random-0007` is the scene of seed 7, `random-table-0007` that of a chosen family."""
+
+import re
+from dataclasses import dataclass
+
+from datagen.disk.errors import HyalineError
+from datagen.terminal.command import choose
+from datagen.terminal.plugins import Group
+
+FAMILIES: Group = Group(
+    name="hyaline.random_families",
+    what="family",
+    built_in={
+        "object": "hyaline_random.families:OBJECT",
+        "table": "hyaline_random.families:TABLE",
+        "nested": "hyaline_random.families:NESTED",
+    },
+    guide="docs/adding-a-random-family.md",
+    kind="hyaline_random.families:Family",
+)
+"""A single glass object before a background, glass and other things on a table, and media inside of each other."""
+
+RANDOM = "random"
+"""What `datagen build --scene` takes for a scene that --seed draws."""
+
+MAX_SEED = 2**63 - 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RandomName:
+    """Which random scene is meant."""
+
+    seed: int
+    chosen: str | None = None
+    """The family that was asked for; by default the seeds take turns among those built in."""
+
+    def __post_init__(self) -> None:
+        if self.chosen is not None:
+            choose(FAMILIES.what, self.chosen, FAMILIES.names())
+        if not 0 <= self.seed <= MAX_SEED:
+            raise HyalineError(f"seed: is {self.seed}; expected 0 or more, and at most 63 bits")
+
+    @property
+    def family(self) -> str:
+        """The family that is drawn from: seed 0 an object, 1 a table, 2 nested media, and so on."""
+        return self.chosen or tuple(FAMILIES.built_in)[self.seed % len(FAMILIES.built_in)]
+
+    def __str__(self) -> str:
+        """The name of the scene, and of its dataset."""
+        return "-".join([RANDOM, *([self.chosen] if self.chosen else []), f"{self.seed:04d}"])
+
+
+def parse_random(name: str) -> RandomName | None:
+    """What a name like `random-0007` means; None of any other name."""
+    found = re.fullmatch(rf"{RANDOM}(?:-(.+))?-(\d{{4,19}})", name)
+    if found is None or int(found[2]) > MAX_SEED or (found[1] and found[1] not in FAMILIES.names()):
+        return None
+    meant = RandomName(seed=int(found[2]), chosen=found[1])
+    return meant if str(meant) == name else None

@@ -1,0 +1,195 @@
+"""Media in each other: drinks in vessels, ice and stones in drinks, cores in paperweights, shells in shells."""
+
+import numpy as np
+
+from datagen.data.meshes import Mesh
+from datagen.scene.description import SceneObject
+from datagen.scene.materials import Dielectric, Material, Plastic
+from datagen.scene.modelling import ball, deformed, moved, rotation, rounded_box, transformed
+from hyaline_random.chance import (
+    ICE,
+    ICE_PRIORITY,
+    between,
+    clear_ior,
+    color_pair,
+    drink,
+    happens,
+    pattern,
+    pick,
+    solid_glass,
+    tint,
+    vessel_glass,
+    weigh,
+)
+from hyaline_random.solids import CUT, make_solid, with_bubbles
+from hyaline_random.things import Thing, free_places, standing
+from hyaline_random.vessels import VESSELS, Vessel
+
+GAP = 0.001
+"""Metres between a stone and the floor of its glass."""
+HOSTS = ("ball", "egg", "soft cube", "disc")
+"""Bodies that have room for something inside."""
+STONES = ("ball", "soft cube", "gem", "pebble", "ring", "ribbed ball", "drilled block")
+"""Bodies that lie in a drink."""
+
+
+def empty_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
+    """A glass without a drink."""
+    vessel = VESSELS[kind](rng)
+    return Thing(words=with_article(kind), objects=(_glass(kind, vessel, rng),))
+
+
+def filled_vessel(kind: str, *, rng: np.random.Generator) -> Thing:
+    """A glass with a drink, and in most of the open ones ice or stones."""
+    vessel = VESSELS[kind](rng)
+    liquid, medium = drink(rng=rng)
+    level = vessel.floor + between(0.6, 1.0, rng=rng) * (vessel.brim - vessel.floor)
+    name = kind.replace(" ", "_")
+    objects = [
+        _glass(kind, vessel, rng),
+        SceneObject(name=f"{name}_drink", mesh=vessel.drink(level), material=medium),
+    ]
+    words = f"{with_article(kind)} of {liquid}"
+    if vessel.is_open:
+        inside = weigh({"ice": 0.45, "stones": 0.35, "nothing": 0.2}, rng=rng)
+        if kind == "tank" or (kind == "jar" and inside == "ice"):
+            inside = "stones"
+        if inside == "ice":
+            objects += _ice(name, vessel, level, rng)
+            words += " with ice"
+        elif inside == "stones":
+            stones, what = _stones(name, vessel, level, rng)
+            objects += stones
+            words += f" with {what} in it"
+    return Thing(words=words, objects=tuple(objects))
+
+
+def solid(kind: str, *, rng: np.random.Generator) -> Thing:
+    """A body of one glass, now and then with bubbles."""
+    mesh = make_solid(kind, rng=rng)
+    words = with_article(kind)
+    if kind in HOSTS and happens(0.2, rng=rng):
+        mesh, words = with_bubbles(mesh, rng=rng), f"{words} with bubbles"
+    material = solid_glass(0.05, rng=rng, is_cut=kind in CUT)
+    return Thing(words=words, objects=(SceneObject(name=kind.replace(" ", "_"), mesh=mesh, material=material),))
+
+
+def paperweight(*, rng: np.random.Generator) -> Thing:
+    """A body with another one in its middle: of another glass, of a liquid, or opaque."""
+    host = pick(HOSTS, rng=rng)
+    mesh = make_solid(host, rng=rng)
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    room = 0.62 * float((high - low).min()) / 2
+    kind = pick(("ball", "soft cube", "pebble", "knot", "ring", "star", "ribbed ball"), rng=rng)
+    core = fitted(make_solid(kind, rng=rng), room)
+    core = moved(core, (low + high) / 2)
+    material, what = _core(rng)
+    name = host.replace(" ", "_")
+    return Thing(
+        words=f"{with_article(host)} around {with_article(kind)} of {what}",
+        objects=(
+            SceneObject(name=name, mesh=mesh, material=Dielectric(ior=clear_ior(rng=rng))),
+            SceneObject(name=f"{name}_core", mesh=core, material=material),
+        ),
+    )
+
+
+def onion(*, rng: np.random.Generator) -> Thing:
+    """Three balls in each other, of three media."""
+    radius = between(0.05, 0.06, rng=rng)
+    shares = (1.0, between(0.68, 0.8, rng=rng), between(0.35, 0.5, rng=rng))
+    middle = 1.31 if happens(0.5, rng=rng) else round(between(1.6, 1.8, rng=rng), 3)
+    media = (
+        Dielectric(ior=round(between(1.45, 1.55, rng=rng), 3)),
+        Dielectric(ior=middle, absorption=tint(radius, rng=rng), priority=1),
+        Dielectric(ior=round(between(1.45, 1.9, rng=rng), 3), absorption=tint(radius / 2, rng=rng), priority=2),
+    )
+    objects = tuple(
+        SceneObject(name=f"shell_{place}", mesh=moved(ball(share * radius), (0, 0, radius)), material=medium)
+        for place, (share, medium) in enumerate(zip(shares, media, strict=True))
+    )
+    return Thing(words="three balls in each other", objects=objects)
+
+
+def _glass(kind: str, vessel: Vessel, rng: np.random.Generator) -> SceneObject:
+    return SceneObject(name=kind.replace(" ", "_"), mesh=vessel.glass(), material=vessel_glass(vessel.wall, rng=rng))
+
+
+def _ice(name: str, vessel: Vessel, level: float, rng: np.random.Generator) -> list[SceneObject]:
+    """One to three cubes that float, clear of the wall and of each other."""
+    room = vessel.inner_radius(level)
+    count = int(rng.integers(1, 4))
+    # Circles around the cubes fit into the glass: of one, of two and of three.
+    away, share = ((0.15, 0.75), (0.5, 0.46), (0.54, 0.42))[count - 1]
+    size = share * room / 0.75
+    start = between(0, 2 * np.pi, rng=rng)
+    cubes = []
+    for number in range(count):
+        angle = start + 2 * np.pi * number / count
+        axis = rng.normal(size=3)
+        cube = transformed(
+            _ice_cube(size),
+            rotation((float(axis[0]), float(axis[1]), float(axis[2])), between(0, 90, rng=rng)),
+            (away * room * np.cos(angle), away * room * np.sin(angle), level - between(-0.05, 0.2, rng=rng) * size),
+        )
+        cubes.append(SceneObject(name=f"{name}_ice_{number}", mesh=cube, material=ICE))
+    return cubes
+
+
+def _ice_cube(size: float) -> Mesh:
+    """A cube with soft edges and hollow sides, around the origin; its corners are 0.73 sizes away."""
+    cube = rounded_box((size, size, size), bevel=0.2 * size, segments=5)
+    return deformed(cube, lambda p: p * (0.90 + 0.16 * np.linalg.norm(p, axis=-1, keepdims=True) / size))
+
+
+def _stones(name: str, vessel: Vessel, level: float, rng: np.random.Generator) -> tuple[list[SceneObject], str]:
+    """Bodies of glass or opaque ones on the vessel's floor: one in a round one, several in a box."""
+    count = int(rng.integers(2, 5)) if vessel.is_box else 1
+    room = 0.94 * (vessel.outer[-1][0] - vessel.wall) if vessel.is_box else vessel.inner_radius(level)
+    size = {1: 0.42, 2: 0.46, 3: 0.42, 4: 0.38}[count] * room
+    kinds = [pick(STONES, rng=rng) for _ in range(count)]
+    meshes = [standing(fitted(make_solid(kind, rng=rng), size)) for kind in kinds]
+    places = [(0.0, 0.0)]
+    if count > 1:
+        places = _places_in_circle([size] * count, room, rng)
+    objects = []
+    for number, (mesh, (x, y)) in enumerate(zip(meshes, places, strict=True)):
+        material, _ = _core(rng)
+        objects.append(
+            SceneObject(name=f"{name}_stone_{number}", mesh=moved(mesh, (x, y, vessel.floor + GAP)), material=material)
+        )
+    return objects, with_article(kinds[0]) if count == 1 else f"{count} stones"
+
+
+def _places_in_circle(reaches: list[float], room: float, rng: np.random.Generator) -> list[tuple[float, float]]:
+    """Places of circles within a larger one: drawn, or on a ring where that does not fit."""
+    places = free_places(reaches, clearance=0.002, rng=rng)
+    if all(np.hypot(x, y) + reach <= room for (x, y), reach in zip(places, reaches, strict=True)):
+        return places
+    start = between(0, 2 * np.pi, rng=rng)
+    angles = start + 2 * np.pi * np.arange(len(reaches)) / len(reaches)
+    away = room - max(reaches)
+    return [(float(away * np.cos(angle)), float(away * np.sin(angle))) for angle in angles]
+
+
+def _core(rng: np.random.Generator) -> tuple[Material, str]:
+    """What something inside of a medium is made of; it displaces the medium."""
+    kind = weigh({"colour": 0.4, "glass": 0.4, "light glass": 0.2}, rng=rng)
+    if kind == "colour":
+        color = pattern(0.012, rng=rng) if happens(0.6, rng=rng) else pick(color_pair(rng=rng), rng=rng)
+        return Plastic(color=color, roughness=0.2), "something opaque"
+    if kind == "light glass":
+        return Dielectric(ior="ice", absorption=tint(0.04, rng=rng), priority=ICE_PRIORITY), "lighter glass"
+    heavy = round(between(1.65, 1.9, rng=rng), 3)
+    return Dielectric(ior=heavy, absorption=tint(0.03, rng=rng), priority=ICE_PRIORITY), "heavier glass"
+
+
+def fitted(mesh: Mesh, radius: float) -> Mesh:
+    """The mesh around the origin, just as large as a ball of this radius."""
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    around = moved(mesh, (-float(middle[0]), -float(middle[1]), -float(middle[2])))
+    return transformed(around, radius / float(np.linalg.norm(around.vertices, axis=-1).max()) * np.eye(3), (0, 0, 0))
+
+
+def with_article(name: str) -> str:
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"

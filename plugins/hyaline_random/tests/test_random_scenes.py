@@ -1,0 +1,107 @@
+"""Tests `datagen build --scene random`: names, many at once, repairs, and which flags go together."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+from support import fake_renderer
+from support.builds import tree
+from support.commands import call, run
+
+from datagen.data.dataset import open_dataset
+from datagen.data.meshes import Mesh
+from datagen.disk.storage import sha256
+from datagen.scene.folder import open_scene
+
+SIZE = "--preset tiny --resolution 4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder in which builds neither render nor unwrap."""
+
+    def as_they_are(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
+        return meshes
+
+    monkeypatch.setattr("hyaline_random.drawing.unwrap_all", as_they_are)
+    fake_renderer.install(monkeypatch)
+    return tmp_path
+
+
+def test_count_builds_a_dataset_for_each_seed_and_its_name_builds_the_same_scene(here: Path) -> None:
+    answer = call(f"datagen build --scene random --family object --seed 3 --count 2 {SIZE} --out many")
+    names = ["random-object-0003", "random-object-0004"]
+    assert answer.out.split() == [f"many/{name}" for name in names]
+    for seed, name in enumerate(names, 3):
+        dataset = open_dataset(here / "many" / name)
+        assert (dataset.config.scene, dataset.config.seed) == (name, seed)
+        assert open_scene(dataset).name == name
+    run(f"datagen build --scene random-object-0003 --seed 3 {SIZE}")
+    described = [Path(root, names[0], "scene/scene.json").read_bytes() for root in ("many", "data")]
+    assert sha256(described[0]) == sha256(described[1])
+
+
+def test_a_scene_that_fails_is_named_and_does_not_stop_the_others(here: Path) -> None:
+    (here / "many/random-object-0004").mkdir(parents=True)
+    (here / "many/random-object-0004/thesis.tex").write_text("precious")
+    line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
+    answer = call(line)
+    assert answer.status == 1 and answer.error.startswith("error: 1 of 3 scenes failed (see above)")
+    assert "failed: random-object-0004: many/random-object-0004: is not empty (thesis.tex)" in answer.err
+    assert all((here / f"many/random-object-000{seed}/dataset.json").is_file() for seed in (3, 5))
+    (here / "many/random-object-0004/thesis.tex").unlink()
+    assert call(line).status == 0
+
+
+def test_the_launcher_gives_each_job_a_run_of_seeds(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: dict[str, int] = {}
+
+    def run_here(program: str, jobs: dict[str, list[str]], folder: Path, _: object) -> dict[str, str]:
+        assert folder == Path("many-jobs")
+        for name, words in jobs.items():
+            answer = call(shlex.join([program, *words]))
+            assert answer.status == 0, answer.err
+            seen[name] = len(answer.out.split())
+        return {}
+
+    monkeypatch.setattr("datagen.build.build_command.run_in_jobs", run_here)
+    line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
+    answer = call(f"{line} --launcher local --shards 2")
+    assert seen == {"seeds 3 to 4": 2, "seeds 5 to 5": 1}
+    assert answer.out.split() == [f"many/random-object-000{seed}" for seed in range(3, 6)]
+    built = tree(here / "many")
+    run(line)
+    assert tree(here / "many") == built
+
+
+def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> None:
+    run(f"datagen build --scene random --family object --seed 12 {SIZE}")
+    root = Path("data/random-object-0012")
+    lost = root / "scene/scene.json"
+    before = lost.read_bytes()
+    lost.unlink()
+    assert call(f"datagen verify {root}").status == 1
+    run(f"datagen build --scene random-object-0012 --seed 12 {SIZE}")
+    assert lost.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("flags", "error"),
+    [
+        ("--scene drinks --count 2", "--family, --count: only for random scenes; type `datagen build random`"),
+        ("--family table", "--family, --count: only for random scenes; type `datagen build random`"),
+        ("--scene random --count 0", "--count: is 0; expected at least 1"),
+        ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
+        ("--scene random --edit remove:ball", "datagen build: Unrecognized options: --edit, remove:ball"),
+        ("--scene random-12", "scene random-12: is not a random scene; expected a name like random-0007"),
+    ],
+)
+def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, error: str) -> None:
+    answer = call(f"datagen build {flags} {SIZE if '--edit' not in flags else ''}")
+    assert answer.status == (1 if error.startswith(("seed", "scene")) else 2)
+    assert error in answer.error
+    assert not (here / "data").exists()
+
+
+def test_scenes_lists_the_random_ones() -> None:
+    assert "random         Glassware from --seed N" in call("datagen scenes").out

@@ -1,0 +1,503 @@
+"""Tests that the page of a trained scene draws in a browser what Python draws, edited or not, and keeps to itself."""
+
+import base64
+import dataclasses
+import importlib
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
+
+import numpy as np
+import pytest
+import trimesh
+from hyaline_web.page import scene
+from hyaline_web.page.export import fill, scene_page
+from hyaline_web.page.walls import find_wall
+from scipy.spatial.transform import Rotation
+from support.browser import require, wait_until
+from support.firefox import find_firefox, running_firefox
+from support.meshes import box
+from support.reference import fresnel_reflectance
+from support.synthetic import look_at
+from support.web_scenes import (
+    SHAPE,
+    STILL,
+    VIEW,
+    drawn_by_python,
+    every_surface,
+    noisy_light_path,
+    opened_page,
+    placed,
+    post,
+    psnr,
+    solid_surfaces,
+    write_scene,
+)
+
+from benchmarks.browser import Watched, open_file, watched_page
+from benchmarks.compare import page_edits
+from datagen.data import meshes
+from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
+from datagen.data.meshes import Mesh, no_mesh
+from datagen.data.paths import TRUTH
+from datagen.scene import contact, media
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
+from datagen.scene.materials import Conductor, Dielectric
+from datagen.scene.materials.optics import Event, Medium, Surface
+from datagen.scene.modelling import transformed
+from datagen.trace import branches, surface_hits, surface_tables
+from model.methods.light_path import net, pixels
+from model.methods.light_path import page as page_of_light_path
+from model.methods.light_path.net import LightPathRenderer
+from model.methods.page import package_text
+from model.nets import pixel_mlp
+from model.nets.texture import NeuralTextures
+from model.run.predict import with_copies
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
+
+
+def test_a_page_draws_what_python_draws_with_one_ray_a_pixel(
+    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+) -> None:
+    truth = drawn_by_python(renderer, dataset)
+    assert truth.std() > 20
+    assert psnr(page.picture(VIEW, SHAPE, 1), truth) >= 45
+
+
+def test_a_page_draws_what_python_draws_with_sixteen_rays_a_pixel(
+    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+) -> None:
+    assert psnr(page.picture(VIEW, SHAPE, 16), drawn_by_python(renderer, dataset, 16)) >= 50
+
+
+def test_upright_rough_walls_choose_the_facets_that_they_choose_in_python(
+    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path
+) -> None:
+    # Rounding gives level normals, which a page keeps as directions on an octahedron, a slight lean up or down.
+    wall = post(0.28, 0.6, -0.6, 0.3, 0.35)
+    objects = (
+        dataclasses.replace(item, mesh=wall) if item.name == "metal" else item for item in every_surface().objects
+    )
+    dataset = write_scene(tmp_path / "data" / "web", dataclasses.replace(every_surface(), objects=tuple(objects)))
+    with opened_page(browser, tmp_path, renderer, dataset) as page:
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
+
+
+@pytest.mark.parametrize(
+    ("thickness", "place"),
+    [
+        # The thinnest that float32 resolves at each place decide; thicker ones are easier.
+        *(pytest.param(thickness, (0.0, 0.0, 0.0), marks=pytest.mark.full) for thickness in (1e-2, 1e-4)),
+        (1e-6, (0.0, 0.0, 0.0)),
+        pytest.param(1e-2, (100.0, -50.0, 30.0), marks=pytest.mark.full),
+        (1e-4, (100.0, -50.0, 30.0)),
+    ],
+)
+def test_the_page_follows_light_through_a_thin_plate_as_the_closed_form_says(
+    browser: "Browser", tmp_path: Path, thickness: float, place: tuple[float, float, float]
+) -> None:
+    turn = trimesh.transformations.rotation_matrix(0.4, (1, 2, 0.5))[:3, :3]
+    mesh = transformed(box((1, 1, thickness)), turn, place)
+    plate = SceneObject(name="plate", mesh=mesh, material=Dielectric(ior=1.5, absorption=(0.5 / thickness,) * 3))
+    scene = dataclasses.replace(every_surface(), objects=(plate,), baked={})
+    pose = look_at(np.add(place, (0.3, -0.5, 1.2)), np.array(place))
+    dataset = write_scene(tmp_path / "data" / "web", scene, pose)
+    renderer = noisy_light_path(stack_hidden=0)
+    with opened_page(browser, tmp_path, renderer, dataset) as page:
+        script = (
+            "async (at) => { const { tracer, camera } = await hyaline; return tracer.lightPath(camera, 32, ...at); }"
+        )
+        for at in ([20, 20, 40, 40], [15, 22, 40, 40], [24, 17, 40, 40]):
+            segments = page.evaluate(script, at)
+            ends = [segment for segment in segments if segment["object"] < 0]
+            d = np.array(segments[0]["to"]) - segments[0]["from"]
+            cosine = abs(d @ turn[:, 2]) / np.linalg.norm(d)
+            r, inner = fresnel_reflectance(cosine, 1.5), np.sqrt(1 - (1 - cosine**2) / 1.5**2)
+            height = mesh.vertices.astype(np.float64) @ turn[:, 2]
+            middle = np.median(height)
+            tau = np.exp(-0.5 / thickness * (height[height > middle].mean() - height[height < middle].mean()) / inner)
+            # Straight through; off the first face; off the second.
+            shares = [(1 - r) ** 2 * tau, r, (1 - r) ** 2 * r * tau**2]
+            assert [segment["share"] for segment in ends[:3]] == pytest.approx(shares, rel=0.06)
+
+
+def test_a_page_asks_for_nothing_and_complains_of_nothing(page: Watched) -> None:
+    page.picture(VIEW, SHAPE, 1)
+    assert [address.partition("?")[0].rpartition("/")[2] for address in page.requests] == ["exact.html"]
+    assert page.complaints == []
+    blocked = page.page.evaluate("async () => { try { await fetch('data:,x'); } catch (error) { return 'refused'; } }")
+    assert blocked == "refused"
+    page.complaints.clear()  # The policy's complaint of this test's own request.
+
+
+def test_a_page_that_lost_its_graphics_processor_draws_as_before(page: Watched) -> None:
+    before = page.picture(VIEW, SHAPE, 1)
+    page.evaluate(
+        """async () => {
+            const { gl, canvas } = await hyaline, lost = gl.getExtension("WEBGL_lose_context");
+            const heard = (name) => new Promise((resolve) => canvas.addEventListener(name, resolve, { once: true }));
+            const gone = heard("webglcontextlost");
+            lost.loseContext();
+            await gone;
+            await new Promise((resolve) => setTimeout(resolve, 100));
+            const back = heard("webglcontextrestored");
+            lost.restoreContext();
+            await back;
+        }"""
+    )
+    wait_until(page.page, "async () => !(await hyaline).frames.held")
+    assert np.array_equal(page.picture(VIEW, SHAPE, 1), before)
+    page.complaints.clear()  # The browser says that it lost it.
+
+
+def test_glass_that_parts_colours_is_drawn_as_by_python(
+    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path
+) -> None:
+    prism = Dielectric(ior=1.6, dispersion=3.0)
+    objects = [
+        dataclasses.replace(item, material=prism) if item.name in ("metal", "ice") else item
+        for item in every_surface().objects
+    ]
+    dataset = write_scene(tmp_path / "data" / "web", dataclasses.replace(every_surface(), objects=tuple(objects)))
+    with opened_page(browser, tmp_path, renderer, dataset) as page:
+        drawn = page.picture(VIEW, SHAPE, 1)
+        flat = page.picture(VIEW, SHAPE, 1, {name: {"spread": [0, 0, 0]} for name in ("metal", "ice")})
+    assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45
+    assert psnr(drawn, flat) < 42  # Colours that went one way would not be found out above 45.
+
+
+@pytest.mark.full
+def test_the_stack_network_of_a_page_that_follows_one_branch_is_told_of_two_as_in_python(
+    browser: "Browser", dataset: Dataset, tmp_path: Path
+) -> None:
+    renderer = noisy_light_path(branches=1)
+    with opened_page(browser, tmp_path, renderer, dataset) as page:
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
+
+
+def test_a_small_page_is_close_to_python(
+    browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path
+) -> None:
+    data = scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL)
+    assert data == scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL)
+    (tmp_path / "small.html").write_bytes(data)
+    with watched_page(browser, width=60, height=45) as page:
+        open_file(page, tmp_path / "small.html")
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 42
+        page.evaluate("async () => (await hyaline).frames.still(2)")
+        assert re.match(r"60 .+, 2 rays a pixel", page.page.inner_text("#status"))
+        assert page.page.get_attribute("#status", "aria-live") == "off"  # Else each frame would be read aloud.
+        page.evaluate("async () => (await hyaline).show('A message.')")
+        assert page.page.get_attribute("#status", "aria-live") == "polite"
+
+
+SLOW = """async () => {
+    const { frames, canvas } = await hyaline, tell = frames.tell;
+    frames.held = true;
+    await frames.busy;
+    canvas.classList.remove("drawn");
+    frames.sizeFor = (milliseconds) => frames.scaled(milliseconds > 1000 ? 0.25 : 0.125);
+    window.told = [];
+    frames.tell = (drawn) => {
+        tell(drawn);
+        window.told.push([drawn.width, drawn.rays, canvas.classList.contains("drawn")]);
+    };
+    frames.held = false;
+    frames.changed();
+}"""
+"""A page that opens anew on a machine that can draw a quarter of the width in the time of a still frame."""
+
+
+@pytest.mark.full
+def test_a_slow_machine_refines_to_the_whole_size_before_it_averages(
+    browser: "Browser", small_page: Path, tmp_path: Path
+) -> None:
+    still = png_bytes(np.full((42, 56, 3), 90, np.uint8))
+    data = small_page.read_bytes().replace(base64.b64encode(STILL), base64.b64encode(still))
+    assert data != small_page.read_bytes()
+    file = tmp_path / "page.html"
+    file.write_bytes(data)
+    with watched_page(browser, width=160, height=130) as page:
+        open_file(page, file)
+        page.evaluate(SLOW)
+        page.page.wait_for_function("() => told.some(([width, rays]) => width === 160 && rays === 3)")
+        told = [(width, rays, is_shown) for width, rays, is_shown in page.evaluate("() => told")]
+        sizes = list(dict.fromkeys((width, rays) for width, rays, _ in told))
+        assert sizes[:6] == [(20, 1), (40, 1), (80, 1), (160, 1), (160, 2), (160, 3)]
+        # On this stage the still picture is worth 93 pixels of width; nothing coarser takes its place.
+        assert all(is_shown == (width == 160) for width, _, is_shown in told)
+    with watched_page(browser, width=160, height=130) as page:
+        open_file(page, file, link="view=extrapolating/0")
+        page.evaluate(SLOW)
+        page.page.wait_for_function("() => told.length > 0")
+        assert page.evaluate("() => told[0]") == [20, 1, True]  # The still picture is of another view.
+
+
+def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
+    browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path
+) -> None:
+    file = tmp_path / "page.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "small", label="noise", still=STILL))
+    with watched_page(browser) as watched:
+        watched.page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        watched.page.goto(file.as_uri())
+        message = watched.page.get_by_role("alert")
+        message.wait_for(state="visible")
+        assert re.search(r"no WebGL 2.*still picture", message.inner_text())
+        assert watched.page.evaluate("document.getElementById('still').naturalWidth") == 4
+
+
+def test_the_page_knows_all_that_a_surface_may_do_to_light() -> None:
+    followed = package_text("model.methods.light_path", "light_path.glsl")
+    assert all(re.search(rf"\b{event.upper()}\b", followed) for event in get_args(Event))
+    # What a surface is told of beside this needs a line in the shader.
+    assert {field.name for field in dataclasses.fields(Surface)} == {"event", "ior", "roughness", "color", "texture"}
+    assert {field.name for field in dataclasses.fields(Medium)} == {"iors", "absorption", "priority"}
+
+
+OTHER_LIMITS = surface_tables.Limits(max_depth=5, min_throughput=0.25)
+
+SHARED = {
+    "MIN_THROUGHPUT 0.25": (surface_tables, "LIMITS", OTHER_LIMITS),
+    "FIRST_MIRROR 99.0": (branches, "FIRST_MIRROR", 99.0),
+    "SPARE_STEPS 7": (branches, "SPARE_STEPS", 7),
+    "MAX_DEPTH 5": (surface_tables, "LIMITS", OTHER_LIMITS),
+    "SAME_INDEX 0.5": (media, "SAME_INDEX", 0.5),
+    "MAX_NESTED 11": (media, "MAX_NESTED", 11),
+    "STACKED_FIRST 3": (pixels, "STACKED_VERTICES", (3, 1)),
+    "STACKED_SECOND 1": (pixels, "STACKED_VERTICES", (3, 1)),
+    "STACK_SHIFT 2.5": (net, "STACK_SHIFT", 2.5),
+    "RELIEF_DEPTH 0.5": (net, "RELIEF_DEPTH", 0.5),
+    "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
+    "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
+    "MIN_COSINE 0.5": (surface_hits, "MIN_COSINE", 0.5),
+    "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
+    "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
+    "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
+    "R2_X 2147483648u": (meshes, "PLASTIC", 2.0),
+    "R2_Y 1073741824": (meshes, "PLASTIC", 2.0),
+}
+"""What the shader says after a constant of Python has changed."""
+
+
+def test_a_constant_that_changes_in_python_changes_in_the_shader(
+    renderer: LightPathRenderer, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def lines() -> list[str]:
+        for module in (page_of_light_path, scene):
+            importlib.reload(module)
+        return scene.web_scene(renderer, renderer.config, dataset, TRUTH, "small").shader.splitlines()
+
+    before = lines()
+    with monkeypatch.context() as patch:
+        for module, name, value in SHARED.values():
+            patch.setattr(module, name, value)
+        after = lines()
+    changed = {f"#define {line}" for line in SHARED}
+    assert changed.isdisjoint(before)
+    assert changed <= set(after)
+    assert lines() == before
+
+
+@pytest.mark.full  # The quick run sees that the shader has the constants, below `SHARED`.
+def test_a_page_stacks_as_many_vertices_as_python(
+    browser: "Browser", dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (net, pixels, page_of_light_path):
+        monkeypatch.setattr(module, "STACKED_VERTICES", (3, 1))
+    renderer = noisy_light_path()
+    with opened_page(browser, tmp_path, renderer, dataset) as page:
+        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
+
+
+def test_a_template_whose_places_are_not_those_of_the_parts_is_no_page() -> None:
+    assert fill("a {{b}} {{c}}", {"b": "{{c}}", "c": "d"}) == "a {{c}} d"
+    for parts in ({"b": "x"}, {"b": "x", "c": "y", "d": "z"}):
+        with pytest.raises(AssertionError):
+            fill("{{b}}{{c}}", parts)
+    with pytest.raises(AssertionError):
+        fill("{{b}}{{b}}", {"b": "x"})
+
+
+# Edits
+
+
+Objects = tuple[SceneObject, ...]
+
+
+def after(name: str, **change: Any) -> Callable[[], Objects]:
+    """The scene with another object of a name."""
+    return lambda: tuple(
+        dataclasses.replace(item, **change) if item.name == name else item for item in every_surface().objects
+    )
+
+
+def after_command(*edits: str) -> Callable[[], Objects]:
+    """The scene after edits, as `datagen build --edit` is given them."""
+    return lambda: edit_scene(every_surface(), tuple(map(parse_edit, edits))).scene.objects
+
+
+def turned(mesh: Mesh, angles: tuple[float, float, float]) -> Mesh:
+    """The mesh, turned about the middle of its box by degrees around x, then y, then z."""
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
+    turn = Rotation.from_euler("xyz", angles, degrees=True).as_matrix().astype(np.float32)
+    return dataclasses.replace(mesh, vertices=(mesh.vertices - middle) @ turn.T + middle, normals=mesh.normals @ turn.T)
+
+
+def mesh_named(name: str) -> Mesh:
+    return next(item.mesh for item in every_surface().objects if item.name == name)
+
+
+def with_a_copy() -> LightPathRenderer:
+    """The renderer, whose eighth object looks up the texels of the metal."""
+    net = noisy_light_path()
+    for part in net.modules():
+        if isinstance(part, NeuralTextures):
+            part.layout = with_copies(part.layout, [4], 7)
+    return net
+
+
+@pytest.mark.parametrize(
+    ("edits", "objects"),
+    [
+        ({"glass": {"shown": False}}, after("glass", mesh=no_mesh())),
+        (
+            {"metal": {"offset": [0.3, -0.5, 0.2]}},
+            after("metal", mesh=moved_mesh(mesh_named("metal"), (0.3, -0.5, 0.2))),
+        ),
+        ({"pane": {"turn": [0, 0, 34]}}, after("pane", mesh=turned(mesh_named("pane"), (0, 0, 34)))),
+        ({"glass": {"turn": [25, 10, 40]}}, after("glass", mesh=turned(mesh_named("glass"), (25, 10, 40)))),
+        (
+            {"drink": {"mediumIor": 1.8}},
+            after("drink", material=Dielectric(ior=1.8, absorption=(0.3, 2, 3), priority=1)),
+        ),
+        (
+            {"drink": {"absorption": [6, 0, 0]}},
+            after("drink", material=Dielectric(ior=1.33, absorption=(6, 0, 0), priority=1)),
+        ),
+        (
+            {"metal": {"material": "ice"}},
+            after("metal", material=next(item.material for item in every_surface().objects if item.name == "ice")),
+        ),
+        ({"metal": {"material": "clear glass"}}, after("metal", material=CLEAR_GLASS)),
+        (
+            {"metal": {"tint": None, "color": [0.9, 0.7, 0.4]}},
+            after("metal", material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)),
+        ),
+        ({"glass": {"material": "matt"}}, after("glass", material=GREY)),
+    ],
+    ids=[
+        "removed",
+        "moved",
+        "turned",
+        "turned all ways",
+        "index",
+        "absorption",
+        "material",
+        "to glass",
+        "of one colour",
+        "opaque",
+    ],
+)
+def test_an_edited_scene_is_that_of_python(
+    page: Watched,
+    renderer: LightPathRenderer,
+    dataset: Dataset,
+    edits: dict[str, Any],
+    objects: Callable[[], Objects],
+) -> None:
+    drawn = page.picture(VIEW, SHAPE, 1, edits)
+    # In a few of the 1,584 pixels a ray meets the other one of two faces that share an edge.
+    assert psnr(drawn, drawn_by_python(renderer, dataset, objects=objects())) >= 43
+    assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
+
+
+def with_vessel(thicker: float) -> Scene:
+    """The scene with a vessel for its glass, each point of whose inner side was moved by a share of the wall there."""
+    profile = np.array([(0, 0), (0.4, 0), (0.45, 0.9), (0.37, 0.9), (0.34, 0.1), (0, 0.1)])
+    vessel = placed(trimesh.creation.revolve(profile, sections=24), 0.2, 0.1, 0.05)
+    wall = find_wall(vessel)
+    assert wall is not None and 0.06 < wall.thickness < 0.08
+    moved = dataclasses.replace(vessel, vertices=vessel.vertices + np.float32(thicker) * wall.shifts)
+    shapes = {"glass": moved, "drink": placed(trimesh.creation.cylinder(0.2, 0.5, sections=24), 0.2, 0.1, 0.5)}
+    objects = (dataclasses.replace(item, mesh=shapes.get(item.name, item.mesh)) for item in every_surface().objects)
+    return dataclasses.replace(every_surface(), objects=tuple(objects))
+
+
+@pytest.mark.parametrize("quality", ["exact", pytest.param("small", marks=pytest.mark.full)])
+def test_a_wall_that_was_made_thicker_and_back_is_that_of_python(
+    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path, quality: str
+) -> None:
+    dataset = write_scene(tmp_path / "vessel", with_vessel(0))
+    before, after = (drawn_by_python(renderer, dataset, objects=with_vessel(part).objects) for part in (0, 0.6))
+    with opened_page(browser, tmp_path, renderer, dataset, quality) as page:
+        thicker, again = (page.picture(VIEW, SHAPE, 1, {"glass": {"wall": wall}}) for wall in (1.6, 1))
+    assert psnr(thicker, after) >= 45
+    assert psnr(again, before) >= 45
+    assert psnr(before, after) < 35
+
+
+def test_a_copy_is_that_of_python(page: Watched, renderer: LightPathRenderer, dataset: Dataset) -> None:
+    edits = ("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2", "remove:pane", "glass:plastic")
+    copied = after_command(*edits)()
+    drawn = page.picture(VIEW, SHAPE, 1, page_edits(dataset, tuple(map(parse_edit, edits)), knows_materials=True))
+    assert psnr(drawn, drawn_by_python(with_a_copy(), dataset, objects=copied)) >= 45
+    assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
+
+
+def test_two_objects_that_trade_places_are_those_of_python(
+    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+) -> None:
+    swapped = after_command("swap:metal:ice")()
+    edits = page_edits(dataset, (parse_edit("swap:metal:ice"),), knows_materials=True)
+    drawn = page.picture(VIEW, SHAPE, 1, edits)
+    assert psnr(drawn, drawn_by_python(renderer, dataset, objects=swapped)) >= 45
+    assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
+
+
+# Proxies
+
+
+PROXY = {"straight_layers": 7, "shells": 3, "relief": True, "directions": True, "stack_hidden": 12}
+
+
+@pytest.fixture(scope="module")
+def proxies(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_scene(tmp_path_factory.mktemp("proxies") / "data" / "web", solid_surfaces())
+
+
+@pytest.mark.parametrize(
+    ("change", "quality", "least"),
+    [
+        pytest.param(PROXY, "exact", 45, id="exact"),
+        pytest.param(PROXY, "small", 42, id="small", marks=pytest.mark.full),
+    ],
+)
+def test_straight_layers_shells_and_relief_are_drawn_as_by_python(
+    browser: "Browser", proxies: Dataset, tmp_path: Path, change: dict[str, Any], quality: Any, least: float
+) -> None:
+    renderer = noisy_light_path(**change)
+    truth = drawn_by_python(renderer, proxies)
+    assert truth.std() > 15
+    with opened_page(browser, tmp_path, renderer, proxies, quality) as page:
+        assert psnr(page.picture(VIEW, SHAPE, 1), truth) >= least
+        assert page.complaints == []
+
+
+# Firefox
+
+
+@pytest.mark.full
+def test_firefox_draws_what_python_draws(renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path) -> None:
+    require(find_firefox)
+    file = tmp_path / "page.html"
+    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
+    with running_firefox() as firefox:
+        firefox.open_file(file)
+        drawn = firefox.picture(VIEW, SHAPE, 1)
+    assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45

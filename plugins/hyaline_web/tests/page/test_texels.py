@@ -1,0 +1,103 @@
+"""Tests which texels a page may leave out, and how it stores the others, and those of metals."""
+
+import numpy as np
+import pytest
+import torch
+from hyaline_web.page.packing import Packed, residuals, zigzag
+from hyaline_web.page.scene import add_tints, touched_texels
+
+from datagen.data.images import linear_from_srgb
+from datagen.data.meshes import Mesh, no_mesh
+from model.nets.texture import bilinear_taps, object_layout
+
+CODES = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
+IMAGE = linear_from_srgb(CODES / 255.0).astype(np.float32)
+TURNED = IMAGE.reshape(7, 5, 3)
+
+
+def random_mesh(rng: np.random.Generator, faces: int, extent: float) -> Mesh:
+    """Triangles whose uv are about so wide; they lie nowhere in particular."""
+    middle = rng.random((faces, 1, 2))
+    uv = np.clip(middle + extent * (rng.random((faces, 3, 2)) - 0.5), 0, 1).reshape(-1, 2).astype(np.float32)
+    points = np.zeros((len(uv), 3), np.float32)
+    return Mesh(vertices=points, faces=np.arange(len(uv), dtype=np.int32).reshape(-1, 3), normals=points, uv=uv)
+
+
+@pytest.mark.parametrize(("size", "extent"), [(7, 0.5), (40, 0.02), (40, 0.9), (129, 0.3)])
+def test_every_texel_that_a_look_up_reads_counts_and_most_others_do_not(size: int, extent: float) -> None:
+    rng = np.random.default_rng(size)
+    mesh = random_mesh(rng, 6, extent)
+    counts = touched_texels(mesh, size)
+    shares = rng.dirichlet((0.7, 0.7, 0.7), size=(6, 4000)).astype(np.float32)
+    uv = np.einsum("fpk,fkc->fpc", shares, mesh.uv[mesh.faces]).reshape(-1, 2).clip(0, 1)
+    rows, weights = bilinear_taps(torch.from_numpy(uv), torch.ones(len(uv), dtype=torch.uint8), object_layout((size,)))
+    read = np.unique(rows.numpy()[weights.numpy() > 0])
+    assert counts[read].all()
+    near = np.zeros((size + 4, size + 4), bool)
+    for down in range(5):
+        for right in range(5):
+            near[read // size + down, read % size + right] = True
+    assert not counts[~near[2:-2, 2:-2].ravel()].any()
+
+
+def test_of_a_mesh_without_faces_no_texel_counts() -> None:
+    assert not touched_texels(no_mesh(), 9).any()
+
+
+def guess(known: np.ndarray, y: int, x: int, c: int) -> int:
+    """From the neighbours of a texel that are read before it."""
+    if y == 0 or x == 0:
+        return int(known[y, x - 1, c] if x else known[y - 1, x, c] if y else 0)
+    left, above, corner = (int(known[at][c]) for at in ((y, x - 1), (y - 1, x), (y - 1, x - 1)))
+    return min(max(left + above - corner, min(left, above)), max(left, above))
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 2), (1, 5, 1), (6, 1, 1), (5, 9, 3), (9, 5, 2)])
+def test_texels_are_read_back_from_what_their_guesses_leave_and_of_others_nothing_is_left(
+    shape: tuple[int, int, int],
+) -> None:
+    rng = np.random.default_rng(sum(shape))
+    codes = rng.integers(-8191, 8192, shape).astype(np.int32)
+    counts = rng.random(shape[:2]) < 0.7
+    left_over = residuals(codes, counts)
+    read = np.zeros_like(codes)
+    for y, x, c in np.ndindex(shape):
+        read[y, x, c] = guess(read, y, x, c) + left_over[y, x, c]
+    assert np.array_equal(read[counts], codes[counts])
+    assert not left_over[~counts].any()
+    assert zigzag(left_over).max() < 1 << 16
+
+
+def test_of_upright_stripes_nothing_is_left_but_their_first_row() -> None:
+    codes = np.tile(np.random.default_rng(1).integers(-90, 90, 7), (6, 1))[..., None].astype(np.int32)
+    left_over = residuals(codes, np.ones((6, 7), bool))
+    assert left_over[0].any()
+    assert not left_over[1:].any()
+
+
+def test_little_numbers_of_both_signs_become_little_numbers() -> None:
+    assert zigzag(np.array([0, -1, 1, -2, 2], np.int32)).tolist() == [0, 1, 2, 3, 4]
+
+
+def test_each_image_is_stored_once_as_it_is() -> None:
+    packed = Packed()
+    assert add_tints(packed, (None, IMAGE, TURNED, IMAGE.copy()), "exact") == [None, [0, 7, 5], [35, 5, 7], [0, 7, 5]]
+    assert [(entry["name"], entry["dtype"], entry["shape"]) for entry in packed.entries] == [
+        ("tints", "float32", [70, 3])
+    ]
+    stored = np.frombuffer(packed.parts[0], np.uint8).reshape(3, 4, 70).transpose(2, 0, 1)
+    assert np.array_equal(np.ascontiguousarray(stored).view(np.float32)[..., 0], np.tile(IMAGE.reshape(-1, 3), (2, 1)))
+
+
+def test_a_small_page_stores_the_numbers_of_an_8_bit_image() -> None:
+    packed = Packed()
+    assert add_tints(packed, (IMAGE,), "small") == [[0, 7, 5]]
+    steps = np.frombuffer(packed.parts[0], np.uint8).reshape(3, 35).T
+    differences = (steps >> 1) ^ -(steps & 1)
+    assert np.array_equal(np.cumsum(differences, axis=0, dtype=np.uint8), CODES.reshape(-1, 3))
+
+
+def test_where_every_metal_has_one_colour_nothing_is_stored() -> None:
+    packed = Packed()
+    assert add_tints(packed, (None, None), "small") == [None, None]
+    assert packed.entries == []

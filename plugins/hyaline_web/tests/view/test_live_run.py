@@ -1,0 +1,89 @@
+"""Tests that a run is drawn as it is now: from checkpoints while it trains, from its weights afterwards."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hyaline_web.view.live_run import LiveRun, MovedOn
+from support.training import SMALL, run_bytes, stop_at
+
+import hyaline
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from model.methods.dnr.config import DnrConfig
+from model.methods.light_path.config import LightPathConfig
+from model.methods.paper.config import PaperConfig
+from model.run.checkpoint import load_state, save_state
+from model.run.run_folder import TrainConfig
+from model.run.train import train
+
+CPU = torch.device("cpu")
+CONFIG = dataclasses.replace(SMALL, steps=8)
+
+
+def live(out: Path, dataset: Dataset, config: TrainConfig = CONFIG) -> LiveRun:
+    return LiveRun(out, config, dataset, device=CPU)
+
+
+@pytest.mark.usefixtures("one_thread")
+def test_a_run_is_drawn_from_its_newest_checkpoint_then_from_its_weights_and_nothing_is_written(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, camera = tmp_path / "run", dataset.view("interpolating", 0).camera
+    with monkeypatch.context() as patch:
+        stop_at(patch, 6)
+        with pytest.raises(KeyboardInterrupt):
+            train(CONFIG, dataset, out, label="run", device=CPU)
+    before = run_bytes(out)
+    run = live(out, dataset)
+    assert run.draw(camera, is_quick=True) is None
+    assert run.status == "no checkpoint yet"
+    assert run.refresh() and not run.refresh()
+    assert (run.step, run.is_trained) == (4, False)
+    assert run.status.startswith("step 4 of 8")
+    early = run.draw(camera, is_quick=False)
+    assert run_bytes(out) == before
+
+    train(CONFIG, dataset, out, label="run", device=CPU)
+    assert np.array_equal(run.draw(camera, is_quick=False), early), "until somebody looks again"
+    assert run.refresh()
+    assert (run.step, run.is_trained) == (8, True)
+    assert run.status.startswith("step 8 of 8, held out ")
+    late = run.draw(camera, is_quick=False)
+    assert not np.array_equal(late, early)
+    assert np.array_equal(late, hyaline.open_run(out, dataset=dataset, device="cpu").render(camera))
+
+    with pytest.raises(MovedOn):
+        answers = iter([True, False])
+        run.draw(camera, is_quick=False, is_wanted=lambda: next(answers))
+    assert np.array_equal(run.draw(camera, is_quick=False), late), "the next picture is whole"
+
+
+def test_a_checkpoint_that_is_damaged_or_of_another_configuration_is_refused_in_one_line(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "run"
+    with monkeypatch.context() as patch:
+        stop_at(patch, 6)
+        with pytest.raises(KeyboardInterrupt):
+            train(CONFIG, dataset, out, label="run", device=CPU)
+    path = out / "checkpoint.pt"
+    state = load_state(path)
+    run = live(out, dataset)
+    save_state(path, {**state, "config": {**state["config"], "lr": 0.5}})
+    with pytest.raises(HyalineError, match=r"checkpoint\.pt: its configuration differs from run\.json"):
+        run.refresh()
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(HyalineError, match=r"checkpoint\.pt: damaged"):
+        run.refresh()
+    assert path.is_file(), "a viewer deletes nothing"
+
+
+def test_a_picture_in_haste_takes_one_ray_a_pixel() -> None:
+    paper = PaperConfig().usual("truth")
+    assert dataclasses.replace(paper, render_samples=9).hurried() == dataclasses.replace(paper, render_samples=1)
+    path = LightPathConfig().sized((4, 4)).hurried()
+    assert (path.render_samples, path.refined_samples) == (1, 1)
+    assert DnrConfig().hurried() == DnrConfig()

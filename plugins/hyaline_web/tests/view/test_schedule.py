@@ -1,0 +1,129 @@
+"""Tests which picture is drawn next: coarse while a camera moves, finer when it stands, never for who has gone."""
+
+import numpy as np
+import pytest
+from hyaline_web.view.schedule import (
+    FINEST_S,
+    MOVING_S,
+    SIDES,
+    STANDING_S,
+    STILL_S,
+    Budget,
+    Job,
+    Pose,
+    Schedule,
+    camera_in_window,
+    fitted_size,
+    window_pose,
+)
+
+from datagen.data.cameras import Camera, look_at
+
+RATE = 40_000.0
+"""Pixels a second that the pretended painter draws quickly, and a sixteenth of them otherwise."""
+
+
+def pose(window: tuple[int, int] = (640, 480), *, x: float = 1.0) -> Pose:
+    camera = Camera(world_from_camera=look_at((x, 1.5, 1.2), (0.0, 0.0, 0.2)), fov_x=0.9, width=4, height=3)
+    position, wxyz, fov_y = window_pose(camera)
+    return Pose(position=position, wxyz=wxyz, fov_y=fov_y, window=window)
+
+
+def paint(schedule: Schedule, job: Job) -> float:
+    """Draws a picture in pretended seconds."""
+    seconds = job.camera.width * job.camera.height / (RATE if job.is_quick else RATE / 16)
+    schedule.finish(job, seconds)
+    return seconds
+
+
+def jobs_until_done(schedule: Schedule, now: float) -> list[Job]:
+    found = []
+    while (job := schedule.next_job(now)) is not None:
+        assert schedule.is_wanted(job)
+        found.append(job)
+        now += paint(schedule, job)
+    return found
+
+
+def test_a_camera_is_the_same_there_and_back() -> None:
+    camera = Camera(world_from_camera=look_at((1.0, 1.5, 1.2), (0.0, 0.0, 0.2)), fov_x=0.9, width=64, height=40)
+    position, wxyz, fov_y = window_pose(camera)
+    again = camera_in_window(position, wxyz, fov_y, 64, 40)
+    assert np.allclose(again.world_from_camera, camera.world_from_camera)
+    assert again.fov_x == pytest.approx(0.9)
+    assert np.linalg.norm(wxyz) == pytest.approx(1)
+    # OpenCV's camera looks along +z, and its +y points down: at a point below the horizon, world z falls along both.
+    assert camera.world_from_camera[2, 2] > 0 > -camera.world_from_camera[2, 1]
+
+
+@pytest.mark.parametrize("window", [(640, 480), (300, 900), (1, 1), (0, 0), (5000, 3)])
+def test_a_picture_has_the_shape_of_its_window(window: tuple[int, int]) -> None:
+    width, height = fitted_size(96, window)
+    assert max(width, height) == 96
+    assert min(width, height) >= 1
+    if min(window) > 100:
+        assert width / height == pytest.approx(window[0] / window[1], rel=0.02)
+
+
+def test_a_moving_camera_gets_one_quick_picture_a_pose_and_a_still_one_finer_and_finer_ones() -> None:
+    schedule = Schedule()
+    for move in range(4):
+        schedule.move(1, pose(x=1 + 0.1 * move), now=0.1 * move)
+        job = schedule.next_job(0.1 * move)
+        assert job is not None and job.is_quick
+        assert paint(schedule, job) <= 1.5 * MOVING_S
+        assert schedule.next_job(0.1 * move + 0.01) is None, "the camera has only just moved"
+    still = jobs_until_done(schedule, 0.3 + STILL_S)
+    assert [job.is_quick for job in still][:2] == [True, False]
+    assert not any(job.is_quick for job in still[1:])
+    sides = [max(job.camera.width, job.camera.height) for job in still]
+    assert sides[0] == sides[1] and sides[1:] == sorted(set(sides[1:])) and set(sides) <= set(SIDES)
+    times = [job.camera.width * job.camera.height / (RATE if job.is_quick else RATE / 16) for job in still]
+    assert times[0] <= STANDING_S and 0.3 * FINEST_S < times[-1] <= FINEST_S
+
+
+def test_no_picture_is_larger_than_its_window() -> None:
+    schedule = Schedule()
+    schedule.move(1, pose((200, 100)), now=0.0)
+    last = jobs_until_done(schedule, 1.0)[-1].camera
+    assert (last.width, last.height) == (192, 96)
+
+
+def test_a_picture_is_no_longer_wanted_when_the_camera_moves_on_what_is_seen_changes_or_the_browser_goes() -> None:
+    schedule = Schedule()
+    for end in (lambda: schedule.move(1, pose(x=2), 5.0), schedule.redraw, lambda: schedule.forget(1)):
+        schedule.move(1, pose(), now=0.0)
+        job = schedule.next_job(0.0)
+        assert job is not None and schedule.is_wanted(job)
+        end()
+        assert not schedule.is_wanted(job)
+        # What came too late does not count as drawn.
+        schedule.finish(job, 0.1)
+        following = schedule.next_job(100.0)
+        assert following is None if not schedule.is_watched else following is not None and following.is_quick
+    assert not schedule.is_watched
+
+
+def test_whoever_sees_an_old_picture_comes_before_whoever_waits_for_a_finer_one() -> None:
+    schedule = Schedule()
+    schedule.move(1, pose(), now=0.0)
+    first = schedule.next_job(0.0)
+    assert first is not None
+    paint(schedule, first)
+    schedule.move(2, pose(), now=9.0)
+    job = schedule.next_job(10.0)
+    assert job is not None and job.client == 2 and job.is_quick
+
+
+@pytest.mark.parametrize("work", [[0.2], [0.01] * 30, [1.5, 0.1, 0.4]])
+def test_a_budget_keeps_work_below_its_share_of_one_core(work: list[float]) -> None:
+    budget, now, spent = Budget(0.1), 0.0, 0.0
+    for processor_s in work:
+        while not budget.is_ready(now):
+            now += 0.001
+        # Somebody else has the core half of the time.
+        now, spent = now + 2 * processor_s, spent + processor_s
+        budget.spend(processor_s, now)
+    while not budget.is_ready(now):
+        now += 0.001
+    assert spent / now <= 0.1

@@ -1,0 +1,115 @@
+"""Tests that the viewer answers its own page alone, once there is something to see."""
+
+# ruff: noqa: E402 (viser may be missing)
+
+import contextlib
+import http.client
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.synthetic import write_synthetic_dataset
+from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer
+
+import hyaline
+
+require_viewer()
+
+import viser
+from hyaline_web.view.server import serving
+from hyaline_web.view.view import Viewer
+from websockets.exceptions import InvalidStatus
+
+pytestmark = pytest.mark.usefixtures("at_home")
+
+HANDSHAKE = {
+    "Upgrade": "websocket",
+    "Connection": "Upgrade",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+}
+
+
+def answer_to(port: int, headers: dict[str, str]) -> http.client.HTTPResponse:
+    """The answer to a request with these headers alone."""
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S)
+    with contextlib.closing(connection):
+        connection.putrequest("GET", "/", skip_host=True, skip_accept_encoding=True)
+        for name, value in headers.items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        return connection.getresponse()
+
+
+@pytest.fixture
+def served(home: Path) -> Iterator[tuple[str, Viewer]]:
+    """The address of a viewer of a dataset, and the viewer."""
+    with serving(0, "one") as server:
+        yield f"http://127.0.0.1:{server.get_port()}", Viewer(server, hyaline.open_dataset(home / "data" / "one"), None)
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "status"),
+    [
+        ("127.0.0.1:{port}", None, 101),
+        ("127.0.0.1:{port}", "http://127.0.0.1:{port}", 101),
+        ("LocalHost:9000", "http://localhost:9000", 101),  # Through `ssh -L 9000:localhost:8080`.
+        ("[::1]:{port}", "http://[::1]:{port}", 101),
+        ("127.0.0.1:{port}", "http://evil.example", 403),
+        ("127.0.0.1:{port}", "http://127.0.0.1:1", 403),
+        ("127.0.0.1:{port}", "http://localhost:{port}", 403),
+        ("127.0.0.1:{port}", "null", 403),
+        ("evil.example:{port}", "http://evil.example:{port}", 403),  # Whose name now leads to 127.0.0.1.
+        ("127.0.0.1.evil.example", None, 403),
+        ("192.0.2.1:{port}", None, 403),
+        ("evil.example@127.0.0.1[", None, 403),
+        ("", None, 403),
+        (None, None, 403),
+    ],
+)
+def test_only_the_viewers_own_page_under_a_name_of_this_machine_is_let_in(
+    served: tuple[str, Viewer], host: str | None, origin: str | None, status: int
+) -> None:
+    port = int(served[0].rpartition(":")[2])
+    own = {"Host": host, "Origin": origin}
+    headers = {name: value.format(port=port) for name, value in own.items() if value is not None}
+    assert answer_to(port, headers | HANDSHAKE).status == status
+    assert answer_to(port, headers).status == (200 if status == 101 else status), "the page itself, too"
+
+
+def test_no_other_page_may_frame_the_viewers(served: tuple[str, Viewer]) -> None:
+    port = int(served[0].rpartition(":")[2])
+    for host, status in ((f"localhost:{port}", 200), ("evil.example", 403)):
+        answer = answer_to(port, {"Host": host})
+        assert answer.status == status
+        assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
+        assert answer.headers["X-Frame-Options"] == "DENY"
+
+
+def test_a_browser_begins_where_the_scene_is_to_be_seen_however_many_cameras_there_are(tmp_path: Path) -> None:
+    require_viewer()
+    dataset = write_synthetic_dataset(tmp_path / "data" / "many", train_views=40)
+    with serving(0, "many") as server:
+        address = f"http://127.0.0.1:{server.get_port()}"
+        with pytest.raises(InvalidStatus) as too_early, open_window(address):
+            pass
+        assert too_early.value.response.status_code == 503, "asks again, instead of beginning with half of the scene"
+        Viewer(server, dataset, None)
+        with open_window(address) as window:
+            windows = [messages for messages, _ in itertools.islice(window.windows(PATIENCE_S), 2)]
+            window.stand_at(pose_of(dataset, (48, 32)))  # Where an earlier viewer's page has been left.
+            moved = {"SetCameraPositionMessage": "position", "SetCameraLookAtMessage": "look_at"}
+            there = {}
+            for message, _ in window.messages(PATIENCE_S):
+                if message["type"] in moved and not message["initial"]:
+                    there[message["type"]] = message[moved[message["type"]]]
+                if len(there) == 2:
+                    break
+    assert len(windows[0]) == 128, "viser sends the rest apart"
+    begin = {message["type"]: message for message in windows[0] if message.get("initial")}
+    assert set(begin) == {f"SetCamera{what}Message" for what in ("Position", "LookAt", "UpDirection", "Fov")}
+    for kind, key in moved.items():
+        assert np.allclose(there[kind], begin[kind][key])

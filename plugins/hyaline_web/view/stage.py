@@ -1,0 +1,277 @@
+"""The viewer's scene (the dataset's cameras with their pictures, and the meshes of one geometry) and its panel."""
+
+import re
+import threading
+from collections.abc import Callable, Iterator
+from typing import Literal
+
+import numpy as np
+import viser
+
+from datagen.data.cameras import Camera
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, View
+from datagen.data.geometries import list_geometries, read_meshes
+from datagen.data.meshes import is_there
+from datagen.data.paths import TRUTH, view_name
+from datagen.disk.errors import HyalineError
+from datagen.look.view_pictures import object_colors
+from hyaline_web.view.schedule import window_pose
+
+Triple = tuple[float, float, float]
+
+COLORS: dict[str, tuple[int, int, int]] = {"train": (90, 140, 230), "interpolating": (70, 180, 110)}
+"""Colours of camera frames by split; the other splits are extrapolating, and red."""
+OTHERS = (220, 90, 80)
+FRAME_SHARE = 0.05
+"""Size of a camera's frame, relative to its distance from the centre of the scene."""
+MOST_PIXELS = 160
+"""Longer side of a picture in its frame; larger ones are subsampled."""
+GLASS_OPACITY = 0.35
+
+
+def as_text(text: str) -> str:
+    """Markdown that shows a text as it is, such as a folder's name, and loads nothing."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
+
+
+class Stage:
+    """Shows a dataset in the viewer's scene."""
+
+    def __init__(
+        self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None], *, back: float
+    ) -> None:
+        """Adds the cameras without pictures; meshes are only added by `show_meshes`.
+
+        Args:
+            on_click: called in a viser thread when a camera was clicked and the browser looks through it.
+            back: how much farther away than the first test view to start, relative to the distance.
+        """
+        self._server, self._dataset, self._on_click = server, dataset, on_click
+        meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
+        corners = [mesh.vertices for mesh in meshes if is_there(mesh)] or [_places(dataset)]
+        low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
+        self.middle = (low + high).astype(np.float64) / 2
+        first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
+        self._start = self._find_start(dataset.view(first, 0).camera, back)
+        # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, when
+        # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
+        self._place(server.initial_camera)
+        server.initial_camera.up = (0.0, 0.0, 1.0)
+        self._frames: dict[Split, list[viser.CameraFrustumHandle]] = {
+            split: [self._add_frame(view) for view in dataset.views(split)] for split in dataset.splits
+        }
+        self._meshes: list[viser.MeshHandle] = []
+
+    def restart(self, client: viser.ClientHandle) -> None:
+        """Moves a browser's camera to the start."""
+        with client.atomic():
+            self._place(client.camera)
+
+    def show_cameras(self, split: Split, *, visible: bool) -> None:
+        for frame in self._frames[split]:
+            frame.visible = visible
+
+    def show_meshes(self, geometry: str | None) -> None:
+        """Replaces the shown meshes by those of this geometry; None: shows none."""
+        meshes = () if geometry is None else read_meshes(self._dataset, geometry)
+        for handle in self._meshes:
+            handle.remove()
+        colors = object_colors(len(self._dataset.objects))[1:]
+        self._meshes = [
+            self._server.scene.add_mesh_simple(
+                f"/meshes/{item.name}",
+                mesh.vertices,
+                mesh.faces,
+                color=color,
+                opacity=GLASS_OPACITY if item.is_glass else None,
+                side="double",
+            )
+            for item, mesh, color in zip(self._dataset.objects, meshes, colors)
+            if is_there(mesh)
+        ]
+
+    def pictures(self) -> Iterator[None]:
+        """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
+        for split, frames in self._frames.items():
+            for view, frame in zip(self._dataset.views(split), frames, strict=True):
+                try:
+                    picture = view.image
+                except HyalineError:
+                    continue
+                step = -(-max(picture.shape[:2]) // MOST_PIXELS)
+                frame.image = picture[::step, ::step]
+                yield
+
+    def _add_frame(self, view: View) -> viser.CameraFrustumHandle:
+        camera = view.camera
+        position, wxyz, fov_y = window_pose(camera)
+        frame = self._server.scene.add_camera_frustum(
+            f"/cameras/{view.split}/{view_name(view.index)}",
+            fov_y,
+            camera.width / camera.height,
+            scale=FRAME_SHARE * float(np.linalg.norm(position - self.middle)),
+            thickness=1.5,
+            thickness_units="screen",
+            color=COLORS.get(view.split, OTHERS),
+            wxyz=wxyz,
+            position=position,
+        )
+
+        @frame.on_click
+        def _(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
+            if event.client is not None:
+                self._look_through(event.client, camera)
+                self._on_click(view)
+
+        return frame
+
+    def _find_start(self, camera: Camera, back: float) -> tuple[Triple, Triple, float]:
+        """The starting position, look-at point and vertical field of view in radians."""
+        position, _, fov_y = window_pose(camera)
+        ahead = self._ahead(camera)
+        return _triple(position + back * (position - ahead)), _triple(ahead), fov_y
+
+    def _place(self, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
+        camera.position, camera.look_at, camera.fov = self._start
+
+    def _look_through(self, client: viser.ClientHandle, camera: Camera) -> None:
+        position, wxyz, fov_y = window_pose(camera)
+        with client.atomic():
+            client.camera.position = position
+            client.camera.look_at = self._ahead(camera)
+            client.camera.wxyz = wxyz
+            client.camera.fov = fov_y
+
+    def _ahead(self, camera: Camera) -> np.ndarray:
+        """The point on a camera's axis to orbit: as far away as the centre of the scene."""
+        position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
+        return position + forward * max(float(np.linalg.norm(self.middle - position)), 1e-3)
+
+
+def _places(dataset: Dataset) -> np.ndarray:
+    """The positions of all cameras."""
+    return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
+
+
+def _triple(point: np.ndarray) -> Triple:
+    x, y, z = map(float, point)
+    return x, y, z
+
+
+Sight = Literal["prediction", "layer", "nothing"]
+
+NO_MESHES = "none"
+USUAL_LAYERS = 8
+"""Layers to choose from if none were peeled."""
+
+
+class Panel:
+    """The controls, shared by all browsers; they change in viser's threads."""
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        dataset: Dataset,
+        *,
+        has_run: bool,
+        on_sight: Callable[[], None],
+        on_cameras: Callable[[Split, bool], None],
+        on_meshes: Callable[[str | None], None],
+    ) -> None:
+        """
+        Args:
+            on_sight: called when the free camera shows something else.
+            on_cameras: called with a split, and whether to show its cameras.
+            on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
+        """
+        gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
+        self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
+        layer: list[Sight] = ["layer"] if geometries else []
+        sights: list[Sight] = [*(["prediction"] if has_run else []), *layer, "nothing"]
+        first: Sight = "prediction" if has_run else "nothing"
+        self._sight = gui.add_dropdown("the camera sees", sights, initial_value=first)
+        self._layer = gui.add_slider("layer", 0, _num_layers(dataset) - 1, 1, 0, visible=False)
+        self._geometry = gui.add_dropdown("layers of", geometries or (TRUTH,), initial_value=TRUTH, visible=False)
+        shown = NO_MESHES if has_run or not geometries else TRUTH
+        meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
+        self._pause = gui.add_checkbox("pause", False, hint="Draw nothing, and leave the machine alone.")
+        for split in dataset.splits:
+            box = gui.add_checkbox(f"{split} cameras", not has_run)  # Frames would cover the prediction.
+            box.on_update(lambda event, split=split: on_cameras(split, event.target.value))
+            on_cameras(split, not has_run)
+        self._view = gui.add_markdown("Click a camera to look through it.")
+        self._truth: viser.GuiImageHandle | None = None
+        self._gui = gui
+
+        def show_sight(_: object) -> None:
+            self._layer.visible = self._geometry.visible = self.sight == "layer"
+            on_sight()
+
+        self._sight.on_update(show_sight)
+        for control in (self._layer, self._geometry, self._pause):
+            control.on_update(lambda _: on_sight())
+        choosing = threading.Lock()
+
+        def show_meshes(_: object) -> None:
+            with choosing:  # Two threads would remove the same meshes, and the last choice might not be the last shown.
+                try:
+                    on_meshes(None if meshes.value == NO_MESHES else meshes.value)
+                except HyalineError as error:
+                    self.tell_trouble(str(error))
+
+        meshes.on_update(show_meshes)
+        on_meshes(None if shown == NO_MESHES else shown)
+
+    @property
+    def sight(self) -> Sight:
+        """What the free camera shows."""
+        return self._sight.value
+
+    @property
+    def layer(self) -> int:
+        return self._layer.value
+
+    @property
+    def num_layers(self) -> int:
+        return int(self._layer.max) + 1
+
+    @property
+    def geometry(self) -> str:
+        """The geometry whose layers are shown."""
+        return self._geometry.value
+
+    @property
+    def is_paused(self) -> bool:
+        return self._pause.value
+
+    def tell_run(self, status: str) -> None:
+        """Shows the run's progress."""
+        status = as_text(status)
+        if self._status.content != status:
+            self._status.content = status
+
+    def tell_trouble(self, trouble: str) -> None:
+        """Shows why there is no picture; empty: hides the message."""
+        trouble = as_text(trouble)
+        if self._trouble.content != trouble:
+            self._trouble.content, self._trouble.visible = trouble, bool(trouble)
+
+    def show_view(self, view: View) -> None:
+        """Shows the true picture of a view."""
+        self._view.content = f"{view.split} view {view.index}: truth"
+        try:
+            picture = view.image
+        except HyalineError:
+            self._view.content = f"{view.split} view {view.index}: not built"
+            return
+        if self._truth is None:
+            self._truth = self._gui.add_image(picture, format="png")
+        self._truth.image = picture
+
+
+def _num_layers(dataset: Dataset) -> int:
+    try:
+        return dataset.layer_store().head.num_layers
+    except HyalineError:
+        return USUAL_LAYERS

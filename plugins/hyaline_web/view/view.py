@@ -1,0 +1,223 @@
+"""`model view`: a dataset or a run in a browser; pictures are drawn one by one, only in the main thread."""
+
+import contextlib
+import math
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import viser
+from jaxtyping import UInt8
+
+from datagen.data.cameras import Camera
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.paths import find_dataset
+from datagen.disk.errors import HyalineError
+from datagen.look.view_pictures import object_colors
+from datagen.terminal.command import say, tell
+from datagen.terminal.signals import Held, hold_signals
+from hyaline_web.view.live_run import LiveRun, MovedOn, Picture
+from hyaline_web.view.schedule import Budget, Job, Pose, Schedule
+from hyaline_web.view.server import HOST, Server, serving
+from hyaline_web.view.stage import Panel, Stage
+from model.batches.traced_layers import peel_cameras
+from model.run.run_folder import RUN, open_trained
+from model.settings.run_flags import RUNS, Device
+from model.settings.runtime import choose_device
+
+TRAINING_SHARE = 0.09
+"""Share of one core that this process takes while a run trains, for any number of browsers: it slows training by less
+than a tenth, and takes nothing without a browser."""
+LOOK_EVERY_S = 2.0
+"""Seconds between two checks for newer weights."""
+WAIT_S, IDLE_S = 0.05, 0.5
+"""Seconds to wait for work with a connected browser, and without one."""
+BACK = 0.4
+"""How much farther away than a dataset's cameras to start without a prediction, relative to the distance."""
+JPEG_QUALITY = 85
+"""Quality of pictures while a camera moves; the others are sent losslessly."""
+
+
+def view(dataset: Dataset, run: LiveRun | None, *, port: int, announce: Callable[[str], None]) -> None:
+    """Shows a dataset, and a run's predictions, until a signal arrives.
+
+    The run is only read from its folder; another process may be training it.
+
+    Args:
+        announce: called once with the address to open.
+
+    Raises:
+        HyalineError: the port is taken, or what is shown is missing or damaged.
+        Stopped: a signal has arrived, which is how it ends.
+    """
+    if run is not None:
+        run.refresh()
+    with serving(port, dataset.name) as server:
+        viewer = Viewer(server, dataset, run)
+        with hold_signals() as held:
+            announce(f"http://{HOST}:{server.get_port()}")
+            while held.number is None:
+                viewer.step(held)
+
+
+class Viewer:
+    """Serves the connected browsers."""
+
+    def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
+        self._server, self._dataset, self._run = server, dataset, run
+        self._schedule = Schedule()
+        self._budget = Budget(TRAINING_SHARE)
+        self._looked_at = -math.inf
+        self._news = threading.Event()
+        self._stage = Stage(server, dataset, self._show_view, back=BACK if run is None else 0.0)
+        self.panel = Panel(
+            server,
+            dataset,
+            has_run=run is not None,
+            on_sight=self._redraw,
+            on_cameras=self._show_cameras,
+            on_meshes=self._stage.show_meshes,
+        )
+        self._pictures: Iterator[None] = self._stage.pictures()
+        self._was_visited = False
+        server.on_client_connect(self._connect)
+        server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
+        server.is_open = True
+
+    def step(self, held: Held) -> None:
+        """Does the most urgent piece of work, or waits a moment for one."""
+        if not self._schedule.is_watched:
+            self._wait(IDLE_S)
+            return
+        started, processor = time.monotonic(), time.process_time()
+        if self.panel.is_paused or not self._budget.is_ready(started):
+            self._wait(WAIT_S)
+            return
+        if started - self._looked_at >= LOOK_EVERY_S:
+            self._looked_at = started
+            self._look()
+        job = self._schedule.next_job(time.monotonic())
+        if job is not None:
+            with contextlib.suppress(MovedOn):
+                self._draw(job, lambda: held.number is None and self._schedule.is_wanted(job))
+        elif next(self._pictures, self) is self:
+            self._wait(WAIT_S)
+        if self._run is not None and not self._run.is_trained:
+            self._budget.spend(time.process_time() - processor, time.monotonic())
+
+    def _look(self) -> None:
+        """Reads newer weights, if there are any."""
+        if self._run is None:
+            return
+        try:
+            if self._run.refresh():
+                self._schedule.redraw()
+            self.panel.tell_run(f"{self._run.folder}: {self._run.status}")
+        except HyalineError as error:
+            self.panel.tell_run(str(error))
+
+    def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
+        started = time.monotonic()
+        try:
+            picture, trouble = self._picture(job, is_wanted), ""
+        except HyalineError as error:
+            picture, trouble = None, str(error)
+        self.panel.tell_trouble(trouble)
+        client = self._server.get_clients().get(job.client)
+        if client is None:  # It disconnected before its last move was processed.
+            self._schedule.forget(job.client)
+        else:
+            kind = "jpeg" if job.is_quick else "png"
+            client.scene.set_background_image(picture, format=kind, jpeg_quality=JPEG_QUALITY)
+            client.flush()
+        self._schedule.finish(job, time.monotonic() - started)
+
+    def _picture(self, job: Job, is_wanted: Callable[[], bool]) -> Picture | None:
+        panel = self.panel
+        if panel.sight == "prediction" and self._run is not None:
+            return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
+        if panel.sight == "layer":
+            return draw_layer(self._dataset, panel.geometry, job.camera, panel.layer, panel.num_layers)
+        return None
+
+    # Callbacks in viser's threads.
+
+    def _connect(self, client: viser.ClientHandle) -> None:
+        def moved(camera: viser.CameraHandle) -> None:
+            pose = Pose(
+                position=np.array(camera.position),
+                wxyz=np.array(camera.wxyz),
+                fov_y=camera.fov,
+                window=(camera.image_width, camera.image_height),
+            )
+            self._schedule.move(client.client_id, pose, time.monotonic())
+            self._news.set()
+
+        if not self._was_visited:  # A page left open by an earlier viewer keeps its camera.
+            self._was_visited = True
+            self._stage.restart(client)
+        client.camera.on_update(moved)
+        moved(client.camera)
+
+    def _redraw(self) -> None:
+        self._schedule.redraw()
+        self._news.set()
+
+    def _show_cameras(self, split: Split, visible: bool) -> None:
+        self._stage.show_cameras(split, visible=visible)
+
+    def _show_view(self, view: View) -> None:
+        self.panel.show_view(view)
+
+    def _wait(self, seconds: float) -> None:
+        self._news.wait(seconds)
+        self._news.clear()
+
+
+def show(what: str, *, port: int, device: Device) -> None:
+    """Shows it until a signal arrives.
+
+    Raises:
+        HyalineError: neither a run nor a dataset is there, or what is there cannot be shown.
+        Stopped: a signal has arrived.
+    """
+    run = next((place for place in (Path(what), RUNS / what) if (place / RUN).is_file()), None)
+    if run is not None:
+        record, opened = open_trained(run)
+        live = LiveRun(run, record.config, opened, device=choose_device(device))
+    else:
+        place = find_dataset(what)
+        if not (place / "dataset.json").is_file():
+            raise HyalineError(
+                f"{what}: neither a run nor a dataset; expected a folder such as runs/glass_table/paper or "
+                "data/glass_table"
+            )
+        opened, live = open_dataset(place), None
+
+    def announce(address: str) -> None:
+        tell(address)
+        sys.stdout.flush()
+        say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
+
+    view(opened, live, port=port, announce=announce)
+
+
+CHECKS = 24
+"""Width of a texture in squares of a checkerboard, which shows uv on surfaces."""
+
+
+def draw_layer(
+    dataset: Dataset, geometry: str, camera: Camera, layer: int, num_layers: int
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The surfaces of one layer along a camera's rays, each object in a colour of its own; layer 0 is the nearest."""
+    pixels = peel_cameras(dataset, geometry, num_layers, camera.alone)
+    ids = pixels.object_id[:, layer].numpy()
+    uv = pixels.uv[:, layer].numpy().view(np.uint16)
+    is_light = (uv.astype(np.int64) * CHECKS // 65536).sum(axis=-1) % 2 == 0
+    colors = object_colors(len(dataset.objects))[ids]
+    checked = np.where((is_light | (ids == 0))[:, None], colors, (0.8 * colors).astype(np.uint8))
+    return checked.reshape(camera.height, camera.width, 3)
