@@ -50,7 +50,7 @@ pyright: setup
 	$(BIN)/pyright
 
 pytest: setup
-	$(BIN)/python -m pytest $(PARALLEL)
+	$(BIN)/python -m pytest $(PARALLEL) $(TESTS)
 
 # Every promise of docs/reliability.md with every case, and what `make test` leaves out, an hour on two cores;
 # writes the counts into that file.

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from hyaline_import.foreign import Axis, z_up_from
-from hyaline_import.importing import Imported, import_scene
 from jaxtyping import Float
 
 from benchmarks.blender_child import NOT_INSTALLED, UNREADABLE
@@ -30,6 +28,8 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.rig import make_cameras
 from datagen.scene.textures import SolidTexture
 from datagen.terminal.command import say
+from hyaline_import.foreign import Axis, z_up_from
+from hyaline_import.importing import Imported, import_scene
 
 CHILD = Path(__file__).with_name("blender_child.py")
 READ_BY_BLENDER: dict[str, Axis] = {".glb": "y", ".gltf": "y", ".obj": "z", ".ply": "z", ".stl": "z"}

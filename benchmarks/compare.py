@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from hyaline_web.page.export import export_run
-from hyaline_web.page.packing import Quality
 from jaxtyping import UInt8
 
 from benchmarks.browser import open_file, running_browser, watched_page
-from datagen.build.build import peel_dataset
-from datagen.build.plan_variant import plan_edit
+from datagen.builder.build import peel_dataset
+from datagen.builder.plan_variant import plan_edit
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import is_there
@@ -27,6 +25,8 @@ from datagen.scene.edits import CLEAR_GLASS, GREY, Edit, edit_scene, parse_edit
 from datagen.scene.folder import open_scene
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
+from hyaline_web.page.export import export_run
+from hyaline_web.page.packing import Quality
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.methods.renderer import Renderer

@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from hyaline_export.formats import export_dataset
-from hyaline_export.source import ExportView, Source
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
@@ -23,6 +21,8 @@ from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.terminal.command import say
+from hyaline_export.formats import export_dataset
+from hyaline_export.source import ExportView, Source
 
 LOADERS = Path(__file__).with_name("exports_child.py")
 

@@ -15,7 +15,7 @@ from torch.nn import functional
 from benchmarks.choices import BenchChoices
 from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, measure
 from benchmarks.naive import NaiveRenderer, describe, made_up_batch, make_renderer, relative_error
-from datagen.build.synthetic import synthetic_scene, write_synthetic_dataset
+from datagen.builder.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.render.truth import Renderer

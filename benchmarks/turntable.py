@@ -8,7 +8,7 @@ import torch
 from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from datagen.build.film import path_trace
+from datagen.builder.film import path_trace
 from datagen.data.dataset import open_dataset
 from datagen.data.film import check_film, write_film
 from datagen.disk.errors import HyalineError

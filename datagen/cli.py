@@ -5,13 +5,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_photos.capture.choices import CaptureChoices
-
-from datagen.build.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
+from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import (
     BUILT_IN_SCENES,
-    DATA_ROOT,
     TRUTH,
     build_command,
     find_dataset,
@@ -22,12 +18,10 @@ from datagen.disk.errors import UsageError
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
+from datagen.terminal.plugins import absent_commands, commands_of
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
-
-SCENES_ROOT = Path("scenes")
-"""Default folder for imported scenes."""
 
 
 def main() -> None:
@@ -40,20 +34,18 @@ def commands() -> CommandGroup:
     by_name = {
         "build": build,
         "add": add,
-        "import": import_file,
-        "import-dataset": import_dataset,
-        "capture": capture,
         "peel": peel,
         "film": film,
-        "export": export,
-        "pack": pack,
-        "unpack": unpack,
         "look": look,
         "verify": verify,
         "scenes": scenes,
         "doctor": doctor,
     }
-    return group("Path-traced datasets of transparent objects, with peeled layers.", by_name)
+    return group(
+        "Path-traced datasets of transparent objects, with peeled layers.",
+        by_name | commands_of("datagen"),
+        absent_commands("datagen"),
+    )
 
 
 def build(
@@ -71,8 +63,8 @@ def build(
         scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
             random: glassware generated from --seed. random-0007 is the random scene of seed 7.
     """
-    from datagen.build.build_command import build_scenes
-    from datagen.build.shards import count_missing
+    from datagen.builder.build_command import build_scenes
+    from datagen.builder.shards import count_missing
 
     hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
@@ -97,7 +89,7 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
     """
-    from datagen.build.build_command import add_variants
+    from datagen.builder.build_command import add_variants
     from datagen.data.dataset import open_dataset
 
     made = add_variants(open_dataset(find_dataset(dataset)), choices)
@@ -108,99 +100,6 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
 def _tell_roots(datasets: "list[Dataset]") -> None:
     for dataset in datasets:
         tell(str(dataset.root))
-
-
-def import_file(
-    file: Path,
-    /,
-    *,
-    out: Path | None = None,
-    overwrite: bool = False,
-    resolution: str = "128",
-    choices: ImportChoices = ImportChoices(),  # noqa: B008
-) -> None:
-    """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL or Mitsuba XML.
-
-    Writes a scene folder for `datagen build`. Its import.json lists everything that is rendered differently from what
-    the file asks for. The file is read in a separate process, limited to 8 s of CPU time and 2 GB of memory, and for
-    large files to 30 s and 24 MB per MB.
-
-    Args:
-        file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .xml.
-        out: Folder to write. Default: scenes/NAME.
-        overwrite: Replace an existing imported scene.
-        resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.
-    """
-    from hyaline_import.confined_import import check_free, import_files, write_imported
-    from hyaline_import.foreign_files import scene_name
-
-    from datagen.data.config import parse_resolution
-
-    root = out or SCENES_ROOT / scene_name(file)
-    check_free(root, overwrite=overwrite)
-    imported = import_files(file, choices, resolution=parse_resolution(resolution))
-    write_imported(imported.files, imported.record, root, overwrite=overwrite)
-    say_all(imported.told)
-    tell(str(root))
-    next_command(shlex.join(["datagen", "build", str(root)]))
-
-
-def import_dataset(
-    folder: Path,
-    /,
-    *,
-    out: Path | None = None,
-    overwrite: bool = False,
-    choices: DatasetImportChoices = DatasetImportChoices(),  # noqa: B008
-) -> None:
-    """Import another project's dataset: RefRef, OpenMaterial, NeRF's Blender scenes, or nerfstudio's transforms.json.
-
-    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. Noise and
-    other data of a renderer stay unknown. If interrupted, the same command resumes.
-
-    Args:
-        folder: A folder with transforms_train.json or transforms.json.
-        out: Folder to write. Default: data/NAME.
-        overwrite: Replace an existing dataset.
-    """
-    from hyaline_import.datasets.import_dataset import plan_import, write_import
-
-    plan = plan_import(folder, choices)
-    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
-    say_all(list(plan.imported.remarks))
-    views = ", ".join(f"{count} {split}" for split, count in dataset.num_views.items())
-    say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
-    tell(str(dataset.root))
-    next_command(shlex.join(["datagen", "look", str(dataset.root)]))
-
-
-def capture(
-    folder: Path,
-    /,
-    *,
-    out: Path | None = None,
-    overwrite: bool = False,
-    choices: CaptureChoices = CaptureChoices(),  # noqa: B008
-) -> None:
-    """Make a dataset from a folder of pictures and masks of glass.
-
-    Reads cameras from a transforms file or COLMAP's sparse/0, or finds them (needs the extra `capture`). Fits the
-    opaque room to points as planes, surfaces and boxes, unless --room gives it. Each glass object is an ellipsoid until
-    `model fit` finds its shape. If interrupted, the same command resumes.
-
-    Args:
-        folder: A folder with images/ and masks/OBJECT/, one mask per picture, white where the object is visible.
-        out: Folder to write. Default: data/NAME.
-        overwrite: Replace an existing dataset.
-    """
-    from hyaline_import.datasets.import_dataset import write_import
-    from hyaline_photos.capture.capture import plan_capture
-
-    plan = plan_capture(folder, choices)
-    dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
-    say_all(list(plan.imported.remarks))
-    tell(str(dataset.root))
-    next_command(shlex.join(["datagen", "peel", str(dataset.root)]))
 
 
 def peel(
@@ -221,8 +120,8 @@ def peel(
         workers: Parallel processes.
         overwrite: Peel again even if layers exist.
     """
-    from datagen.build.build import peel_dataset, summary
-    from datagen.build.build_variant import peel_variants
+    from datagen.builder.build import peel_dataset, summary
+    from datagen.builder.build_variant import peel_variants
     from datagen.data.dataset import open_dataset
     from datagen.data.geometries import check_geometry
     from datagen.data.layer_writing import check_settings, find_num_layers
@@ -253,7 +152,7 @@ def film(
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         spp: Samples per pixel.
     """
-    from datagen.build.film import film_scene, plan_film
+    from datagen.builder.film import film_scene, plan_film
     from datagen.data.dataset import open_dataset
 
     opened = open_dataset(find_dataset(dataset))
@@ -262,63 +161,6 @@ def film(
     say(f"{opened.root}: rendering {out}")
     film_scene(opened, cameras, out, fps=choices.fps, spp=spp, overwrite=choices.overwrite)
     tell(str(out))
-
-
-def export(
-    dataset: str | None = None,
-    /,
-    *,
-    format: str = "nerfstudio",  # noqa: A002
-    out: Path | None = None,
-    points: int = 20000,
-    flow: bool = False,
-) -> None:
-    """Export a dataset in another tool's format, into a new folder.
-
-    Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        format: nerfstudio, blender, 3dgs, colmap, nerfbaselines, capture, quantities or huggingface.
-        out: Folder to write, new or empty. Default: exports/NAME-FORMAT.
-        points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
-        flow: With quantities: also trace refractive flow and attenuation through the glass.
-    """
-    from hyaline_export.formats import export_dataset
-
-    from datagen.data.dataset import open_dataset
-
-    opened = open_dataset(find_dataset(dataset))
-    where, hint = export_dataset(opened, format, out, num_points=points, flow=flow)
-    tell(str(where))
-    next_command(hint)
-
-
-def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
-    """Pack a finished dataset into one tar file, every byte verified.
-
-    Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        out: File to write, which ends in .tar. Default: exports/NAME.tar.
-        overwrite: Replace an existing file.
-    """
-    from hyaline_export.pack import pack_dataset
-
-    path = pack_dataset(find_dataset(dataset), out, overwrite=overwrite)
-    tell(str(path))
-    next_command(shlex.join(["datagen", "unpack", str(path)]))
-
-
-def unpack(file: Path, /, *, out: Path | None = None) -> None:
-    """Unpack a packed dataset into a new folder, every byte verified.
-
-    Args:
-        file: A file from `datagen pack`.
-        out: Folder to write, new or empty. Default: data/NAME, for NAME.tar.
-    """
-    from hyaline_export.pack import unpack_archive
-
-    root = unpack_archive(file, out)
-    tell(str(root))
-    next_command(shlex.join(["datagen", "look", str(root)]))
 
 
 def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
@@ -355,7 +197,7 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
         quiet: Print no remarks.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
-    from datagen.build.verify import tell_findings, verify_dataset
+    from datagen.builder.verify import tell_findings, verify_dataset
 
     hush(quiet)
     root = find_dataset(dataset)
@@ -364,11 +206,14 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 
 def scenes() -> None:
     """List the built-in scenes, and how to generate random ones."""
-    from hyaline_random.names import FAMILIES, RANDOM
+    from datagen.scene.sources import SOURCES
 
     for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")
-    print(f"{RANDOM:14} Glassware from --seed N, with --count M of them; --family {', '.join(FAMILIES.names())}")
+    for name in SOURCES.names():
+        if (source := SOURCES.find(name)).name_of is not None:
+            families = ", ".join(source.families())
+            print(f"{name:14} Glassware from --seed N, with --count M of them; --family {families}")
     next_command(build_command())
 
 

@@ -1,8 +1,8 @@
 """Fills the marked tables of README.md and docs/{index,paper,claims}.md from docs/results; `make results` runs it.
 
 A table lies between `<!-- table: NAME -->` and `<!-- end -->`. In that of `claims`, NAME's rows are written by hand but
-for their last two columns; every other one is a key of `TABLES`. tests/docs/test_claims.py compares tables and the
-numbers of sentences with the stored results.
+for their last two columns; every other one is a key of `TABLES`. plugins/tests/docs/test_claims.py compares tables and
+the numbers of sentences with the stored results.
 """
 
 import json
@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
 from hyaline_paper.claims import DROP, FAR, NEAR, Interval, bootstrap
 
 ROOT = Path(__file__).resolve().parents[1]

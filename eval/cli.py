@@ -56,15 +56,13 @@ def report(
     """
     hush(quiet)
     if results is not None:
-        from hyaline_bench.leaderboard import TRACKS, track_rows
+        from eval.tables.pages import RESULT_LISTS, results_index, results_page
 
-        from eval.tables.pages import results_index, results_page
+        more = {}
+        for name in RESULT_LISTS.names():
+            more |= RESULT_LISTS.find(name)(results / name)
 
-        text = (
-            results_index(list(results.glob("*.json")), track_rows(results / TRACKS))
-            if results.is_dir()
-            else results_page(results)
-        )
+        text = results_index(list(results.glob("*.json")), more) if results.is_dir() else results_page(results)
         sys.stdout.write(text)
         return
     output_format = "json" if json else format

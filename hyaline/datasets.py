@@ -120,9 +120,9 @@ def build(
     Raises:
         HyalineError: a scene that would render wrong, a setting out of range, or something else in `folder`.
     """
-    from datagen.build.build import build_dataset, summary
-    from datagen.build.choices import SizeChoices
-    from datagen.build.presets import configure, fit_to_scene
+    from datagen.builder.build import build_dataset, summary
+    from datagen.builder.choices import SizeChoices
+    from datagen.builder.presets import configure, fit_to_scene
     from datagen.scene.finding import find_scene
 
     for key in size:

@@ -1,7 +1,6 @@
 """Scenes described in Python: meshes with materials, light and cameras."""
 
 import dataclasses
-import operator
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -246,34 +245,11 @@ def _checked(
     return places.astype(np.float64), corners.astype(np.int64)
 
 
-# Mesh files
-
-
 def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Vertices, faces and uv of all objects in a file as one mesh, read in a process of its own."""
-    from hyaline_import.foreign_files import check_ending
+    """Vertices, faces and uv of all objects in a file as one mesh."""
+    from datagen.scene.finding import find_source
 
-    from datagen.machine.confined import confined
-
-    check_ending(path)
-    with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
-        return found["vertices"], found["faces"], found.get("uv")
-
-
-def write_arrays(folder: Path, path: Path) -> None:
-    """Reads a mesh file, in the process that `confined` starts."""
-    from hyaline_import.foreign_files import READERS, ending_of
-
-    from datagen.machine.confined import allow_triangles
-    from datagen.scene.remarks import Remarks
-
-    parts = READERS.find(ending_of(path))(path, Remarks()).objects
-    allow_triangles(sum(len(part.faces) for part in parts))
-    starts = np.cumsum([0, *(len(part.positions) for part in parts)])
-    arrays = {
-        "vertices": np.concatenate([part.positions for part in parts]),
-        "faces": np.concatenate([part.faces + start for part, start in zip(parts, starts)]),
-    }
-    if all(part.uv is not None for part in parts):
-        arrays["uv"] = np.concatenate(list(map(operator.attrgetter("uv"), parts)))
-    np.savez(folder / "mesh.npz", allow_pickle=False, **arrays)
+    source = find_source(str(path), is_of_files=True)
+    if source is None or source.read_mesh is None:
+        raise HyalineError(f"{path}: reading mesh files needs the plug-in hyaline_import; give vertices and faces")
+    return source.read_mesh(path)

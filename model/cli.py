@@ -2,20 +2,19 @@
 
 import functools
 import os
-import re
 import shlex
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from datagen.build.choices import FilmChoices
-from datagen.data.paths import FITTED, find_dataset
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.builder.choices import FilmChoices
+from datagen.data.paths import find_dataset
+from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
+from datagen.terminal.plugins import absent_commands, commands_of
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -35,15 +34,16 @@ def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
         "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
-        "fit": fit,
         "predict": predict,
         "film": film,
-        "export": export,
-        "view": view,
         "sweep": sweep,
         "check-method": check_method,
     }
-    return group("Train neural renderers on datasets of transparent objects, and render with them.", by_name)
+    return group(
+        "Train neural renderers on datasets of transparent objects, and render with them.",
+        by_name | commands_of("model"),
+        absent_commands("model"),
+    )
 
 
 def _methods() -> Sequence[str]:
@@ -93,60 +93,6 @@ def _train_method(method: str, asked: "Asked") -> None:
         ),
     )
     _end(out, run=out)
-
-
-def fit(
-    dataset: str | None = None,
-    /,
-    *,
-    unknown: tuple[str, ...] = (),
-    masks: Path | None = None,
-    mask_errors: int | None = None,
-    name: str = FITTED,
-    out: Path | None = None,
-    steps: int = 800,
-    skip: tuple[Literal["grid", "search", "again"], ...] = (),
-    room: Literal["known", "matt"] = "known",
-    seed: int = 0,
-    overwrite: bool = False,
-) -> None:
-    """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
-
-    Cameras and everything but glass must be known. To train `light-path` on the result, use `--geometry
-    fitted`; to compare it with the truth, `proxies check --name fitted`.
-
-    Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        unknown: An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes.
-        masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
-            is seen first. Default: the dataset's own.
-        mask_errors: Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many
-            neighbouring rays miss it as well. Default: 2 with --masks and for imported or captured masks, otherwise 0.
-        name: The geometry's name: fitted, or fitted-SOMETHING.
-        out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
-        steps: Training steps for the room's textures.
-        skip: Skip a stage: grid (then all glass is solid), search, or again. May be repeated.
-        room: Materials of everything but glass: known, or assumed to be diffuse (matt).
-        seed: Seed of all random numbers.
-        overwrite: Start over. By default, finished stages are kept.
-    """
-    from hyaline_photos.fit.fit import FitChoices
-    from hyaline_photos.fit.fit import fit as fit_glass
-
-    from datagen.data.dataset import open_dataset
-
-    if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
-        raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
-    opened = open_dataset(find_dataset(dataset))
-    if mask_errors is None:
-        mask_errors = 0 if masks is None and opened.imported is None else 2
-    choices = FitChoices(
-        unknown=unknown, masks=masks, mask_errors=mask_errors, steps=steps, skip=skip, room=room, seed=seed
-    )
-    place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
-    fit_glass(opened, name, choices, place, overwrite=overwrite)
-    tell(str(place))
-    next_command(shlex.join(["model", "train", "light-path", str(opened.root), "--geometry", name]))
 
 
 def predict(
@@ -221,7 +167,7 @@ def film(
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
-    from datagen.build.film import plan_film
+    from datagen.builder.film import plan_film
     from datagen.data.film import film_key, write_film
     from datagen.disk.storage import sha256_file
 
@@ -233,64 +179,6 @@ def film(
     key = film_key(cameras, opened.seal, sha256_file(run / WEIGHTS))
     write_film(out, draw, choices.fps, frames=len(cameras), key=key, overwrite=choices.overwrite)
     tell(str(out))
-
-
-def export(
-    run: Path,
-    /,
-    *,
-    out: Path = Path("scene.html"),
-    quality: Literal["small", "exact"] = "small",
-    truths: Literal["all", "test", "none"] = "all",
-    dataset: str | None = None,
-    overwrite: bool = False,
-) -> None:
-    """Write a trained scene as one HTML file that renders it live in a browser, without a server.
-
-    Args:
-        run: A trained run (its folder, or SCENE/NAME under runs/) whose method has a web page, such as light-path.
-        out: File to write.
-        quality: small stores numbers in few bits; exact keeps all of them, in about five times the bytes.
-        truths: Path-traced views that the page can fade over its own: all, only those of the test splits, or none.
-        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
-        overwrite: Replace an existing file.
-    """
-    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
-
-    run = find_run(run)
-    refuse_file(out, overwrite=overwrite)
-    refuse_owned(out, DATASET)
-    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
-    record, opened = open_trained(run, dataset)
-    say(f"{run}: writing {out}")
-    from hyaline_web.page.export import export_run
-
-    export_run(run, record, opened, out, quality, truths)
-    tell(str(out))
-
-
-def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
-    """Look at a dataset or a run in a browser, even during training: cameras, meshes, proxies, layers, predictions.
-
-    Args:
-        what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.
-        port: Port of this machine to listen at; 0 takes any free one. From another machine, `ssh -L 8080:localhost:8080
-            THIS_MACHINE` brings the viewer to that one's port 8080.
-        device: Where to compute; auto uses a GPU if there is one.
-    """
-    from hyaline_web.view.view import show
-
-    from datagen.terminal.signals import Stopped
-
-    if not 0 <= port <= 65535:
-        raise UsageError(f"--port: is {port}; expected 0 to 65535")
-    try:
-        show(what, port=port, device=device)
-    except KeyboardInterrupt:
-        sys.exit(128 + signal.SIGINT)
-    except Stopped as stopped:  # Ctrl-C is how one leaves it: nothing was interrupted.
-        sys.exit(stopped.status)
 
 
 def sweep(
@@ -342,7 +230,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
     """
     import tempfile
 
-    from datagen.build.synthetic import write_synthetic_dataset
+    from datagen.builder.synthetic import write_synthetic_dataset
     from datagen.data.dataset import open_dataset
     from model.run.conformance import check_method as check
 

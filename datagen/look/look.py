@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from datagen.build.verify import verify_dataset
+from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries

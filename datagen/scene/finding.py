@@ -1,36 +1,41 @@
-"""The scene that `--scene` means: a built-in or a random one, a folder, or a file from elsewhere."""
+"""The scene that a word means: a built-in one, a folder, or one of a plug-in."""
 
 import dataclasses
 from pathlib import Path
 
-from hyaline_import.foreign_files import (
-    DEFAULT_RESOLUTION,
-    OTHER_ENDINGS,
-    READERS,
-    check_ending,
-    ending_of,
-)
-from hyaline_random.names import RANDOM, parse_random
-
-from datagen.data.config import Resolution
+from datagen.data.config import Resolution, square
 from datagen.data.meshes import is_there
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.scene.builtin import SCENES, find_builtin
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
-from datagen.terminal.command import say, say_all
+from datagen.scene.sources import SOURCES, SceneSource
+from datagen.terminal.command import say
+
+DEFAULT_RESOLUTION = square(128)
+
+
+def find_source(given: str, *, is_of_files: bool) -> SceneSource | None:
+    """The source of a scene, if one has it."""
+    sources = (SOURCES.find(name) for name in SOURCES.names())
+    return next((source for source in sources if source.is_of_files is is_of_files and source.has(given)), None)
+
+
+def numbered_scenes(given: str) -> SceneSource | None:
+    """The source that numbers its scenes, if that is what a word means: `random`."""
+    source = SOURCES.find(given) if given in SOURCES.names() else None
+    return source if source is not None and source.name_of is not None else None
 
 
 def is_foreign(given: str) -> bool:
-    """True for a file of a format that is imported, by its ending."""
-    ending = ending_of(Path(given))
-    return ending != "" and ending in READERS.names() and not Path(given).is_dir()
+    """True for a file that is imported."""
+    return find_source(given, is_of_files=True) is not None
 
 
 def is_made_by_code(name: str) -> bool:
     """True for the name of a scene that can be made again from it: a built-in or a random one."""
-    return name in SCENES or parse_random(name) is not None
+    return name in SCENES or find_source(name, is_of_files=False) is not None
 
 
 def find_scene(
@@ -40,25 +45,19 @@ def find_scene(
     resolution: Resolution = DEFAULT_RESOLUTION,
     imports: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> Scene:
-    """The scene of a folder with a scene.json, of a file that is imported, or a built-in or random one by its name.
+    """The scene of a folder with a scene.json, a built-in one by its name, or one of a plug-in.
 
     Args:
         built: a dataset that may hold the same built-in scene, unwrapped.
         resolution: of the pictures, which the ground of an imported scene is made for.
         imports: how a file is imported.
     """
-    if is_foreign(given):
-        from hyaline_import.confined_import import imported_scene
-
-        say(f"scene {given}: importing it")
-        scene, told = imported_scene(Path(given), imports, resolution=resolution)
-        say_all(told)
-        return scene
+    if (source := find_source(given, is_of_files=True)) is not None:
+        return source.find(given, resolution, imports)
     if flags := imports.given():
-        raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as --scene vase.glb; leave it out")
-    ending = ending_of(Path(given))
-    if ending in OTHER_ENDINGS or (ending not in ("", "json") and Path(given).is_file()):
-        check_ending(Path(given))
+        raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as vase.glb; leave it out")
+    if Path(given).is_file() and Path(given).name != "scene.json":
+        raise UsageError(f"{given}: reading files needs the plug-in hyaline_import, which is not installed here")
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reading and checking it")
         scene = load_scene(Path(given))
@@ -66,12 +65,6 @@ def find_scene(
         return dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
     if "/" in given:
         return load_scene(Path(given))
-    if (random := parse_random(given)) is not None:
-        from hyaline_random.drawing import make_random
-
-        return make_random(random)
-    if given.startswith(RANDOM):
-        raise HyalineError(
-            f"scene {given}: is not a random scene; expected a name like random-0007 or random-table-0007"
-        )
+    if (source := find_source(given, is_of_files=False)) is not None:
+        return source.find(given, resolution, imports)
     return find_builtin(given, built=built)

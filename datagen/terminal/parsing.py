@@ -15,7 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from datagen.disk.errors import HyalineError, UsageError
@@ -46,9 +46,13 @@ class CommandGroup:
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
     """What its names are called in messages."""
+    absent: Mapping[str, str] = field(default_factory=dict)
+    """Plug-ins that are not here, by the names that they would add."""
 
 
-def group(about: str, commands: Mapping[str, Command | CommandGroup]) -> CommandGroup:
+def group(
+    about: str, commands: Mapping[str, Command | CommandGroup], absent: Mapping[str, str] | None = None
+) -> CommandGroup:
     """The commands of a program."""
 
     def line(name: str) -> str:
@@ -56,7 +60,13 @@ def group(about: str, commands: Mapping[str, Command | CommandGroup]) -> Command
         text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command) or ""
         return text.partition("\n\n")[0]
 
-    return CommandGroup(about=about, names=lambda: list(commands), line=line, choose=lambda name, _: commands[name])
+    return CommandGroup(
+        about=about,
+        names=lambda: list(commands),
+        line=line,
+        choose=lambda name, _: commands[name],
+        absent=absent or {},
+    )
 
 
 def choose(what: str, value: str, choices: Collection[str]) -> str:
@@ -91,6 +101,8 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
             print(_list_commands(program, command))
             sys.exit(0 if words else 2)
         name, *words = words
+        if name in command.absent:
+            raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
         choose(f"{program} {command.word}", name, command.names())
         program, command = f"{program} {name}", command.choose(name, words)
     given = collect(program, command, words)

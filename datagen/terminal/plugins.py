@@ -7,8 +7,9 @@ that somebody types, or that a file holds, imports a module.
 
 import functools
 import importlib
+import importlib.util
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -94,10 +95,37 @@ class Group(Generic[Plugin]):
 @functools.cache
 def _installed(group: str, _paths: tuple[str, ...], _times: tuple[int, ...]) -> metadata.EntryPoints:
     """A group's entry points in the distributions on these paths of `sys.path`, whose folders were last changed at
-    these times. Reading them takes 10 ms, and an experiment asks for hundreds."""
-    return metadata.entry_points(group=group)
+    these times. Reading them takes 10 ms, and an experiment asks for hundreds.
+
+    Those of this distribution whose package is not there are left out: a checkout works without plugins/.
+    """
+    return metadata.EntryPoints(point for point in metadata.entry_points(group=group) if _is_there(point))
+
+
+def _is_there(point: metadata.EntryPoint) -> bool:
+    is_ours = point.dist is not None and point.dist.name == DISTRIBUTION
+    return not is_ours or importlib.util.find_spec(point.module.partition(".")[0]) is not None
 
 
 def _load(place: str) -> object:
     module, _, attribute = place.partition(":")
     return getattr(importlib.import_module(module), attribute)
+
+
+COMMANDS: Group[Callable[..., None]] = Group(
+    name="hyaline.commands", what="command", built_in={}, guide="docs/architecture.md"
+)
+"""Functions by program and command, such as `datagen.import`; their arguments are its flags."""
+
+
+def commands_of(program: str) -> dict[str, Callable[..., None]]:
+    """The commands that plug-ins add to a program, by their words."""
+    names = [name for name in COMMANDS.names() if name.startswith(f"{program}.")]
+    return {name.removeprefix(f"{program}."): COMMANDS.find(name) for name in names}
+
+
+def absent_commands(program: str) -> dict[str, str]:
+    """The plug-ins of this distribution that are not here, by the words of their commands."""
+    points = metadata.entry_points(group=COMMANDS.name)
+    absent = {point.name: point.module.partition(".")[0] for point in points if not _is_there(point)}
+    return {name.removeprefix(f"{program}."): plugin for name, plugin in absent.items() if name.startswith(program)}

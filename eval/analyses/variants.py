@@ -34,7 +34,7 @@ ANGLE_KEYS = {"psnr_db": "PSNR dB ↑", "glass_psnr_db": "PSNR glass dB ↑"}
 
 ANGLE_NOTES = (
     "10°, 20°, 40°: cameras so far outside of the directions that training cameras cover, at the training distance and "
-    "aimed at the centre (datagen/build/angles.py); inter are those inside.",
+    "aimed at the centre (datagen/builder/angles.py); inter are those inside.",
 )
 
 

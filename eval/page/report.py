@@ -143,7 +143,7 @@ def make_tables(
         datasets = list_datasets(data_root) if only is None else [only]
         hint = (
             f"; make them with `{_sweep_command(tables[0], [] if asked[tables[0]].needs_more else datasets)}`"
-            if tables[0] in TABLES.built_in and asked[tables[0]].is_swept
+            if asked[tables[0]].is_swept
             else ""
         )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))

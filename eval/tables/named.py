@@ -32,16 +32,7 @@ class Table:
 TABLES: Group[Table] = Group(
     name="hyaline.tables",
     what="table",
-    built_in={
-        "table1": "hyaline_paper.tables:TABLE1",
-        "table2": "hyaline_paper.tables:TABLE2",
-        "square": "hyaline_paper.tables:SQUARE",
-        "zero-layer": "hyaline_paper.tables:ZERO_LAYER",
-        "deepvoxels": "hyaline_paper.tried:DEEP_VOXELS_TABLE",
-        "larger": "hyaline_paper.tried:LARGER",
-        "claims": "hyaline_paper.claims:CLAIMS_TABLE",
-        "known": "hyaline_paper.known:KNOWN",
-    },
+    built_in={},
     guide="docs/adding-a-table.md",
     kind="eval.tables.named:Table",
 )

@@ -1,12 +1,13 @@
 """RESULTS.md and the pages that it lists, made from stored results.json files."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
+from datagen.terminal.plugins import Group
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.named import TABLES
@@ -33,6 +34,11 @@ INDEX_COLUMNS = ("page", "datasets", "tables", "seeds", "hyaline")
 
 Row = tuple[str, str, str, str, str]
 """A row of the list, by `INDEX_COLUMNS`."""
+
+RESULT_LISTS: Group[Callable[[Path], dict[Row, str]]] = Group(
+    name="hyaline.result_lists", what="list of results", built_in={}, guide="docs/adding-a-table.md"
+)
+"""Functions that find further rows in the folder docs/results/NAME, each with its page's text."""
 
 
 def results_page(path: Path) -> str:
@@ -81,7 +87,7 @@ def results_index(paths: Sequence[Path], others: Mapping[Row, str] | None = None
 
 def _in_order(tables: Stored) -> list[str]:
     """The names of stored tables, as `report --help` lists them; those of other distributions last."""
-    order = [*TABLES.built_in, *tables]
+    order = [*TABLES.names(), *tables]
     return sorted(tables, key=order.index)
 
 

@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from datagen.build.presets import PRESETS
+from datagen.builder.presets import PRESETS
 from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
 from eval.score.scores import METRICS, Metric
 from eval.score.seeds import Spread, spread

@@ -23,11 +23,7 @@ BUILT_IN = {
     "dnr": "model.methods.dnr.config:DnrConfig",
     "dnr-layers": "model.methods.dnr.config:DnrLayersConfig",
     "dnr-authors": "model.methods.dnr.config:DnrAuthorsConfig",
-    "authors-code": "hyaline_paper.authors_code.config:AuthorsConfig",
     "light-path": "model.methods.light_path.config:LightPathConfig",
-    "deepvoxels": "hyaline_paper.deepvoxels.config:DeepVoxelsConfig",
-    "deepvoxels-paper": "hyaline_paper.deepvoxels.config:DeepVoxelsPaperConfig",
-    "deepvoxels-original": "hyaline_paper.deepvoxels.config:DeepVoxelsOriginalConfig",
 }
 """The record of each method. A new one is a folder and a line here."""
 

@@ -102,7 +102,7 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
 
 
 def _peel(made: Dataset, num_layers: int) -> None:
-    from datagen.build.build import peel_dataset  # With a ray tracer, which scoring does not need.
+    from datagen.builder.build import peel_dataset  # With a ray tracer, which scoring does not need.
 
     peel_dataset(made, TRUTH, num_layers=num_layers, overwrite=False)
 

@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from hyaline_paper.known import FITTED_MATERIALS
-
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
@@ -20,6 +18,7 @@ from datagen.disk.records import Json, from_json, load_toml
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
 from eval.score.runs import Run
+from hyaline_paper.known import FITTED_MATERIALS
 
 PROTOCOL = Path(__file__).with_name("protocol.toml")
 

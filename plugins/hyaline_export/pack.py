@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO
 
-from datagen.build.verify import verify_dataset
+from datagen.builder.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layers import DTYPES
 from datagen.data.paths import DATA_ROOT

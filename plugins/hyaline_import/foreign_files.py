@@ -6,7 +6,6 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from datagen.data.config import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import shown
@@ -33,8 +32,6 @@ OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3
 """Endings of other common scene files, which need a conversion first."""
 
 EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
-
-DEFAULT_RESOLUTION = square(128)
 
 MAX_NAMED = 20
 """Objects that an error lists."""

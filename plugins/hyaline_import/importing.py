@@ -27,6 +27,7 @@ from datagen.scene.description import (
     Scene,
     SceneObject,
 )
+from datagen.scene.finding import DEFAULT_RESOLUTION
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene, mend_surface
@@ -49,7 +50,6 @@ from hyaline_import.foreign import (
     z_up_from,
 )
 from hyaline_import.foreign_files import (
-    DEFAULT_RESOLUTION,
     READERS,
     check_ending,
     check_overrides,

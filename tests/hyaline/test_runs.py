@@ -9,33 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
 from support.commands import run as command
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
 from datagen.data.images import read_png
-from model.run.predict import render_predictions
-from model.run.run_folder import TrainConfig
-from model.run.train import train
 
 METHODS = {
     "paper": "paper --texture-size 16 --hidden 32",
     "paper-rays": "paper --texture-size 16 --hidden 32 --render-rays 4",
-    "authors-code": "authors-code --texture-size 16 --hidden 16",
     "dnr": "dnr --texture-size 16 --unet-width 4",
     "light-path": "light-path --texture-size 16 --render-rays 4 --refined-rays 9 --branches 4",
 }
 """Runs of each kind of method by name, with the flags that make them small."""
-VOXELS = TrainConfig(
-    method="deepvoxels",
-    geometry="truth",
-    net=DeepVoxelsConfig(image_size=32, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True),
-    steps=2,
-    batch=2,
-)
-"""That of deepvoxels: no flags make it as small."""
-RUNS = (*METHODS, "deepvoxels")
 CPU = torch.device("cpu")
 
 
@@ -47,12 +33,10 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(home)
         torch.set_num_threads(1)
-        dataset = write_synthetic_dataset(home / "data" / "glass_table")
+        write_synthetic_dataset(home / "data" / "glass_table")
         command("datagen peel data/glass_table --num-layers 4 --overwrite")
         for name, words in METHODS.items():
             command(f"model train {words} --dataset glass_table --steps 3 --batch 64 --out runs/glass_table/{name}")
-        train(VOXELS, dataset, Path("runs/glass_table/deepvoxels"), label="deepvoxels", device=CPU)
-        render_predictions(Path("runs/glass_table/deepvoxels"), VOXELS, dataset, device=CPU)
         torch.set_num_threads(threads)
     return home
 
@@ -67,7 +51,7 @@ def at_home(home: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     torch.set_num_threads(threads)
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", METHODS)
 def test_a_views_camera_gives_the_pixels_of_the_runs_own_prediction(home: Path, name: str) -> None:
     run = hyaline.open_run(f"glass_table/{name}")
     for split in hyaline.TEST_SPLITS:
@@ -101,7 +85,7 @@ def test_a_run_says_what_it_is_and_is_found_from_elsewhere(home: Path, monkeypat
     assert (run.method, run.geometry, run.label, run.last_step) == ("paper", "truth", "paper", 3)
     assert run.dataset.seal == run.record.dataset_seal and run.config.batch == 64
     assert [line["step"] for line in run.metrics] == [3]
-    assert hyaline.list_runs(home / "runs") == sorted(f"glass_table/{name}" for name in RUNS)
+    assert hyaline.list_runs(home / "runs") == sorted(f"glass_table/{name}" for name in METHODS)
 
 
 def test_a_u_net_draws_pictures_that_are_not_square() -> None:
@@ -119,15 +103,13 @@ def refusal(name: str, camera: hyaline.Camera) -> str:
 
 def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path) -> None:
     camera = hyaline.open_dataset().view("train", 0).camera
-    wide = dataclasses.replace(camera, width=48)
-    assert "48 x 32 pixels; deepvoxels draws 32 x 32" in refusal("glass_table/deepvoxels", wide)
     mirrored = camera.world_from_camera * [[-1, 1, 1, 1]]
     for wrong in ({"width": 0}, {"fov_x": 3.5}, {"world_from_camera": mirrored}):
         with pytest.raises(hyaline.HyalineError, match=r"^camera: "):
             dataclasses.replace(camera, **wrong)
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
     assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
-    assert "choose from glass_table/authors-code, " in refusal("glass_table/nothing", camera)
+    assert "choose from glass_table/dnr, " in refusal("glass_table/nothing", camera)
 
 
 def test_a_method_without_the_hook_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

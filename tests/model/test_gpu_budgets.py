@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 import torch
-from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
 from support.pretend_cuda import CUDA, Counts, pretended_cuda
 from support.traced_dataset import write_traced_dataset
 from support.training import configured
@@ -38,9 +37,7 @@ STEPS = {
     "mlp-first": Budget(202, 1, 2.3),
     "dnr": Budget(252, 1, 33),
     "dnr-authors": Budget(169, 1, 33),
-    "authors-code": Budget(201, 1, 2.3),
     "light-path": Budget(1334, 4, 168.5),
-    "deepvoxels": Budget(5751, 44, 2.4),
 }
 """A training step on 256 pixels; `light-path` makes four updates in it."""
 
@@ -50,9 +47,7 @@ VIEWS = {
     "mlp-first": Budget(122, 2, 13),
     "dnr": Budget(142, 2, 13),
     "dnr-authors": Budget(120, 2, 13),
-    "authors-code": Budget(132, 3, 275),
     "light-path": Budget(259, 4, 13738),
-    "deepvoxels": Budget(272, 7, 13),
 }
 """A view of 64 x 64 pixels."""
 
@@ -76,12 +71,10 @@ def assert_within(before: tuple[int, int, int], counts: Counts, budget: Budget) 
 
 @pytest.mark.parametrize(
     "method",
-    [pytest.param(name, marks=pytest.mark.full if name in ("deepvoxels", "dnr-authors") else ()) for name in STEPS],
+    [pytest.param(name, marks=pytest.mark.full if name == "dnr-authors" else ()) for name in STEPS],
 )
 def test_a_training_step_stays_within_its_budget(method: str, glasses: Dataset, tmp_path: Path) -> None:
     config = dataclasses.replace(configured(glasses, method), batch=256, held_out_views=0)
-    if isinstance(config.net, DeepVoxelsConfig):  # As many operations on less.
-        config = dataclasses.replace(config, net=dataclasses.replace(config.net, width=2, voxel_features=2))
 
     def count(steps: int) -> Counts:
         forget_constants()

@@ -11,7 +11,8 @@ import jaxtyping._import_hook as import_hook
 from beartype import BeartypeConf, beartype
 from jaxtyping import AbstractDtype, config, install_import_hook
 
-PACKAGES = ("hyaline", "datagen", "proxies", "model", "eval")
+PLUGINS = ("import", "photos", "random", "export", "web", "bench", "paper")
+PACKAGES = ("hyaline", "datagen", "proxies", "model", "eval", *(f"hyaline_{name}" for name in PLUGINS))
 
 CONF = BeartypeConf(is_pep484_tower=True)
 """An int may stand where a float is expected, as for type checkers."""

@@ -17,7 +17,7 @@ MAINS = {
     "proxies": "proxies.cli",
     "model": "model.cli",
     "report": "eval.cli",
-    "hyaline-bench": "hyaline_bench.cli",
+    "hyaline-bench": "hyaline_bench.cli",  # A plug-in.
     "benchmarks": "benchmarks.cli",
 }
 

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Callable
 
 import numpy as np
+
 from hyaline_photos.fit.lathe import Axis, evenly
 from hyaline_photos.fit.search import penalty
 from hyaline_photos.fit.shapes import OUTSIDE, Revolution

@@ -66,17 +66,17 @@ def film(cameras: Cameras, first: int = 0) -> Iterator[np.ndarray]:
 
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
-    import datagen.build.build
-    import datagen.build.film
-    import datagen.build.find_edit_masks
+    import datagen.builder.build
+    import datagen.builder.film
+    import datagen.builder.find_edit_masks
     import datagen.machine.mitsuba_variant
 
     for name, function in (("render", render), ("peel", peel)):
-        patch.setattr(datagen.build.build, f"{name.title()}Job", FakeJob)
-        patch.setattr(datagen.build.build, f"{name}_task", function)
+        patch.setattr(datagen.builder.build, f"{name.title()}Job", FakeJob)
+        patch.setattr(datagen.builder.build, f"{name}_task", function)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
-    patch.setattr(datagen.build.find_edit_masks, "_read_halves", _read_halves)
-    patch.setattr(datagen.build.film, "path_trace", lambda dataset, cameras, first=0, *, spp: film(cameras, first))
+    patch.setattr(datagen.builder.find_edit_masks, "_read_halves", _read_halves)
+    patch.setattr(datagen.builder.film, "path_trace", lambda dataset, cameras, first=0, *, spp: film(cameras, first))
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

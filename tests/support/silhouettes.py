@@ -4,11 +4,11 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from hyaline_photos.fit.views import Sightings
 from jaxtyping import Bool, Float
 
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh, r2_steps
+from hyaline_photos.fit.views import Sightings
 
 Points = Float[np.ndarray, "ray 3"]
 Meets = Callable[[Points, Points], Bool[np.ndarray, " ray"]]

@@ -1,6 +1,6 @@
-"""The dataset of pane and floor, which needs no Mitsuba (datagen/build/synthetic.py)."""
+"""The dataset of pane and floor, which needs no Mitsuba (datagen/builder/synthetic.py)."""
 
-from datagen.build.synthetic import (
+from datagen.builder.synthetic import (
     HEIGHTS,
     look_at,
     pixel_rays,

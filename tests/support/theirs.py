@@ -5,14 +5,14 @@ import struct
 from pathlib import Path
 
 import numpy as np
-from hyaline_export.files import frame, mask_png, rgba_png, world_keys
-from hyaline_export.source import ROLES, Source
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import npy_bytes
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.quantities.surfaces import surfaces_of
+from hyaline_export.files import frame, mask_png, rgba_png, world_keys
+from hyaline_export.source import ROLES, Source
 
 
 def write_refref(dataset: Dataset, root: Path) -> None:

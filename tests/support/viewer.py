@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hyaline_web.view.schedule import Pose, window_pose
 from PIL import Image
 
 from datagen.data.dataset import Dataset
+from hyaline_web.view.schedule import Pose, window_pose
 
 PATIENCE_S = 180
 

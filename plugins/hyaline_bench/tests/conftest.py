@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_bench import protocol
 from support.synthetic import look_at, pixel_rays, shade, synthetic_scene, trace, write_synthetic_dataset
 
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split
@@ -17,6 +16,7 @@ from datagen.data.variants import variant_root
 from datagen.data.writing import commit_view, write_head
 from datagen.scene.edits import edit_scene, parse_edit
 from datagen.scene.folder import scene_files
+from hyaline_bench import protocol
 
 PROTOCOL = """
 version = 1

@@ -3,13 +3,13 @@
 import shlex
 
 import pytest
-from hyaline_bench.protocol import load_protocol
-from hyaline_random.names import FAMILIES, parse_random
 
-from datagen.build.presets import PRESETS
+from datagen.builder.presets import PRESETS
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.edits import parse_edit
+from hyaline_bench.protocol import load_protocol
+from hyaline_random.names import FAMILIES, parse_random
 from model.run.experiments import Experiment, read_experiment
 
 PROTOCOL = load_protocol()

@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_export.formats import FORMATS, export_dataset
-from hyaline_export.source import Source
 from PIL import Image
 from support.commands import run
 from support.export_readers import (
@@ -27,6 +25,8 @@ from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import ViewQuantities, quantities
 from datagen.terminal.distribution import VERSION
+from hyaline_export.formats import FORMATS, export_dataset
+from hyaline_export.source import Source
 
 POINTS = 600
 

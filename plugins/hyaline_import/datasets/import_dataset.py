@@ -9,7 +9,7 @@ from typing import cast
 
 import numpy as np
 
-from datagen.build.build import open_or_start
+from datagen.builder.build import open_or_start
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig
 from datagen.data.dataset import Dataset, View

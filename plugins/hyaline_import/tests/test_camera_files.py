@@ -7,10 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_export.formats import export_dataset
-from hyaline_import.cameras import colmap_images, read_camera_file
-from hyaline_import.importing import import_scene
-from hyaline_import.lights import IRRADIANCE
 from support.gltf import BOX, GltfBuilder
 from support.theirs import write_binary_model
 from support.traced_dataset import write_traced_dataset
@@ -26,6 +22,10 @@ from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.remarks import Remarks
 from datagen.scene.staging import subject_box
+from hyaline_export.formats import export_dataset
+from hyaline_import.cameras import colmap_images, read_camera_file
+from hyaline_import.importing import import_scene
+from hyaline_import.lights import IRRADIANCE
 
 
 @pytest.fixture(scope="module")

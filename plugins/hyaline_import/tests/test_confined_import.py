@@ -16,7 +16,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.importing import READERS
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear
 
@@ -24,6 +23,7 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine import confined
 from datagen.scene.remarks import Remarks
+from hyaline_import.importing import READERS
 
 
 @pytest.fixture(autouse=True)

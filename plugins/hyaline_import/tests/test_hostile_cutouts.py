@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.importing import Imported, import_scene
 from PIL import Image
 from support.gltf import BOX, GltfBuilder, clear, glass
 from support.hostile.pictures import png
@@ -23,6 +22,7 @@ from datagen.scene.folder import load_scene, save_scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
+from hyaline_import.importing import Imported, import_scene
 
 SIDE = 0.2
 CARD = sheet((0, 0, 0), (SIDE, 0, 0), (0, SIDE, 0), cells=(2, 2))

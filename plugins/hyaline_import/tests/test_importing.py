@@ -10,8 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hyaline_import.importing import Imported, import_scene
-from hyaline_import.lights import glowing
 from PIL import Image
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
@@ -34,6 +32,8 @@ from datagen.scene.shading_normals import edge_tilt_deg
 from datagen.scene.staging import LIGHT
 from datagen.scene.surfaces import mesh_of
 from datagen.scene.textures import ImageTexture, SolidTexture
+from hyaline_import.importing import Imported, import_scene
+from hyaline_import.lights import glowing
 
 
 def scene_with_glass() -> GltfBuilder:
@@ -807,7 +807,7 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("--scene glass_table --material gold", "--material: goes with a file that is imported, such as --scene vase"),
+        ("--scene glass_table --material gold", "--material: goes with a file that is imported, such as vase.glb"),
         ("--scene {folder} --repair", "--repair: goes with a file that is imported"),
     ],
 )

@@ -7,10 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.foreign import ForeignMaterial
-from hyaline_import.gltf.scene import read_gltf
-from hyaline_import.importing import import_scene
-from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
 from PIL import Image
 from support.gltf import GltfBuilder, clear, glass
 
@@ -20,6 +16,10 @@ from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Pl
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import Shape
 from datagen.scene.textures import ImageTexture
+from hyaline_import.foreign import ForeignMaterial
+from hyaline_import.gltf.scene import read_gltf
+from hyaline_import.importing import import_scene
+from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
 
 CLOSED = Shape(is_closed=True, has_uv=True)
 OPEN = Shape(is_closed=False, has_uv=True)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.importing import import_scene
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
 
@@ -29,6 +28,7 @@ from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import closed
+from hyaline_import.importing import import_scene
 
 BALL = ball(0.1, subdivisions=3)
 

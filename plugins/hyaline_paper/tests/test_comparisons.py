@@ -8,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_paper import claims
-from hyaline_paper.known import known_to
 from PIL import Image
 from support.synthetic import write_synthetic_dataset
 
@@ -28,6 +26,8 @@ from eval.score.seeds import spread
 from eval.tables.grids import MISSING
 from eval.tables.named import TABLES
 from eval.tables.pages import results_page
+from hyaline_paper import claims
+from hyaline_paper.known import known_to
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
@@ -280,7 +280,7 @@ def test_the_tables_as_json_make_the_page_of_the_same_tables(
     tables(dataset, tmp_path, "claims", "table1", output_format="json")
     stored = tmp_path / "paper.json"
     stored.write_text(capsys.readouterr().out)
-    tables(dataset, tmp_path, "table1", "claims")
+    tables(dataset, tmp_path, "claims", "table1")
     page = results_page(stored)
     assert page.rstrip().endswith(capsys.readouterr().out.rstrip()) and "report --table claims --table table1" in page
     assert "PSNR wrapped (authors' script): " in page.partition("###")[0]

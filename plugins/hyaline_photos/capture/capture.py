@@ -6,16 +6,6 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
-from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
-from hyaline_import.datasets.pictures import on_background, opened
-from hyaline_import.datasets.surfaces import UNKNOWN_LIGHT, read_surface
-from hyaline_import.foreign import z_up_from
-from hyaline_import.foreign_files import scene_name
-from hyaline_import.importing import scene_object, unique_names
-from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
 from jaxtyping import Float, UInt8
 
 from datagen.data.cameras import Cameras, Lens
@@ -35,6 +25,16 @@ from datagen.scene.remarks import Remarks
 from datagen.scene.soundness import check_scene
 from datagen.scene.staging import even_sky
 from datagen.terminal.command import say
+from hyaline_import.confined_import import save_answer, scene_from
+from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
+from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
+from hyaline_import.datasets.pictures import on_background, opened
+from hyaline_import.datasets.surfaces import UNKNOWN_LIGHT, read_surface
+from hyaline_import.foreign import z_up_from
+from hyaline_import.foreign_files import scene_name
+from hyaline_import.importing import scene_object, unique_names
+from hyaline_import.mapping import Mapper
+from hyaline_import.overlaps import apart, nested
 from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens

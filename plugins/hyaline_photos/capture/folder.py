@@ -13,6 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+
+from datagen.data.config import MAX_VIEWS
+from datagen.data.metadata import license_line
+from datagen.data.ply import read_ply_points
+from datagen.data.transforms import Transforms, relative_name
+from datagen.disk.errors import HyalineError
+from datagen.disk.names import check_regular, find_file
+from datagen.disk.records import shown
+from datagen.scene.description import MAX_OBJECTS
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
 from hyaline_import.datasets.layouts import (
     ROLES,
@@ -26,16 +36,6 @@ from hyaline_import.datasets.layouts import (
     transforms_in,
 )
 from hyaline_import.importing import unique_names
-from jaxtyping import Float
-
-from datagen.data.config import MAX_VIEWS
-from datagen.data.metadata import license_line
-from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Transforms, relative_name
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_regular, find_file
-from datagen.disk.records import shown
-from datagen.scene.description import MAX_OBJECTS
 from hyaline_photos.capture.lenses import TakenLens, lens_of_colmap, lens_of_frame
 
 PICTURES, MASKS, FOUND = "images", "masks", "colmap"

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from hyaline_import.cameras import ColmapCamera
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import TOLERANCE, Lens, check_lens
@@ -19,6 +18,7 @@ from datagen.data.config import Resolution
 from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.data.transforms import Frame, Transforms
 from datagen.disk.errors import HyalineError
+from hyaline_import.cameras import ColmapCamera
 
 BAND = 16
 """Rows of a picture that are looked up at a time, to save memory."""

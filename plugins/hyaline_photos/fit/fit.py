@@ -19,8 +19,8 @@ import torch
 from jaxtyping import Bool, Int
 from scipy import ndimage
 
-from datagen.build.build import peel_dataset
-from datagen.build.build_variant import peel_variants
+from datagen.builder.build import peel_dataset
+from datagen.builder.build_variant import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
 from datagen.data.images import to_8bit

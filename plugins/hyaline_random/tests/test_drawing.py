@@ -8,11 +8,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 import trimesh
-from hyaline_random import drawing
-from hyaline_random.drawing import Drawn, check_inside, draw_scene, glass_shares
-from hyaline_random.names import FAMILIES, RandomName, parse_random
-from hyaline_random.nesting import filled_vessel
-from hyaline_random.panes import PANES
 from scipy.spatial import KDTree
 from support.synthetic import pixel_rays
 
@@ -24,6 +19,11 @@ from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.modelling import moved
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
+from hyaline_random import drawing
+from hyaline_random.drawing import Drawn, check_inside, draw_scene, glass_shares
+from hyaline_random.names import FAMILIES, RandomName, parse_random
+from hyaline_random.nesting import filled_vessel
+from hyaline_random.panes import PANES
 
 SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (2, 3, 4, 5)))
 """One of each family, and once more."""

@@ -64,7 +64,7 @@ def test_the_launcher_gives_each_job_a_run_of_seeds(here: Path, monkeypatch: pyt
             seen[name] = len(answer.out.split())
         return {}
 
-    monkeypatch.setattr("datagen.build.build_command.run_in_jobs", run_here)
+    monkeypatch.setattr("datagen.builder.build_command.run_in_jobs", run_here)
     line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
     answer = call(f"{line} --launcher local --shards 2")
     assert seen == {"seeds 3 to 4": 2, "seeds 5 to 5": 1}

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from hyaline_random.backdrop import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
 
 from benchmarks.sky import radiance_of_map
 from datagen.scene.images import read_map
+from hyaline_random.backdrop import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
 
 
 def test_pixels_lie_in_the_directions_in_which_maps_are_looked_up() -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.commands import call
 
-from datagen.build.choices import ShardChoices
+from datagen.builder.choices import ShardChoices
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices, run_in_jobs
 

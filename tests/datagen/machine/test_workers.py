@@ -13,7 +13,7 @@ import pytest
 from support.commands import run
 from support.synthetic import quad, synthetic_scene
 
-from datagen.build.build import render_dataset
+from datagen.builder.build import render_dataset
 from datagen.data.config import describe_views
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import image_path

@@ -27,7 +27,7 @@ from datagen.terminal.signals import Stopped
 @pytest.mark.parametrize(
     "line",
     [
-        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "model train papr"),
+        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "model check-method papr"),
         *("eval report nowhere", "datagen verify", "model --version"),
     ],
 )
@@ -88,7 +88,6 @@ def test_a_mistyped_flag_ends_a_process_with_2() -> None:
         ("datagen build --workers 0", 1, "workers: is 0; expected 1 to 1024"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
-        ("datagen import", 2, "datagen import: Missing from datagen import: FILE "),
         ("datagen build --spp 99999999", 1, "spp: is 99999999; expected 2 to 1,048,576 samples"),
         ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
         ("datagen verify data/glass_table", 1, "no dataset; make one with `datagen build --scene glass_table`"),

@@ -10,7 +10,7 @@ import pytest
 from support.commands import call, parsed
 from support.synthetic import write_synthetic_dataset
 
-from datagen.build.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
+from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
 from datagen.terminal.parsing import CommandGroup, collect, flag_words
 
@@ -18,7 +18,6 @@ PROGRAMS = {
     "datagen": "datagen.cli",
     "proxies": "proxies.cli",
     "model": "model.cli",
-    "hyaline-bench": "hyaline_bench.cli",
 }
 
 

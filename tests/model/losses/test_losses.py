@@ -188,16 +188,13 @@ def test_the_adversary_learns_to_tell_and_its_judgement_pulls_fakes_towards_the_
     assert torch.equal(other.discriminator.judge(real), adversary.discriminator.judge(real))
 
 
-@pytest.mark.parametrize("method", ["paper", "dnr", pytest.param("authors-code", marks=pytest.mark.full)])
+@pytest.mark.parametrize("method", ["paper", "dnr"])
 def test_a_run_with_all_losses_resumes_to_the_bit(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, method: str
 ) -> None:
-    from hyaline_paper.authors_code.config import AuthorsConfig
-
     net = {
         "paper": NET,
         "dnr": DnrConfig(texture_size=16, position_size=32, unet_width=4, crop=32),
-        "authors-code": AuthorsConfig(texture_size=16, position_size=32),
     }[method]
     terms = LossConfig(vgg_weights="random", adversarial=0.01, adversarial_from=0.3, patch=32)
     config = dataclasses.replace(SMALL, method=method, net=net, loss=terms)

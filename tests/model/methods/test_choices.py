@@ -45,7 +45,6 @@ from model.settings.run_flags import RunFlags
         ("paper-best", "paper-best"),
         ("paper-best --steps 2500 --norm none", "paper-best-2500-steps"),
         ("dnr-authors --features 8 --crop 0", "dnr-authors"),
-        ("deepvoxels --lr 0.002", "deepvoxels"),
         ("paper --vgg-weights random --adversarial 0.01", "paper-random-vgg-adversarial0.01"),
     ],
 )

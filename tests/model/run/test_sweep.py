@@ -17,10 +17,9 @@ from support.synthetic import write_synthetic_dataset
 from support.training import call
 
 from datagen.disk.errors import HyalineError
-from model import cli
 from model.methods.paper.config import PaperConfig
 from model.run import sweep
-from model.run.experiments import EXPERIMENTS, STEP_CPU_MS, list_experiments, read_experiment
+from model.run.experiments import STEP_CPU_MS, read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -197,17 +196,6 @@ def test_commands_before_and_after_are_filled_in_and_given_once(
     assert other.needs == () and other.then == ("model predict runs/three/paper-10-steps --variant x2",)
 
 
-def test_a_part_is_its_blocks_of_the_paper_s_tables(is_full: bool) -> None:
-    whole = read_experiment("paper-tables")
-    names = set(list_experiments()) - {path.stem for path in EXPERIMENTS.glob("*.toml")}
-    assert len(names) == 8
-    parts = {name: read_experiment(name) for name in (names if is_full else ("table1", "deepvoxels"))}
-    assert {run[0] for run in parts["deepvoxels"].runs} == {"deepvoxels"}
-    assert len(parts["table1"].runs) == 9 and parts["table1"].needs == ("datagen build glass_table",)
-    for part in parts.values():
-        assert set(part.runs) < set(whole.runs) and set(part.needs) < set(whole.needs)
-
-
 def test_a_command_before_that_fails_stops_the_sweep(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -226,16 +214,6 @@ def test_a_file_that_is_missing_names_those_that_are_there(tmp_path: Path) -> No
         read_experiment("tabel1")
     with pytest.raises(HyalineError, match="the file is missing; built-in experiments are bench, b"):
         read_experiment(str(tmp_path / "mine.toml"))
-
-
-@pytest.mark.parametrize("name", sorted(path.stem for path in EXPERIMENTS.glob("*.toml")))
-def test_every_experiment_that_comes_with_the_program_is_one_that_train_takes(
-    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(monkeypatch, "sweep", name, "--dry-run") == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines and len(lines) == len(set(lines))
-    assert name in cli.sweep.__doc__  # pyright: ignore[reportOperatorIssue]
 
 
 def test_a_method_that_does_not_exist_stops_the_sweep_before_its_first_run(

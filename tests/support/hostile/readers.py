@@ -8,7 +8,7 @@ import numpy as np
 from support.hostile.corpus import DATASET
 from support.hostile.pictures import PREDICTION
 
-from datagen.build.verify import verify_dataset
+from datagen.builder.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.images import decode_exr

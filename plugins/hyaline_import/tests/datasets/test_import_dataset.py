@@ -12,18 +12,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_export.formats import export_dataset
-from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.import_dataset import plan_import, write_import
-from hyaline_import.datasets.pictures import on_background, opened
 from PIL import ExifTags, Image, ImageCms
 from support.commands import call
 from support.meshes import polygon_ply
 from support.theirs import write_refref
 from support.traced_dataset import write_traced_dataset
 
-from datagen.build.build import peel_dataset, summary
-from datagen.build.verify import verify_dataset
+from datagen.builder.build import peel_dataset, summary
+from datagen.builder.verify import verify_dataset
 from datagen.data.config import SPLITS, TEST_SPLITS, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import signed_volume
@@ -37,6 +33,10 @@ from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.rig import make_cameras
 from eval.figures import cameras_figure
+from hyaline_export.formats import export_dataset
+from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.datasets.import_dataset import plan_import, write_import
+from hyaline_import.datasets.pictures import on_background, opened
 
 SIDE = 8
 

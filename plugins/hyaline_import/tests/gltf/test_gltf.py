@@ -6,9 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
-from hyaline_import.gltf.scene import read_gltf
-from hyaline_import.importing import import_scene
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear
 
@@ -21,6 +18,9 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.modelling import ball
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import mesh_of
+from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from hyaline_import.gltf.scene import read_gltf
+from hyaline_import.importing import import_scene
 
 CORNERS = BOX.vertices[BOX.faces]
 

@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.gltf.scene import read_gltf
 from support.gltf import GltfBuilder, clear, glass
 from support.soon import soon
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.remarks import Remarks
+from hyaline_import.gltf.scene import read_gltf
 
 Change = Callable[[dict], object]
 

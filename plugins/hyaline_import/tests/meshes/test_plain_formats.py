@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
-from hyaline_import.foreign_files import READERS
-from hyaline_import.pictures import stored
 from PIL import Image
 from support.commands import call
 from support.gltf import BOX
@@ -25,6 +22,9 @@ from datagen.scene.materials import Diffuse, ThinDielectric
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import made_sound, mesh_of
 from datagen.scene.textures import ImageTexture
+from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
+from hyaline_import.foreign_files import READERS
+from hyaline_import.pictures import stored
 
 
 def read(path: Path, data: bytes | str, remarks: Remarks | None = None) -> ForeignScene:

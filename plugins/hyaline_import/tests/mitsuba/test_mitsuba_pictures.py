@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.importing import import_scene
 from PIL import Image
 
 from datagen.data.config import DatasetConfig, Resolution, SplitConfig
@@ -13,6 +12,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.rig import make_cameras
+from hyaline_import.importing import import_scene
 
 WIDTH, HEIGHT = 30, 20
 SPP = 256

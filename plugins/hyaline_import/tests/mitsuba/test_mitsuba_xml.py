@@ -10,9 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
-from hyaline_import.importing import import_scene
-from hyaline_import.mitsuba.scene import read_mitsuba
 from PIL import Image
 from support.gltf import BOX
 from support.soon import soon
@@ -31,6 +28,9 @@ from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielect
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import mesh_of
 from datagen.scene.values import Color
+from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from hyaline_import.importing import import_scene
+from hyaline_import.mitsuba.scene import read_mitsuba
 
 SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>
 <transform name="to_world"><lookat origin="0,-3,1.5" target="0,0,0.5" up="0,0,1"/></transform>

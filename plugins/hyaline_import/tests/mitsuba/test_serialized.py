@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_import.foreign import MAX_TRIANGLES
-from hyaline_import.mitsuba.scene import read_serialized
 
 from datagen.disk.errors import HyalineError
+from hyaline_import.foreign import MAX_TRIANGLES
+from hyaline_import.mitsuba.scene import read_serialized
 
 TRIANGLE = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], "<f4")
 

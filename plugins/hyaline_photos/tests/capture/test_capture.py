@@ -9,18 +9,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hyaline_photos.capture.folder import Masks, find_pictures, read_capture
-from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.outlines import Outline
-from hyaline_photos.capture.panes import Pane
-from hyaline_photos.capture.planes import find_up
-from hyaline_photos.capture.rectangles import Rectangle
-from hyaline_photos.capture.room import fit_room
 from PIL import Image
 from support.commands import call
 from support.traced_dataset import write_traced_dataset
 
-from datagen.build.verify import verify_dataset
+from datagen.builder.verify import verify_dataset
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset
@@ -28,6 +21,13 @@ from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import load_scene, open_scene
+from hyaline_photos.capture.folder import Masks, find_pictures, read_capture
+from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
+from hyaline_photos.capture.outlines import Outline
+from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.planes import find_up
+from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.room import fit_room
 
 SIDE = 48
 FOV = 0.6

@@ -4,15 +4,15 @@ import math
 
 import numpy as np
 import pytest
-from hyaline_photos.capture.outlines import Outline, find_outlines
-from hyaline_photos.capture.panes import Pane, find_panes
-from hyaline_photos.capture.rectangles import Rectangle
-from hyaline_photos.capture.room import fit_room
 from jaxtyping import Bool, Float, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
+from hyaline_photos.capture.outlines import Outline, find_outlines
+from hyaline_photos.capture.panes import Pane, find_panes
+from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.room import fit_room
 
 SIDE, VIEWS = 96, 24
 ANGLE = math.radians(25)

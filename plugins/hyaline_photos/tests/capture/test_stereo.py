@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from jaxtyping import Float, Float32, UInt8
+
+from datagen.data.cameras import Cameras, Lens, look_at
 from hyaline_photos.capture.fusing import fuse
 from hyaline_photos.capture.outlines import Outline
 from hyaline_photos.capture.room import fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths
-from jaxtyping import Float, Float32, UInt8
-
-from datagen.data.cameras import Cameras, Lens, look_at
 
 RADIUS, FLOOR = 0.25, -0.25
 """A ball around the origin, on a floor."""

@@ -4,8 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit.boxes import Box, fit_box
-from hyaline_photos.fit.views import rays_near
 from scipy import ndimage
 from support.silhouettes import Meets, ball, block, sightings_of
 
@@ -13,6 +11,8 @@ from datagen.data.meshes import check_closed, check_mesh, check_solid, signed_vo
 from datagen.scene.atlas import coverage
 from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import rotation
+from hyaline_photos.fit.boxes import Box, fit_box
+from hyaline_photos.fit.views import rays_near
 from proxies.meshing.measure import enclosure
 
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,16 +4,16 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit.drinks import find_filling, find_holders, merged, with_drink
-from hyaline_photos.fit.lathe import Axis, evenly, revolved
-from hyaline_photos.fit.shapes import OUTSIDE, Revolution
-from hyaline_photos.fit.views import Sightings
 from support.silhouettes import views_around
 
 from datagen.data.meshes import Mesh, check_mesh, no_mesh, open_edges, signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import moved, rounded_box
+from hyaline_photos.fit.drinks import find_filling, find_holders, merged, with_drink
+from hyaline_photos.fit.lathe import Axis, evenly, revolved
+from hyaline_photos.fit.shapes import OUTSIDE, Revolution
+from hyaline_photos.fit.views import Sightings
 
 AXIS = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
 RADIUS, HEIGHT, LEVEL = 0.035, 0.09, 0.06

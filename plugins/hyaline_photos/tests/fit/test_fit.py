@@ -7,9 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hyaline_photos.fit.found import FoundGlass, write_geometry
-from hyaline_photos.fit.hull import HullShape
-from hyaline_photos.fit.pictures import SKY_HEIGHT
 from PIL import Image
 from scipy import ndimage
 from support.builds import tree
@@ -23,6 +20,9 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Dielectric, Diffuse
+from hyaline_photos.fit.found import FoundGlass, write_geometry
+from hyaline_photos.fit.hull import HullShape
+from hyaline_photos.fit.pictures import SKY_HEIGHT
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
 

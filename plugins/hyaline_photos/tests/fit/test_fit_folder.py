@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
-from hyaline_photos.fit.fit_folder import FitFolder
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
+from hyaline_photos.fit.fit_folder import FitFolder
 
 
 def test_a_fit_that_is_resumed_keeps_what_it_found_until_it_ends(tmp_path: Path) -> None:

@@ -4,17 +4,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit.handles import Handled, with_handles, without_handles
-from hyaline_photos.fit.hull import HullShape
-from hyaline_photos.fit.lathe import Axis, evenly
-from hyaline_photos.fit.shapes import OUTSIDE, Revolution
-from hyaline_photos.fit.views import rays_near
 from support.silhouettes import block, cylinder, either, sightings_of
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, check_solid, signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.modelling import moved, rounded_box
 from datagen.scene.shading_normals import MAX_OPPOSING, opposing_share
+from hyaline_photos.fit.handles import Handled, with_handles, without_handles
+from hyaline_photos.fit.hull import HullShape
+from hyaline_photos.fit.lathe import Axis, evenly
+from hyaline_photos.fit.shapes import OUTSIDE, Revolution
+from hyaline_photos.fit.views import rays_near
 
 use_mitsuba()
 AXIS = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
@@ -25,6 +25,7 @@ VESSEL = Revolution(axis=AXIS, outside=evenly(LINE, OUTSIDE)).hollowed(0.1, 0.1,
 def hull_of(*beside: Mesh) -> HullShape:
     """The solid vessel, a little fatter, as hulls are, with other parts that go into it."""
     import manifold3d
+
     from hyaline_photos.fit.handles import _mesh, _solid
     from hyaline_photos.fit.lathe import revolved
 

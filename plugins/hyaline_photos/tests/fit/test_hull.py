@@ -4,10 +4,6 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit import hull
-from hyaline_photos.fit.hull import SMOOTH, HullShape, carve
-from hyaline_photos.fit.silhouettes import unexplained
-from hyaline_photos.fit.views import rays_near
 from support.silhouettes import Meets, ball, block, cylinder, either, sightings_of
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh
@@ -15,6 +11,10 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.atlas import coverage
 from datagen.scene.modelling import rounded_box
+from hyaline_photos.fit import hull
+from hyaline_photos.fit.hull import SMOOTH, HullShape, carve
+from hyaline_photos.fit.silhouettes import unexplained
+from hyaline_photos.fit.views import rays_near
 
 UP = np.array([0.0, 0.0, 1.0])
 HANDLE = block((0.045, 0, 0.05), (0.02, 0.006, 0.006), np.eye(3))

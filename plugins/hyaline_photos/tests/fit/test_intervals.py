@@ -3,6 +3,7 @@
 import dataclasses
 
 import pytest
+
 from hyaline_photos.fit.intervals import FLOOR_ERROR, WALL_ERROR, WELL, intervals
 from hyaline_photos.fit.materials import WORTH_IT, Found
 

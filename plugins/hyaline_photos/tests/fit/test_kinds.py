@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit.found import from_state, to_state
-from hyaline_photos.fit.kinds import choose_outside
-from hyaline_photos.fit.shapes import Revolution
-from hyaline_random.solids import soft_square
 from support.silhouettes import Meets, ball, block, sightings_of, traced
 
 from datagen.data.meshes import signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.modelling import cylinder, lathe, moved, rotation, turned
+from hyaline_photos.fit.found import from_state, to_state
+from hyaline_photos.fit.kinds import choose_outside
+from hyaline_photos.fit.shapes import Revolution
+from hyaline_random.solids import soft_square
 
 use_mitsuba()
 pytestmark = pytest.mark.usefixtures("coarse_hulls")

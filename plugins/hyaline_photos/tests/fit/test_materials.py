@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
+
 from hyaline_photos.fit.materials import find_absorption, find_index, find_material, find_roughness, vertex
 from hyaline_photos.fit.search import penalty
 from hyaline_photos.fit.shapes import Revolution
-from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 
 def test_the_first_guess_of_an_index_may_be_far_away() -> None:

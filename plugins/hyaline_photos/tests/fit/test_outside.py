@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
+
+from datagen.data.cameras import Cameras, look_at
+from datagen.machine.mitsuba_variant import use_mitsuba
 from hyaline_photos.fit.boxes import Box
 from hyaline_photos.fit.lathe import Axis
 from hyaline_photos.fit.outlines import find_ball, find_outside, find_solid
 from hyaline_photos.fit.outside import Hull, find_hull, hull_about
 from hyaline_photos.fit.section import Section
 from hyaline_photos.fit.views import NearRays, Sightings, doubted, height_below, rays_near, with_known
-
-from datagen.data.cameras import Cameras, look_at
-from datagen.machine.mitsuba_variant import use_mitsuba
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER = np.array([0.02, -0.01, 0.05])

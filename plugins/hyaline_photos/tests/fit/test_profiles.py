@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
+from support.silhouettes import sightings_of, traced
+
+from datagen.machine.mitsuba_variant import use_mitsuba
 from hyaline_photos.fit.lathe import Axis, Outline, revolved
 from hyaline_photos.fit.outside import Hull, hull_about
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.section import SHARP, Section
 from hyaline_photos.fit.views import NearRays, rays_near
-from support.silhouettes import sightings_of, traced
-
-from datagen.machine.mitsuba_variant import use_mitsuba
 
 use_mitsuba()
 UP = np.array([0.0, 0.0, 1.0])

@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from hyaline_photos.fit import room
-from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.room import FROSTED_RAYS, RAYS, Room
 from support.traced_dataset import write_traced_dataset
 
 from datagen.data.geometries import read_meshes
 from datagen.scene.folder import open_scene
+from hyaline_photos.fit import room
+from hyaline_photos.fit.boxes import Box
+from hyaline_photos.fit.room import FROSTED_RAYS, RAYS, Room
 
 BALL = 2
 SHAPE = Box(center=np.array([0.0, 0.0, 0.1]), axes=np.eye(3), half_sizes=np.full(3, 0.05), rounding=0.01)

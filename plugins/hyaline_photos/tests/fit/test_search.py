@@ -4,11 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
+
 from hyaline_photos.fit.intervals import intervals
 from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import INDEX_HELD, alternatives, count_searches, guess, in_even_views, refine, scan
 from hyaline_photos.fit.shapes import Revolution
-from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 
 def test_the_grid_tells_a_vessel_from_a_solid_and_the_cells_next_to_the_truth() -> None:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from hyaline_photos.fit.section import MOST_SHARPNESS, SHARP, Section, guess_section
 
 ANGLES = 2 * np.pi * np.arange(72) / 72

@@ -5,12 +5,12 @@ from math import gamma
 
 import numpy as np
 import pytest
+
+from datagen.data.meshes import MIN_AREA, Mesh, check_mesh, face_areas, open_edges, signed_volume
 from hyaline_photos.fit.found import from_state, to_state
 from hyaline_photos.fit.lathe import Axis, evenly, revolved
 from hyaline_photos.fit.section import MOST_SHARPNESS, SHARP, Section
 from hyaline_photos.fit.shapes import OUTSIDE, POINTS, Revolution
-
-from datagen.data.meshes import MIN_AREA, Mesh, check_mesh, face_areas, open_edges, signed_volume
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1

@@ -16,9 +16,9 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 if use_mitsuba(quiet=True).startswith("scalar"):
     collect_ignore_glob = ["test_*.py"]
 
-from hyaline_web.page.export import scene_page
 from support.web_scenes import STILL, every_surface, noisy_light_path, write_scene
 
+from hyaline_web.page.export import scene_page
 from model.methods.light_path.net import LightPathRenderer
 
 if TYPE_CHECKING:

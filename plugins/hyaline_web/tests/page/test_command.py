@@ -19,7 +19,6 @@ if use_mitsuba(quiet=True).startswith("scalar"):
     pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
 
 from hyaline_paper.authors_code.config import AuthorsConfig
-
 from model.methods.light_path.config import LightPathConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train

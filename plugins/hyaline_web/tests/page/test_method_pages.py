@@ -18,7 +18,7 @@ from benchmarks.browser import open_file, watched_page
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-GUIDE = Path(__file__).parents[3] / "docs" / "adding-a-web-page.md"
+GUIDE = Path(__file__).parents[4] / "docs" / "adding-a-web-page.md"
 
 
 @pytest.fixture

@@ -11,9 +11,6 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 import pytest
 import trimesh
-from hyaline_web.page import scene
-from hyaline_web.page.export import fill, scene_page
-from hyaline_web.page.walls import find_wall
 from scipy.spatial.transform import Rotation
 from support.browser import require, wait_until
 from support.firefox import find_firefox, running_firefox
@@ -49,6 +46,9 @@ from datagen.scene.materials import Conductor, Dielectric
 from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
 from datagen.trace import branches, surface_hits, surface_tables
+from hyaline_web.page import scene
+from hyaline_web.page.export import fill, scene_page
+from hyaline_web.page.walls import find_wall
 from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 import torch
-from hyaline_web.page.packing import Packed, residuals, zigzag
-from hyaline_web.page.scene import add_tints, touched_texels
 
 from datagen.data.images import linear_from_srgb
 from datagen.data.meshes import Mesh, no_mesh
+from hyaline_web.page.packing import Packed, residuals, zigzag
+from hyaline_web.page.scene import add_tints, touched_texels
 from model.nets.texture import bilinear_taps, object_layout
 
 CODES = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hyaline_web.view.live_run import LiveRun, MovedOn
 from support.training import SMALL, run_bytes, stop_at
 
 import hyaline
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
+from hyaline_web.view.live_run import LiveRun, MovedOn
 from model.methods.dnr.config import DnrConfig
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig

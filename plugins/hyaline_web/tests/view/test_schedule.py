@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+
+from datagen.data.cameras import Camera, look_at
 from hyaline_web.view.schedule import (
     FINEST_S,
     MOVING_S,
@@ -16,8 +18,6 @@ from hyaline_web.view.schedule import (
     fitted_size,
     window_pose,
 )
-
-from datagen.data.cameras import Camera, look_at
 
 RATE = 40_000.0
 """Pixels a second that the pretended painter draws quickly, and a sixteenth of them otherwise."""

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hyaline_web.view.schedule import camera_in_window
 from support.commands import call
 from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, viewer
 
 import hyaline
 from datagen.terminal.signals import Held
+from hyaline_web.view.schedule import camera_in_window
 
 pytestmark = pytest.mark.usefixtures("at_home")
 

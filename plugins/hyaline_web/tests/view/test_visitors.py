@@ -18,9 +18,10 @@ import hyaline
 require_viewer()
 
 import viser
+from websockets.exceptions import InvalidStatus
+
 from hyaline_web.view.server import serving
 from hyaline_web.view.view import Viewer
-from websockets.exceptions import InvalidStatus
 
 pytestmark = pytest.mark.usefixtures("at_home")
 

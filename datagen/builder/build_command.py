@@ -1,0 +1,195 @@
+"""What `datagen build` and `datagen add` do: build datasets from a scene, and add variants to one."""
+
+import dataclasses
+from pathlib import Path
+
+from datagen.builder.build import build_dataset, refuse_unlit, summary
+from datagen.builder.build_variant import build_variant, peel_variants
+from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
+from datagen.builder.plan_variant import plan_angles, plan_edit, plan_larger
+from datagen.builder.presets import configure, fit_to_scene
+from datagen.builder.shards import count_missing, parse_shard
+from datagen.data.config import DatasetConfig
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.layer_writing import check_settings
+from datagen.data.paths import DATA_ROOT, TRUTH
+from datagen.data.transforms import TRANSFORMS_FILES
+from datagen.data.variants import TWINS
+from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.ownership import DATASET, refuse_strangers
+from datagen.machine.launch import raise_failures, run_in_jobs
+from datagen.scene.edits import parse_edit
+from datagen.scene.finding import find_scene, is_foreign, numbered_scenes
+from datagen.scene.import_choices import ImportChoices
+from datagen.terminal.command import say, say_all
+from datagen.terminal.parsing import flag_words
+from datagen.terminal.preview import preview
+
+
+def build_scenes(
+    scene: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
+) -> list[Dataset]:
+    """Builds the dataset of a scene; of `random`, as many as `choices` count.
+
+    Raises:
+        HyalineError: choices that do not go together, or whatever building raises.
+    """
+    in_parts = "--shard" if choices.shard else "--launcher" if launch.launcher else ""
+    if in_parts and choices.overwrite:
+        raise UsageError(f"--overwrite: cannot be combined with {in_parts}; delete the folder first")
+    if choices.shard and launch.launcher:
+        raise UsageError("--launcher: builds all parts; leave out --shard")
+    source = numbered_scenes(scene)
+    if source is None or source.name_of is None:
+        if choices.family is not None or choices.count is not None:
+            raise UsageError("--family, --count: only for random scenes; type `datagen build random`")
+        return [_build_scene(scene, choices, size, launch, imports)]
+    if choices.count is None:
+        name = source.name_of(choices.seed, choices.family)
+        return [_build_scene(name, dataclasses.replace(choices, family=None), size, launch, imports)]
+    if choices.count < 1:
+        raise UsageError(f"--count: is {choices.count}; expected at least 1")
+    names = {seed: source.name_of(seed, choices.family) for seed in range(choices.seed, choices.seed + choices.count)}
+    if launch.launcher is not None:
+        _build_seeds_in_jobs(scene, choices, choices.count, size, launch)
+        return [open_dataset((choices.out or DATA_ROOT) / name) for name in names.values()]
+    built, failed = [], 0
+    for seed, name in names.items():
+        out = None if choices.out is None else choices.out / name
+        one = dataclasses.replace(choices, seed=seed, out=out, family=None, count=None)
+        try:
+            built.append(_build_scene(name, one, size, launch, imports))
+        except UsageError:
+            raise
+        except HyalineError as error:
+            say(f"failed: {name}: {error}")
+            failed += 1
+    if failed:
+        raise HyalineError(
+            f"{failed} of {choices.count} scenes failed (see above); the others are built, and the same "
+            "command skips them"
+        )
+    return built
+
+
+def _build_scene(
+    name: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
+) -> Dataset:
+    config = _configure(choices, size)
+    part = None if choices.shard is None else parse_shard(choices.shard)
+    place = choices.out or DATA_ROOT / name
+    if choices.out is not None or ("/" not in name and not is_foreign(name)):
+        # Before anything is modelled.
+        refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
+    built = None if choices.overwrite else place
+    if built is not None and (built / DATASET.head).is_file():
+        say(f"{built}: checking what is there")
+    scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
+    root = choices.out or DATA_ROOT / scene.name
+    config = fit_to_scene(config, scene, size)
+    if launch.launcher is not None:
+        # What follows then finds all views made, and reads every byte of them.
+        _build_in_jobs(name, root, choices, size, launch, imports)
+    made = build_dataset(
+        scene,
+        root,
+        config,
+        num_layers=size.num_layers,
+        workers=choices.workers,
+        overwrite=choices.overwrite,
+        shard=part,
+    )
+    peel_variants(made, workers=choices.workers, shard=part)
+    missing, total = (0, 0) if part is None else count_missing(made)
+    if part is not None:
+        left = f"; {missing} of {total} pictures and layers are for the other parts to make"
+        rest = left if missing else ", and with it the dataset"
+        say(f"{root}: part {part} is done{rest}")
+    if not missing:
+        say_all(summary(made, TRUTH))
+        _preview(made, choices.preview)
+    return made
+
+
+def _build_seeds_in_jobs(
+    scene: str, choices: BuildChoices, count: int, size: SizeChoices, launch: ShardChoices
+) -> None:
+    """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded.
+
+    Raises:
+        HyalineError: the cluster took no job, or a job failed.
+    """
+    each = -(-count // launch.shards)
+    jobs = {}
+    for first in range(choices.seed, choices.seed + count, each):
+        seeds = min(each, choices.seed + count - first)
+        part = dataclasses.replace(choices, seed=first, count=seeds)
+        jobs[f"seeds {first} to {first + seeds - 1}"] = _job_words(scene, part, size, ImportChoices())
+    root = choices.out or DATA_ROOT / scene
+    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
+    raise_failures(str(root), failures, len(jobs))
+
+
+def _build_in_jobs(
+    scene: str,
+    root: Path,
+    choices: BuildChoices,
+    size: SizeChoices,
+    launch: ShardChoices,
+    imports: ImportChoices,
+) -> None:
+    """Builds all parts of a dataset at `root` in jobs, and returns when all have succeeded.
+
+    Raises:
+        HyalineError: the cluster took no job, or a job failed.
+    """
+    words = _job_words(scene, choices, size, imports)
+    parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
+    jobs = {f"part {part}": [*words, "--shard", part] for part in parts}
+    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
+    raise_failures(str(root), failures, launch.shards)
+
+
+def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: ImportChoices) -> list[str]:
+    kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
+    return ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
+
+
+def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
+    """Adds an edited scene, twins, splits by angle or larger pictures to a dataset.
+
+    Raises:
+        HyalineError: nothing to add, choices that do not go together, or whatever building raises.
+    """
+    refuse_unlit(base, what="another view")
+    edits = [choices.edit] if choices.edit else []
+    edits += [(twin,) for twin in TWINS] if choices.twins else []
+    if not (edits or choices.angles or choices.larger):
+        raise UsageError("datagen add: nothing to add; give --edit, --twins, --angles or --larger")
+    if choices.larger_views is not None and not choices.larger:
+        raise UsageError("--larger-views: goes with --larger; give that, too, or leave it out")
+    if choices.shard is not None and edits:
+        raise UsageError("--shard: does not go with --edit and --twins, whose few views one machine renders")
+    part = None if choices.shard is None else parse_shard(choices.shard)
+    plans = [plan_edit(base, tuple(map(parse_edit, edit))) for edit in edits]
+    plans += [plan_angles(base)] if choices.angles else []
+    plans += [plan_larger(base, scale, views=choices.larger_views) for scale in choices.larger]
+    made = []
+    for plan in plans:
+        variant = build_variant(base, plan, workers=choices.workers, shard=part, overwrite=choices.overwrite)
+        if part is None:
+            say_all(summary(variant, TRUTH))
+            _preview(variant, choices.preview)
+        made.append(variant)
+    return made
+
+
+def _preview(dataset: Dataset, is_wanted: bool) -> None:
+    if is_wanted:
+        preview([dataset.view(split, 0).image for split in dataset.splits], f"first of {', '.join(dataset.splits)}")
+
+
+def _configure(choices: BuildChoices, size: SizeChoices) -> DatasetConfig:
+    """The configuration of a new dataset; its scene's name is known only when the scene has been read."""
+    check_settings(num_layers=size.num_layers, workers=choices.workers)
+    return configure(choices.preset, size, seed=choices.seed)

@@ -1,0 +1,44 @@
+"""Files of other programs as a source of scenes: what `datagen build vase.glb` finds."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from datagen.scene.sources import SceneSource
+from datagen.terminal.command import say, say_all
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from datagen.data.config import Resolution
+    from datagen.scene.description import Scene
+    from datagen.scene.import_choices import ImportChoices
+
+
+def _is_foreign(given: str) -> bool:
+    from hyaline_import.foreign_files import OTHER_ENDINGS, READERS, ending_of
+
+    path = Path(given)
+    ending = ending_of(path)
+    if ending in ("", "json") or path.is_dir():
+        return False
+    return ending in READERS.names() or ending in OTHER_ENDINGS or path.is_file()
+
+
+def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Scene":
+    from hyaline_import.confined_import import imported_scene
+    from hyaline_import.foreign_files import check_ending
+
+    check_ending(Path(given))
+    say(f"scene {given}: importing it")
+    scene, told = imported_scene(Path(given), imports, resolution=resolution)
+    say_all(told)
+    return scene
+
+
+def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
+    from hyaline_import.mesh_files import read_mesh
+
+    return read_mesh(path)
+
+
+FILES = SceneSource(has=_is_foreign, find=_find, is_of_files=True, read_mesh=_read_mesh)

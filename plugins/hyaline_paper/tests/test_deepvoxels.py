@@ -1,0 +1,397 @@
+"""Tests of the method `deepvoxels`: its geometry, its networks, its loss, its run."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.commands import call
+from support.opaque_cube import opaque_cube
+from support.reference import convolve, interpolate
+from support.synthetic import look_at, write_synthetic_dataset
+from support.training import stop_at
+from torch import nn
+
+from datagen.data.cameras import Cameras, Lens
+from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.dataset import Dataset
+from datagen.data.images import read_png
+from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
+from datagen.scene.rig import make_cameras
+from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
+from hyaline_paper.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates, load
+from model.batches.view_batches import Views, load_views
+from model.methods.table import open_inputs
+from model.nets.voxel_grid import (
+    VoxelGrid,
+    fit_cube,
+    frustum_points,
+    lift,
+    near_plane,
+    sample_frustum,
+)
+from model.nets.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
+from model.run.checkpoint import load_state
+from model.run.run_folder import TrainConfig, read_run
+from model.run.train import train
+
+CPU = torch.device("cpu")
+SIZE = 16
+TINY = DeepVoxelsConfig(
+    image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True, adversarial=True
+)
+
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    root = tmp_path_factory.mktemp("deepvoxels") / "data" / "synthetic"
+    return write_synthetic_dataset(root, resolution=64, train_views=5)
+
+
+def some_cameras(count: int, *, target: tuple[float, float, float] = (0.3, -0.2, 0.1), radius: float = 2.0) -> Cameras:
+    rng = np.random.default_rng(count)
+    way = rng.normal(size=(count, 3)) * [1, 1, 0.5]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    poses = [look_at(np.array(target) + radius * direction, np.array(target)) for direction in way]
+    return Cameras(world_from_camera=np.stack(poses), fov_x=np.radians(50), width=SIZE, height=SIZE)
+
+
+def some_grid(num_voxels: int = 8, edge: float = 1.2) -> VoxelGrid:
+    origin = torch.tensor([0.3, -0.2, 0.1])
+    return VoxelGrid(origin=origin, voxel_size=torch.tensor(edge / num_voxels), num_voxels=num_voxels)
+
+
+# Geometry
+
+
+def test_a_frustum_lies_on_the_pixels_rays_a_voxel_apart_around_the_grid() -> None:
+    cameras, grid = some_cameras(4), some_grid()
+    for view in range(4):
+        camera = cameras[view]
+        points = frustum_points(camera, grid, SIZE).reshape(grid.num_planes, SIZE, SIZE, 3).numpy()
+        origin, directions = cameras[view].rays()
+        forward = -cameras.world_from_camera[view, :3, 2]
+        # The cameras stand 2 metres off: the grid's bounding sphere begins there but for half its diagonal.
+        depth = 2 - 0.6 * np.sqrt(3) + 0.15 * np.arange(grid.num_planes)
+        expected = origin + depth[:, None, None, None] * (directions / (directions @ forward)[..., None])
+        np.testing.assert_allclose(points, expected, atol=2e-5)
+        assert depth[-1] > 2 + 0.6 * np.sqrt(3)
+
+
+def test_the_near_plane_never_comes_behind_the_camera() -> None:
+    lens = Lens(fov_x=0.8, width=SIZE, height=SIZE)
+    inside = lens.camera(look_at(np.array([0.4, 0, 0]), np.zeros(3)))
+    assert float(near_plane(inside, some_grid())) == pytest.approx(0.15)
+
+
+def test_lifting_equals_a_loop_and_leaves_unseen_voxels_empty() -> None:
+    # So large and so near that some voxels are behind the camera, some beside the picture.
+    cameras, grid = some_cameras(2, radius=0.7), some_grid(edge=3.0)
+    features = torch.rand(1, 3, SIZE, SIZE) + 1
+    for view in range(2):
+        lifted = lift(features, cameras[view], grid)[0].numpy()
+        table = features[0].permute(1, 2, 0).numpy()
+        camera_from_world = np.linalg.inv(cameras.world_from_camera[view])
+        focal = 0.5 * SIZE / np.tan(cameras.fov_x / 2)
+        seen = 0
+        for z, y, x in np.ndindex(8, 8, 8):
+            p_world = grid.origin.numpy() + 3.0 / 8 * (np.array([x, y, z]) - 4)
+            right, up, back, _ = camera_from_world @ [*p_world, 1]
+            row, column = SIZE / 2 + focal * up / back, SIZE / 2 - focal * right / back
+            is_seen = back < 0 and 0 <= row < SIZE and 0 <= column < SIZE
+            place = np.clip([row - 0.5, column - 0.5], 0, SIZE - 1)
+            expected = interpolate(table, place) if is_seen else np.zeros(3)
+            np.testing.assert_allclose(lifted[:, z, y, x], expected, atol=1e-4)
+            seen += is_seen
+        assert 20 < seen < 400
+
+
+def test_projecting_equals_a_loop_and_has_a_gradient() -> None:
+    cameras, grid = some_cameras(1), some_grid(num_voxels=4)
+    volume = torch.rand(1, 2, 4, 4, 4, requires_grad=True)
+    camera = cameras[0]
+    sampled = sample_frustum(volume, camera, grid, 8)
+    points = frustum_points(camera, grid, 8).numpy()
+    table = volume.detach()[0].permute(1, 2, 3, 0).numpy()
+    expected = np.zeros((len(points), 2))
+    for index, point in enumerate(points):
+        x, y, z = (point - grid.origin.numpy()) / 0.3 + 2
+        if min(x, y, z) >= 0 and max(x, y, z) <= 3:
+            expected[index] = interpolate(table, np.array([z, y, x]))
+    assert 20 < (expected[:, 0] > 0).sum() < len(expected)
+    np.testing.assert_allclose(sampled.detach()[0].flatten(1).T, expected, atol=1e-4)
+    # The weights of a point inside sum to 1, so each hands on all of its gradient.
+    sampled.sum().backward()
+    assert volume.grad is not None
+    assert float(volume.grad.sum()) == pytest.approx(2 * (expected[:, 0] > 0).sum(), rel=1e-4)
+
+
+def test_the_cube_stands_where_cameras_look_and_holds_the_scene() -> None:
+    vertices = np.random.default_rng(0).normal(size=(50, 3)) * 0.2 + [0.3, -0.2, 0.1]
+    origin, edge = fit_cube(some_cameras(9), vertices)
+    np.testing.assert_allclose(origin, [0.3, -0.2, 0.1], atol=1e-9)
+    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
+
+
+def test_cameras_that_look_one_way_are_refused() -> None:
+    cameras = some_cameras(1)
+    same = dataclasses.replace(cameras, world_from_camera=np.repeat(cameras.world_from_camera, 3, axis=0))
+    with pytest.raises(HyalineError, match="all 3 look the same way; deepvoxels needs views from around"):
+        fit_cube(same, np.zeros((1, 3)))
+
+
+def test_neighbours_are_the_nearest_in_angle_and_never_the_view_itself() -> None:
+    cameras = some_cameras(12)
+    views = Views(rgb=torch.zeros(0, 3, dtype=torch.uint8), cameras=cameras)
+    for view in range(12):
+        forward = cameras.world_from_camera[:, :3, 2]
+        angles = [np.arccos(np.clip(forward[view] @ other, -1, 1)) for other in forward]
+        assert views.neighbours(view) == sorted(set(range(12)) - {view}, key=lambda other: angles[other])[:4]
+
+
+# Networks
+
+
+@pytest.mark.parametrize(
+    ("size", "width", "features", "parts"),
+    [
+        # Source: the authors' modules, counted by arithmetic.
+        (128, 64, 64, (57_709_120, 238_854, 4_007_872, 219_824, 75_351_715)),
+        (256, 64, 64, (74_899_904, 238_854, 4_007_872, 219_824, 91_554_723)),
+        (512, 64, 64, (91_599_040, 238_854, 4_007_872, 219_824, 102_816_931)),
+        (128, 32, 64, (14_450_016, 238_854, 4_007_872, 219_824, 18_861_395)),
+        (128, 16, 32, (3_614_640, 64_294, 1_003_488, 216_368, 4_717_867)),
+    ],
+)
+def test_every_part_has_its_authors_number_of_parameters(
+    size: int, width: int, features: int, parts: tuple[int, ...]
+) -> None:
+    with torch.device("meta"):
+        config = DeepVoxelsConfig(image_size=size, width=width, voxel_features=features)
+        net = DeepVoxels(config, origin=torch.zeros(3), edge=1.0)
+    modules = (net.feature_extractor, net.integration, net.inpainting, net.occlusion, net.rendering)
+    assert tuple(sum(p.numel() for p in module.parameters()) for module in modules) == parts
+    total = {(128, 64): 137.5, (256, 64): 170.9, (512, 64): 198.9, (128, 32): 37.8, (128, 16): 9.6}[size, width]
+    assert round(sum(parts) / 1e6, 1) == total == round(sum(p.numel() for p in net.parameters()) / 1e6, 1)
+
+
+def test_the_critic_has_its_number_of_parameters_and_sees_70_pixels() -> None:
+    critic = Critic().eval()
+    assert round(sum(p.numel() for p in critic.parameters()) / 1e6, 2) == 0.53
+    image = torch.rand(1, 3, 128, 128, requires_grad=True)
+    patches = critic(image)
+    assert patches.shape == (1, 1, 14, 14)
+    patches[0, 0, 7, 7].backward()
+    assert image.grad is not None
+    rows = image.grad.abs().sum(dim=(0, 1, 3)).nonzero()
+    assert int(rows.max() - rows.min()) + 1 == 70
+
+
+@pytest.mark.parametrize("bounded", [False, True])
+def test_the_integration_is_the_gated_unit_of_its_formula(bounded: bool) -> None:
+    torch.manual_seed(0)
+    unit = Integration(2, dropout=0.2, bounded=bounded).eval()
+    new, old = torch.randn(1, 2, 4, 4, 4), torch.randn(1, 2, 4, 4, 4)
+    result = unit(new, old, grid_coordinates(4))[0].detach().numpy()
+
+    place = np.stack(np.meshgrid(*[[-0.5, -0.25, 0.0, 0.25]] * 3, indexing="ij"))
+    h, x = np.concatenate([old[0].numpy(), place]), np.concatenate([new[0].numpy(), place])
+    conv_x, conv_h, conv_rh = (part[1] for part in (unit.new, unit.old_gates, unit.old_candidate))
+
+    def loops(volume: np.ndarray, layer: torch.nn.Module, channels: slice) -> np.ndarray:
+        kernels = layer.get_parameter("weight").detach().numpy()[channels]
+        has_bias = layer is conv_x
+        biases = layer.get_parameter("bias").detach().numpy()[channels] if has_bias else np.zeros(len(kernels))
+        return convolve(volume, kernels, biases)
+
+    reset = 1 / (1 + np.exp(-loops(x, conv_x, slice(0, 1)) - loops(h, conv_h, slice(0, 1))))
+    update = 1 / (1 + np.exp(-loops(x, conv_x, slice(1, 2)) - loops(h, conv_h, slice(1, 2))))
+    activated = np.tanh if bounded else lambda value: np.maximum(0, value)
+    candidate = activated(loops(x, conv_x, slice(2, 4)) + loops(reset * h, conv_rh, slice(0, 2)))
+    np.testing.assert_allclose(result, (1 - update) * old[0].numpy() + update * candidate, atol=1e-5)
+
+
+@pytest.mark.parametrize(("channels", "stride"), [(8, 1), (9, 2), (12, 1)])
+def test_zero_channels_change_neither_a_convolution_nor_its_gradient(channels: int, stride: int) -> None:
+    torch.manual_seed(channels)
+    x = torch.randn(1, channels, 66, 34, 6)
+    assert (x.shape[:4].numel() <= ONEDNN_ROWS) == (channels < 12)
+    layer = Conv3d(channels, 3, 3, stride=stride)
+    plain = nn.Conv3d(channels, 3, 3, stride=stride).double()
+    plain.load_state_dict(layer.state_dict())
+    ours, theirs = x.clone().requires_grad_(), x.double().requires_grad_()
+    y, expected = layer(ours), plain(theirs)
+    torch.testing.assert_close(y.double(), expected, atol=1e-5, rtol=0)
+    y.square().mean().backward()
+    expected.square().mean().backward()
+    for tensor, true in ((ours, theirs), (layer.weight, plain.weight), (layer.bias, plain.bias)):
+        torch.testing.assert_close(tensor.grad.double(), true.grad, atol=1e-5, rtol=1e-4)
+
+
+def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
+    torch.manual_seed(0)
+    frustum = torch.randn(1, 3, 8, 16, 16)
+    visibility = Occlusion(3, num_planes=8, plane_size=16)(frustum).detach()
+    assert visibility.shape == (1, 1, 8, 16, 16) and (visibility >= 0).all()
+    torch.testing.assert_close(visibility.sum(dim=2), torch.ones(1, 1, 16, 16))
+    features = collapse(frustum, visibility)
+    for row, column in ((0, 0), (5, 11)):
+        total = sum(visibility[0, 0, d, row, column] * frustum[0, :, d, row, column] for d in range(8))
+        torch.testing.assert_close(features[0, :, row, column], total / 8)
+
+
+def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
+    net = build(TINY, open_inputs(TINY, dataset, TRUTH))
+    views = load_views(dataset, "train", [0, 1, 2], with_images=True)
+    net.observe(views.image(0), views.cameras[0])
+    kept = net.get_buffer("volume").clone()
+    assert kept.abs().sum() > 0 and not net.get_buffer("volume").requires_grad
+    net.eval()
+    both = net(views.take(torch.arange(64 * 64, 3 * 64 * 64), None))
+    assert both.shape == (2 * 64 * 64, 3) and ((both >= 0) & (both <= 1)).all()
+    torch.testing.assert_close(both[64 * 64 :], net(views.take(torch.arange(2 * 64 * 64, 3 * 64 * 64), None)))
+    assert torch.equal(net.get_buffer("volume"), kept)
+
+
+def test_pictures_of_another_size_than_that_of_training_are_refused(dataset: Dataset) -> None:
+    large = dataclasses.replace(TINY, image_size=128)
+    with pytest.raises(HyalineError, match="is 64 x 64 pixels; deepvoxels draws 128 x 128"):
+        load(large, open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False)
+
+
+@pytest.mark.parametrize("size", [32, 64, 128])
+def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
+    config = dataclasses.replace(
+        DeepVoxelsConfig().usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
+    )
+    net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
+    camera = some_cameras(1)[0]
+    inpainted = net.inpaint(net.observe(torch.rand(1, 3, size, size), camera))
+    assert net.draw(inpainted, camera).shape == (1, 3, size, size)
+
+
+# The loss
+
+
+def test_each_side_of_the_game_gets_its_own_gradient() -> None:
+    torch.manual_seed(0)
+    critic = Critic(width=2).eval()
+    drawn, true = torch.rand(1, 3, 64, 64, requires_grad=True), torch.rand(1, 3, 64, 64)
+    parameters = list(critic.parameters())
+    together = torch.autograd.grad(adversarial_loss(critic, drawn, true), [drawn, *parameters])
+
+    probability = torch.sigmoid(critic(drawn))
+    of_picture = torch.autograd.grad(-torch.log(probability).mean(), drawn)[0]
+    critic_side = -0.5 * (torch.log(torch.sigmoid(critic(true))).mean() + torch.log(1 - critic(drawn).sigmoid()).mean())
+    of_critic = torch.autograd.grad(critic_side, parameters)
+    for found, expected in zip(together, [of_picture, *of_critic], strict=True):
+        torch.testing.assert_close(found, expected)
+
+
+# The run
+
+
+def run_config(net: DeepVoxelsConfig, *, steps: int) -> TrainConfig:
+    return TrainConfig(
+        method="deepvoxels",
+        geometry="truth",
+        net=net,
+        steps=steps,
+        batch=2,
+        lr=4e-4,
+        lr_decay="none",
+        evaluate_every=2,
+        checkpoint_every=2,
+    )
+
+
+def test_a_stopped_and_resumed_run_has_the_same_bytes(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = run_config(TINY, steps=5)
+    train(config, dataset, tmp_path / "whole", label="deepvoxels", device=CPU)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        stop_at(patch, 3)
+        train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
+    stopped = load_state(tmp_path / "parts/checkpoint.pt")["renderer"]
+    assert isinstance(stopped, dict)
+    assert stopped["volume"].abs().sum() > 0 and "critic.layers.1.weight" in stopped
+    torch.rand(7)  # Dropout must not depend on torch's own generator.
+    train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
+    for name in ("weights.pt", "metrics.jsonl", "run.json"):
+        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
+    record = read_run(tmp_path / "whole")
+    plain = dataclasses.replace(TINY, adversarial=False)
+    net = build(plain, open_inputs(plain, dataset, TRUTH))
+    assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
+    assert record.num_parameters == sum(value.numel() for value in net.parameters())  # The critic does not count.
+
+
+@pytest.mark.full
+def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
+    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0, adversarial=False)
+    config = dataclasses.replace(run_config(net, steps=50), lr=0.004, lr_decay="linear", evaluate_every=25)
+    train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
+    losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
+    true = np.stack([dataset.view("train", view).image[5:-5, 5:-5] / 255 for view in range(4)])
+    # The median is the best picture for a network that draws the same for every camera.
+    same_for_all = np.abs(true - np.median(true, axis=0)).mean()
+    assert losses[-1] < 0.8 * same_for_all
+
+
+def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
+    scene = opaque_cube()
+    split = SplitConfig(views=30, spp=2)
+    config = DatasetConfig(
+        scene=scene.name, preset="demo", resolution=square(32), train=split, interpolating=split, extrapolating=split
+    )
+    cameras = make_cameras(scene.cameras, config)["train"]
+    vertices = np.concatenate([item.mesh.vertices for item in scene.objects]).astype(np.float64)
+    origin, edge = fit_cube(cameras, vertices)
+    assert np.abs(origin - scene.cameras.target).max() < 0.1
+    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
+    assert np.linalg.norm(cameras.world_from_camera[:, :3, 3] - origin, axis=1).min() > np.sqrt(3) / 2 * edge
+    assert not any(item.material.is_glass for item in scene.objects)
+
+
+def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
+    out = tmp_path / "run"
+    answer = call(f"model train deepvoxels {dataset.root} --out {out} --steps 1 --device cpu")
+    assert answer.status == 0 and "no layers" in answer.err
+    run = json.loads((out / "run.json").read_text())
+    assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
+    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
+    assert read_png(out / "predictions/extrapolating/0001.png").shape == (32, 32, 3)
+    answer = call(f"model predict {out} --variant remove:pane")
+    assert "method deepvoxels uses no geometry, so it cannot draw an edit" in answer.err
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--geometry box", "--geometry box: method deepvoxels uses no geometry; leave it out"),
+        ("--zero-layer", "model train deepvoxels: Unrecognized options: --zero-layer"),
+        ("--batch 1", "batch: is 1; expected at least 2"),
+    ],
+)
+def test_a_flag_that_it_does_not_have_is_refused(dataset: Dataset, tmp_path: Path, flags: str, message: str) -> None:
+    answer = call(f"model train deepvoxels {dataset.root} --out {tmp_path / 'run'} {flags}")
+    assert answer.status == 1 + ("Unrecognized" in message) and message in answer.err and answer.err.count("\n") == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_sizes_that_are_no_powers_of_two_are_refused() -> None:
+    with pytest.raises(HyalineError, match=r"resolution: is 100 x 100; .* so build the dataset with --resolution 128"):
+        DeepVoxelsConfig().sized(square(100))
+    with pytest.raises(HyalineError, match="image_size: is 32; deepvoxels needs a power of two of 64 or more"):
+        DeepVoxelsConfig(image_size=32, plane_size=32, adversarial=True)
+    with pytest.raises(HyalineError, match="plane_size: is 64; expected at most the pictures' 32"):
+        DeepVoxelsConfig(image_size=32)

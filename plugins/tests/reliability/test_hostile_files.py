@@ -1,0 +1,150 @@
+"""Tests that hostile files are refused in one line or accepted with exact counts, and that none is the end of anything.
+
+Most are refused by a line that names the file, and nearly always the key of the value that is wrong. The others are in
+outcomes.tsv, with what is accepted of them or what the line names instead. After a change,
+`pytest plugins/tests/reliability/test_hostile_files.py --rewrite-outcomes` writes that file again; read the difference.
+"""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+OUTCOMES = Path(__file__).with_name("outcomes.tsv")
+CHILD = Path(__file__).resolve().parents[3] / "tests" / "support" / "hostile" / "try_all.py"
+STEP = 16
+"""A quick run tries every sixteenth file."""
+SECONDS_WITHOUT_A_WORD = 300
+MOST_BYTES = 2 << 30
+DIED = "DIED"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tried:
+    """What came of each file, by its name."""
+
+    outcomes: dict[str, str]
+    places: dict[str, str]
+    """The same in short: `accepted` with counts, `refused` with what is named; nothing where that is the file."""
+    keys: list[bool]
+    """Of each refusal of one wrong value, whether the value's key is named."""
+    ended: dict[str, str]
+    """How commands ended that were given a tenth of the files."""
+    peak: int
+    """Most bytes of memory that were held."""
+
+
+@pytest.fixture(scope="module")
+def step(request: pytest.FixtureRequest, is_full: bool) -> int:
+    return 1 if is_full or request.config.getoption("--rewrite-outcomes") else STEP
+
+
+@pytest.fixture(scope="module")
+def tried(tmp_path_factory: pytest.TempPathFactory, step: int) -> Tried:
+    """A child that dies is started again. Its cache is nowhere near its home."""
+    out = tmp_path_factory.mktemp("hostile") / "out.jsonl"
+    environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path_factory.mktemp("cache"))}
+    outcomes: dict[str, str] = {}
+    places: dict[str, str] = {}
+    keys: list[bool] = []
+    ended: dict[str, str] = {}
+    first = 0
+    for _ in range(10):
+        child = subprocess.Popen(
+            [sys.executable, str(CHILD), str(out), str(first), str(step)],
+            env=environment,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        said = _wait(child, out)
+        lines = [json.loads(line) for line in out.read_text().splitlines()] if out.exists() else []
+        assert lines, said
+        outcomes |= {line["name"]: line["outcome"] for line in lines if "outcome" in line}
+        begun = [line for line in lines if "begin" in line]
+        places |= {line["name"]: _place(outcomes.get(line["name"], ""), line["path"]) for line in begun}
+        keys = [
+            _names_key(outcomes[line["name"]], line["path"], line["key"])
+            for line in begun
+            if line["key"] and not places[line["name"]]
+        ]
+        ended |= {line["name"]: line["ended"] for line in lines if "ended" in line}
+        if "peak" in lines[-1]:
+            return Tried(outcomes=outcomes, places=places, keys=keys, ended=ended, peak=lines[-1]["peak"])
+        outcomes[begun[-1]["name"]] = f"{DIED}: status {child.returncode}"
+        first = begun[-1]["begin"] + step
+    pytest.fail(f"the reader died ten times: {[name for name, outcome in outcomes.items() if outcome[:4] == DIED]}")
+
+
+def _place(outcome: str, path: str) -> str:
+    """What a refusal names, or what was accepted; nothing for a refusal that names the file."""
+    kind, _, said = outcome.partition(": ")
+    if kind != "refused":
+        return outcome
+    return "" if path in said else f"refused: {said.split(': ')[0]}"
+
+
+def _names_key(outcome: str, path: str, key: str) -> bool:
+    return re.search(rf"\b{re.escape(key)}\b", outcome.replace(path, "")) is not None
+
+
+def _wait(child: subprocess.Popen[bytes], out: Path) -> str:
+    """Waits for a child; one that has said nothing for too long is killed. Returns what it said on stderr."""
+    size = -1
+    while True:
+        try:
+            _, said = child.communicate(timeout=SECONDS_WITHOUT_A_WORD)
+            return said.decode(errors="replace")[-2000:]
+        except subprocess.TimeoutExpired:
+            now = out.stat().st_size if out.exists() else 0
+            if now == size:
+                child.kill()
+            size = now
+
+
+@pytest.mark.promise("R6", "R7")
+def test_every_hostile_file_ends_as_the_table_says(
+    tried: Tried, step: int, cases: Callable[[int, str], None], request: pytest.FixtureRequest
+) -> None:
+    outcomes = tried.outcomes
+    if request.config.getoption("--rewrite-outcomes"):
+        OUTCOMES.write_text("".join(f"{name}\t{place}\n" for name, place in tried.places.items() if place))
+    wrong = [
+        f"{name}: {outcome}" for name, outcome in outcomes.items() if not outcome.startswith(("refused", "accept"))
+    ]
+    assert not wrong, f"{len(wrong)} of {len(outcomes)}:\n" + "\n".join(wrong)
+    expected = dict(line.split("\t", 1) for line in OUTCOMES.read_text().splitlines())
+    if step > 1:
+        expected = {name: place for name, place in expected.items() if name in outcomes}
+    assert len(outcomes) * step >= 1500
+    different = [
+        f"{name}: {outcomes.get(name)}; expected {expected.get(name, 'a refusal that names the file')}"
+        for name in sorted(outcomes.keys() | expected.keys())
+        if tried.places.get(name) != expected.get(name, "")
+    ]
+    assert not different, f"{len(different)}:\n" + "\n".join(different[:40])
+    assert sum(tried.keys) > 0.6 * len(tried.keys), f"{sum(tried.keys)} of {len(tried.keys)} name the key"
+    assert tried.peak < MOST_BYTES, f"{tried.peak >> 20} MB were held"
+    cases(len(outcomes), "hostile files")
+
+
+@pytest.mark.promise("R6", "R7")
+def test_commands_end_as_the_readers_do(tried: Tried, step: int, cases: Callable[[int, str], None]) -> None:
+    assert len(tried.ended) * step > 140
+    wrong = {name: end for name, end in tried.ended.items() if not end.startswith(("refused: error: ", "accepted: "))}
+    assert not wrong
+    silent = {
+        name: tried.outcomes[name]
+        for name, end in tried.ended.items()
+        if end.startswith("accepted: ")
+        and not tried.outcomes[name].startswith("accepted: ")
+        # Its pictures are of the run as it was; the command reads the run alone.
+        and "its pictures are by another run" not in tried.outcomes[name]
+    }
+    assert not silent
+    cases(len(tried.ended), "hostile files given to commands")

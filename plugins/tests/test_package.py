@@ -1,0 +1,86 @@
+"""Tests what `pip wheel` and a source distribution hold (every file of the packages, and all that the tests need), and
+that `make test` collects every test file."""
+
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+PACKAGES = ("hyaline", "datagen", "proxies", "model", "eval")
+BESIDE = ("plugins", "tests", "benchmarks", "examples", "docs", ".ci")
+"""What a checkout has beside them that tests need."""
+BUILD = "from hatchling import build as b; print(b.build_sdist('.'), b.build_wheel('.'))"
+
+
+def files_of(folder: Path, *names: str) -> set[str]:
+    """Every file below, by path relative to the folder, but caches and what a build leaves."""
+    found = (path for name in names for path in (folder / name).rglob("*") if path.is_file())
+    return {path.relative_to(folder).as_posix() for path in found if "__pycache__" not in path.parts}
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the checkout, with a wheel and a source distribution in it."""
+    place = tmp_path_factory.mktemp("built") / "checkout"
+    place.mkdir()
+    for name in (*PACKAGES, *BESIDE):
+        shutil.copytree(ROOT / name, place / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in ROOT.iterdir():
+        if path.is_file():
+            shutil.copy(path, place)
+    subprocess.run([sys.executable, "-c", BUILD], cwd=place, check=True, capture_output=True)
+    return place
+
+
+def test_the_wheel_has_every_file_of_the_packages_and_nothing_else(built: Path) -> None:
+    (wheel,) = built.glob("hyaline_glass-*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        names = {name for name in file.namelist() if ".dist-info/" not in name}
+    plugins = files_of(ROOT / "plugins", *(path.name for path in (ROOT / "plugins").glob("hyaline_*")))
+    assert names == files_of(ROOT, *PACKAGES) | {name for name in plugins if name.split("/")[1] != "tests"}
+
+
+def test_the_source_distribution_has_the_tests_and_what_they_need(built: Path) -> None:
+    (sdist,) = built.glob("hyaline_glass-*.tar.gz")
+    with tarfile.open(sdist) as file:
+        names = {name.partition("/")[2] for name in file.getnames()}
+    needed = files_of(ROOT, *PACKAGES, *BESIDE) | {path.name for path in ROOT.glob("*.md")}
+    needed |= {"Makefile", "constraints.txt", "pyproject.toml", "mkdocs.yml"}
+    assert needed - names == set()
+
+
+def test_an_editable_install_is_two_folders_on_the_path_in_which_editors_find_types(built: Path) -> None:
+    command = "from hatchling import build as b; b.build_editable('editable')"
+    subprocess.run([sys.executable, "-c", command], cwd=built, check=True, capture_output=True)
+    (wheel,) = (built / "editable").glob("*.whl")
+    with zipfile.ZipFile(wheel) as file:
+        (path,) = [name for name in file.namelist() if ".dist-info/" not in name]
+        assert path.endswith(".pth") and file.read(path).decode().split() == [str(built), str(built / "plugins")]
+
+
+def test_every_tracked_file_with_tests_is_collected(pytestconfig: pytest.Config) -> None:
+    tracked = ["git", "grep", "--name-only", "--extended-regexp", r"^ *(async )?def test_", "--", "*.py"]
+    found = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=False)
+    if found.returncode:
+        pytest.skip("not a git checkout")
+    folders = tuple(pytestconfig.getini("testpaths"))
+
+    def is_ignored(path: Path) -> bool:
+        return bool(pytestconfig.hook.pytest_ignore_collect(collection_path=path, config=pytestconfig))
+
+    files = [Path(name) for name in found.stdout.splitlines()]
+    assert not [file for file in files if not file.as_posix().startswith(folders)]
+    assert len(files) > 100 and is_ignored(ROOT / ".ci")
+    names = pytestconfig.getini("python_files")
+    left_out = [
+        str(file)
+        for file in files
+        if not any(file.match(name) for name in names)
+        or any(is_ignored(ROOT / place) for place in (file, *file.parents[:-1]))
+    ]
+    assert not left_out

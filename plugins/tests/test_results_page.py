@@ -1,0 +1,171 @@
+"""Tests RESULTS.md: it is what the command writes from stored results, seeds become means, other files are refused."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from datagen.disk.errors import HyalineError
+from eval.tables.grids import MISSING
+from eval.tables.pages import results_index, results_page
+from hyaline_bench.leaderboard import track_rows
+
+ROOT = Path(__file__).resolve().parents[2]
+KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
+
+
+def run(name: str, psnr_db: float, *, seed: int = 0) -> dict[str, Any]:
+    scores = {key: {"mean": psnr_db, "pictures": [psnr_db]} for key in KEYS}
+    return {
+        "run": name,
+        "knowledge": "true | geometry",
+        "num_parameters": 1234,
+        "seed": seed,
+        "drop_db": None,
+        "splits": {"interpolating": scores, "extrapolating": None},
+    }
+
+
+def results(**change: Any) -> dict[str, Any]:
+    angles = {"extrapolating-10deg": {key: {"mean": 20.0, "pictures": [20.0]} for key in KEYS}}
+    scene = {
+        "scene": "glass_table",
+        "dataset_seal": "0123456789abcdef",
+        "preset": "tiny",
+        "resolution": {"width": 16, "height": 16},
+        "noise_ceiling_db": {"interpolating": "inf", "extrapolating": 40.0},
+        "runs": [run("worse", 29.0), run("mine", 30.0), run("mine-seed1", 32.0, seed=1)],
+        "seeds": [{"runs": ["mine", "mine-seed1"]}],
+        "analyses": {
+            "curves": {"mine": {"db_per_10deg": -1.0}, "mine-seed1": {"db_per_10deg": -3.0}},
+            "variants": {"angles": {"noise_ceiling_db": {"extrapolating-10deg": 45.0}, "runs": {"mine": angles}}},
+        },
+    }
+    made_by = {"command": "make demo", "code": "0.1.0 (abc)"}
+    return {"version": 1, "notes": ["As stored.", "Wrapped."], "made_by": made_by, "scenes": [scene], **change}
+
+
+def write(folder: Path, name: str, content: dict[str, Any]) -> Path:
+    path = folder / name
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_the_pages_of_results_are_what_the_command_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    files = sorted(Path("docs/results").glob("*.json"))
+    assert files and sorted(Path("docs/results").glob("*.md")) == [file.with_suffix(".md") for file in files]
+    for file in files:
+        assert file.with_suffix(".md").read_text() == results_page(file), "write it with `make results`"
+    tracks = track_rows(Path("docs/results/bench"))
+    pages = {file.as_posix(): file.read_text() for file in Path("docs/results/bench").glob("*.md")}
+    assert {row[0].split("(")[1][:-1]: text for row, text in tracks.items()} == pages, "write them with `make results`"
+    assert Path("RESULTS.md").read_text() == results_index(files, tracks), "write it with `make results`"
+
+
+def test_the_list_of_pages_begins_with_the_shortest(tmp_path: Path) -> None:
+    scene = results()["scenes"][0]
+    long = write(tmp_path, "a.json", results(scenes=[scene | {"scene": f"scene {place}"} for place in range(4)]))
+    short = write(tmp_path, "b.json", results())
+    lines = results_index([long, short]).splitlines()[-3:]
+    assert lines[1:] == [
+        f"| [b]({tmp_path.as_posix()}/b.md) | glass_table | scores | 2 | 0.1.0 (abc) |",
+        f"| [a]({tmp_path.as_posix()}/a.md) | 4 datasets | scores | 2 | 0.1.0 (abc) |",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("change", "title"),
+    [
+        ({}, "glass_table, preset tiny: 32 x 32 pixels"),
+        (
+            {"resolution": {"width": 48, "height": 32}},
+            "48 x 32 pixels, 8 + 3 + 3 views, 16 + 64 + 64 samples per pixel",
+        ),
+        ({"preset": "imported"}, "glass_table: 32 x 32 pixels, 8 + 3 + 3 views, 16 + 64 + 64 samples per pixel"),
+        ({"spp": 32}, "glass_table: 32 x 32 pixels, 8 + 3 + 3 views, 32 + 64 + 64 samples per pixel"),
+    ],
+)
+def test_a_preset_is_named_only_for_datasets_of_its_size(tmp_path: Path, change: dict[str, Any], title: str) -> None:
+    test = {"views": 3, "spp": 64}
+    splits = {"train": {"views": 8, "spp": change.pop("spp", 16)}, "interpolating": test, "extrapolating": test}
+    scene = results()["scenes"][0] | {"resolution": {"width": 32, "height": 32}, "splits": splits} | change
+    page = results_page(write(tmp_path, "demo.json", results(scenes=[scene])))
+    assert f"{title}\n" in page
+
+
+def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_path: Path) -> None:
+    lines = results_page(write(tmp_path, "demo.json", results())).splitlines()
+    assert lines[:5] == ["# demo", "", "```", "make demo", "```"]
+    assert lines[6] == "[demo.json](demo.json); hyaline 0.1.0 (abc)."
+    assert "As stored." in lines and "Wrapped." not in lines
+    first = lines.index("### glass_table: 16 x 16 pixels, 1 views of each test split") + 4
+    table = [line.replace(MISSING, "none") for line in lines[first:]]
+    mean = "31.00 ± 1.41"
+    assert table[0].startswith(f"| mine | true \\| geometry | 1,234 | 2 | **{mean}** | none | **{mean}** | none |")
+    assert table[0].endswith("| none | -2.00 ± 1.41 |")
+    assert table[1].startswith("| worse | true \\| geometry | 1,234 | 1 | 29.00 | none | 29.00 |")
+    assert table[1].endswith("| **29.00** | none | none | none |"), "of colour differences the least is best"
+    assert table[2].startswith("| noise ceiling |  |  |  | ∞ | 40.00 |")
+    angles = lines[lines.index("### glass_table: variant angles") + 4 :]
+    assert angles[:2] == [
+        "| mine | 1 | 20.00 | 20.00 |",
+        "| noise ceiling |  | 45.00 |  |",
+    ]
+
+
+def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
+    content = results()
+    errors = {"chamfer": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
+    near = {"value": 2.5, "low": 2.4, "high": 2.6}
+    channels = {f"absorption_{channel}": near for channel in ("red", "green", "blue")}
+    tumbler = {
+        "kind": "revolution",
+        "numbers": {"ior": {"value": 1.505, "low": 1.49, "high": 1.52}, "wall": {"value": 0.0035}, **channels},
+        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0, "absorption_blue": 2.5}},
+    }
+    unknown = {"kind": "ball", "numbers": {"roughness": {"value": 0.1}}, "measured": {"errors": None, "true": {}}}
+    content["scenes"][0]["analyses"]["fits"] = {"fit": {"tumbler": tumbler, "ball": unknown}}
+    page = results_page(write(tmp_path, "fits.json", content)).replace(MISSING, "none")
+    assert "### glass_table: glass found from masks and pictures" in page
+    tints = "2.5 (3.0), 2.5, 2.5 (2.5)"
+    assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
+    assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
+    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that contain the true value") :]
+    assert "| glass_table | 1 of 1 | 1 of 2 |" in intervals and "| all | 1 of 1 | 1 of 2 |" in intervals
+    # The index is a third of its interval's half away from the truth, one channel five halves.
+    assert "| factor for 90 % | 0.3 | 5.0 |" in intervals
+
+
+def test_what_none_recorded_is_said(tmp_path: Path) -> None:
+    plain = results()
+    del plain["made_by"], plain["scenes"][0]["preset"]
+    page = results_page(write(tmp_path, "a.json", plain))
+    assert page.startswith("# a\n\n```\nnot recorded\n```\n") and "hyaline not recorded." in page
+    assert "### glass_table: 16 x 16 pixels" in page and "Data: dataset seal 0123456789ab." in page
+
+
+def test_processor_minutes_are_a_column_where_they_were_counted(tmp_path: Path) -> None:
+    content = results()
+    for run_, seconds in zip(content["scenes"][0]["runs"], (90.0, 60.0, 180.0), strict=True):
+        run_["cpu_seconds"] = seconds
+    page = results_page(write(tmp_path, "a.json", content)).replace(MISSING, "none")
+    assert "| dB per 10° | CPU min |" in page
+    assert "| none | -2.00 ± 1.41 | 2.00 ± 1.41 |" in page and "| none | none | 1.50 |" in page
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (results(version=2), "demo.json: format version 2; this program reads 1, as `eval report` writes it"),
+        (
+            results(scenes=[{"scene": "x"}]),
+            "demo.json: lacks 'runs'; expected a results.json of `eval report`",
+        ),
+        ({"version": 1}, "demo.json: lacks 'scenes'"),
+    ],
+)
+def test_a_file_of_another_kind_is_refused(content: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(HyalineError, match=message):
+        results_page(write(tmp_path, "demo.json", content))

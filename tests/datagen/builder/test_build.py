@@ -1,0 +1,236 @@
+"""Tests the making of a dataset end to end: same bytes whatever happens, and every flipped bit found."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.builds import build, build_whole, command, tree
+from support.commands import run
+from support.synthetic import synthetic_scene, write_synthetic_dataset
+
+from datagen.builder.build import build_dataset, peel_dataset, summary
+from datagen.builder.verify import verify_dataset
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
+from datagen.data.dataset import open_dataset
+from datagen.data.geometries import read_meshes
+from datagen.data.layer_writing import write_layers
+from datagen.data.layers import Layers
+from datagen.data.paths import TRUTH, image_path, layers_root
+from datagen.disk.errors import HyalineError
+from datagen.scene.folder import save_scene
+
+
+@pytest.fixture(scope="module")
+def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene") / "mine"
+    save_scene(synthetic_scene(), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("data") / "built"
+    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    return out
+
+
+def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
+    dataset = open_dataset(built)
+    assert [item.is_glass for item in dataset.objects] == [True, False]
+    for split in SPLITS:
+        assert dataset.view(split, 0).image.shape == (16, 16, 3)
+        assert dataset.view(split, 0).record.spp == 8
+        assert 15 < dataset.noise_ceiling_db(split) < 80
+    layers = dataset.view("train", 0).layers()
+    assert layers.uv.shape == (4, 16, 16, 2)
+    assert set(np.unique(layers.object_id)) == {0, 1, 2}
+    assert np.array_equal(dataset.view("train", 0).mask("glass"), layers.object_id[0] == 1)
+    assert len(read_meshes(dataset, TRUTH)) == 2
+
+
+@pytest.mark.parametrize(("name", "more"), [("workers", ("--workers", "2")), ("again", ())])
+@pytest.mark.promise("R8")
+def test_neither_workers_nor_another_process_change_a_byte(
+    built: Path, scene_folder: Path, tmp_path: Path, name: str, more: tuple[str, ...]
+) -> None:
+    build_whole(scene_folder, tmp_path / name, *more)
+    assert tree(tmp_path / name) == tree(built)
+
+
+@pytest.mark.promise("R8")
+def test_one_thread_does_not_change_a_byte(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    program = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from datagen.cli import main; main()"
+    arguments = command(scene_folder, tmp_path / "one")[3:]
+    subprocess.run([sys.executable, "-c", program, *arguments], check=True, capture_output=True)
+    assert tree(tmp_path / "one") == tree(built)
+
+
+def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("datagen.builder.build.cameras_within", None)  # Its cameras are read.
+    before = {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()}
+    answer = build(scene_folder, built)
+    assert answer.status == 0
+    assert {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()} == before
+    assert answer.out.strip() == str(built)
+    assert answer.err.splitlines()[-1].startswith("next: proxies make")
+
+
+def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(built, out)
+    answer = build(scene_folder, out, "--seed", "3")
+    assert answer.status == 1
+    assert "(--seed is 0 there and 3 here); pass --overwrite" in answer.error
+    assert tree(out) == tree(built)
+    build_whole(scene_folder, out, "--seed", "3", "--overwrite")
+    assert open_dataset(out).config.seed == 3
+    assert verify_dataset(out).problems == []
+
+
+def test_a_folder_with_something_else_in_it_is_not_touched(scene_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "thesis.tex").write_text("precious")
+    answer = build(scene_folder, tmp_path)
+    assert answer.status == 1
+    assert "is not empty (thesis.tex) and no dataset" in answer.error
+    assert tree(tmp_path) == {"thesis.tex": b"precious"}
+
+
+@pytest.mark.promise("R4")
+def test_verify_names_every_file_with_a_flipped_bit(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    write_synthetic_dataset(root, resolution=8, train_views=2)
+    files = sorted(tree(root))
+    found = verify_dataset(root)
+    assert (found.verified, found.problems) == (len(files), [])
+    rng = np.random.default_rng(0)
+    for name in files:
+        path = root / name
+        good = path.read_bytes()
+        bad = bytearray(good)
+        bad[rng.integers(len(good))] ^= 1 << rng.integers(8)
+        path.write_bytes(bad)
+        try:
+            problems = verify_dataset(root).problems
+        except HyalineError as error:
+            problems = [str(error)]
+        assert any(str(path) in problem for problem in problems), name
+        path.write_bytes(good)
+    assert verify_dataset(root).problems == []
+
+
+def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
+    root = tmp_path / "data"
+    dataset = write_synthetic_dataset(root, resolution=8, train_views=2)
+    one, two = (image_path(root, "train", view) for view in (0, 1))
+    content = one.read_bytes(), two.read_bytes()
+    one.write_bytes(content[1])
+    two.write_bytes(content[0])
+    (root / "images" / "notes.txt").write_text("mine")
+    lost = layers_root(root, TRUTH) / "arrays" / "train" / "0000.uv.npy.blosc"
+    lost.unlink()
+    problems = "\n".join(verify_dataset(root).problems)
+    assert f"{one}: damaged" in problems
+    assert f"{two}: damaged" in problems
+    assert any("images/notes.txt" in remark for remark in verify_dataset(root).remarks)
+    assert f"{lost}: the file is missing" in problems
+    with pytest.raises(HyalineError, match=r"0000\.png: damaged"):
+        _ = dataset.view("train", 0).image
+
+
+def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(built, out)
+    image_path(out, "train", 1).write_bytes(b"garbage")
+    (layers_root(out, TRUTH) / "arrays" / "train" / "0002.uv.npy.blosc").unlink()
+    build_whole(scene_folder, out)
+    assert tree(out) == tree(built)
+
+
+@pytest.mark.promise("R5")
+def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    program = (
+        "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN);"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (1200, -1)); from datagen.cli import main; main()"
+    )
+    out = tmp_path / "full"
+    environment = {**os.environ, "DRJIT_CACHE_DIR": str(tmp_path)}
+    arguments = [sys.executable, "-c", program, *command(scene_folder, out)[3:]]
+    answer = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
+    assert answer.returncode == 1
+    assert answer.stderr.splitlines()[-1].startswith("error: ")
+    assert f"{out}/" in answer.stderr.splitlines()[-1]
+    assert "the file would be larger than allowed" in answer.stderr
+    assert "Traceback" not in answer.stderr
+    build_whole(scene_folder, out)
+    assert tree(out) == tree(built)
+
+
+def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
+    full = dataset.view("train", 0).layers()
+    empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
+    write_layers(dataset, TRUTH, "train", 0, empty, overflow_share=0.0)
+    assert not dataset.view("train", 0).layers().object_id.any()
+    assert verify_dataset(tmp_path).problems == []
+    write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
+    assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
+
+
+def test_damaged_cameras_are_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "copy"
+    shutil.copytree(built, out)
+    (out / "transforms_train.json").write_text("{}")
+    assert build(scene_folder, out).status == 0
+    assert tree(out) == tree(built)
+
+
+def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
+    with pytest.raises(HyalineError, match=r"peeled into 4 layers, not 6; pass --overwrite, or --num-layers 4"):
+        _peel(dataset, 6, overwrite=False, geometry_hash_of_files=True)
+    _peel(dataset, 6, overwrite=True)
+    assert dataset.view("train", 0).layers().uv.shape[0] == 6
+
+
+def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_named(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "a b", resolution=8, train_views=2)
+    _peel(dataset, 1, overwrite=True)
+    cut = summary(dataset, TRUTH)
+    assert cut[3].startswith("rays with more than 1 hits train: ")
+    found = re.fullmatch(r"deeper surfaces are not stored in straight layers; `datagen (.*)` stores more", cut[-1])
+    assert found is not None
+    run(f"datagen {found[1]}")
+    again = open_dataset(dataset.root)
+    assert again.view("train", 0).layers().uv.shape[0] == 2
+    assert [line.rpartition(": ")[2] for line in summary(again, TRUTH)[3:]] == ["0.00 %"] * 3
+
+
+def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:
+    peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)
+
+
+def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path, resolution=16, train_views=2)
+    expected = [dataset.view("train", view).layers() for view in range(2)]
+    _peel(dataset, 4, overwrite=True)
+    for view, layers in enumerate(expected):
+        peeled = dataset.view("train", view).layers()
+        assert np.array_equal(peeled.object_id, layers.object_id)
+        assert np.abs(peeled.uv.astype(int) - layers.uv).max() <= 1
+        assert np.abs(peeled.depth - layers.depth).max() < 1e-4
+
+
+def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> None:
+    from datagen.disk.storage import one_writer
+
+    few = SplitConfig(views=1, spp=2)
+    config = DatasetConfig(
+        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
+    )
+    with one_writer(tmp_path / "out"), pytest.raises(HyalineError, match="another process is writing there"):
+        build_dataset(synthetic_scene(), tmp_path / "out", config, num_layers=4, workers=1, overwrite=False)

@@ -1,0 +1,371 @@
+"""Tests edits of scenes: what they change and what they leave, what is refused, and their datasets on disk."""
+
+import dataclasses
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.synthetic import pixel_rays, quad, synthetic_scene, trace
+
+from datagen.builder.build import build_dataset, peel_dataset
+from datagen.builder.build_variant import build_variant
+from datagen.builder.find_edit_masks import find_edit_mask, shows_objects
+from datagen.builder.plan_variant import plan_edit
+from datagen.builder.verify import verify_dataset
+from datagen.data.cameras import Cameras
+from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.paths import TRUTH
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, open_variant, read_edit_mask
+from datagen.disk.errors import HyalineError
+from datagen.disk.storage import sha256
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.contact import TOLERANCE, touching_share
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.folder import load_scene, save_scene, scene_files
+from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.modelling import ball, cylinder, moved
+from datagen.scene.textures import SolidTexture, evaluate_texture
+from datagen.trace.peel import Peeler
+from model.nets.texture import NeuralTextures, object_layout
+from model.run.predict import with_copies
+
+use_mitsuba(quiet=True)
+
+STRIPES = SolidTexture(pattern="stripes", colors=((0.8, 0.7, 0.6), (0.1, 0.1, 0.3)), scale=0.15, axis="x")
+
+
+def edited(scene: Scene, *texts: str) -> Scene:
+    return edit_scene(scene, tuple(map(parse_edit, texts))).scene
+
+
+def with_uv(mesh: Mesh) -> Mesh:
+    """Any uv: nothing here reads texels of it."""
+    return dataclasses.replace(mesh, uv=np.full((len(mesh.vertices), 2), 0.5, np.float32))
+
+
+def table(*, gap: float = 0.001) -> Scene:
+    """A striped floor, a ball of glass and a striped post, a millimetre above it."""
+    sphere, post = moved(ball(0.3, subdivisions=2), (0.5, 0, 0.3 + gap)), moved(cylinder(0.2, 0.5), (-0.5, 0, gap))
+    objects = (
+        SceneObject(name="floor", mesh=quad(0.0), material=Diffuse(color=STRIPES)),
+        SceneObject(name="ball", mesh=with_uv(sphere), material=Dielectric()),
+        SceneObject(name="post", mesh=with_uv(post), material=Diffuse(color=STRIPES)),
+    )
+    return dataclasses.replace(synthetic_scene(), objects=objects)
+
+
+# The scene
+
+
+@pytest.mark.parametrize(
+    ("text", "edit", "name"),
+    [
+        ("remove:ball", Edit(verb="remove", objects=("ball",)), "remove-ball"),
+        ("move:a_b:0.10,-2,0", Edit(verb="move", objects=("a_b",), offset=(0.1, -2.0, 0.0)), "move-a_b-0.1,-2,0"),
+        ("swap:a:b", Edit(verb="swap", objects=("a", "b")), "swap-a-b"),
+    ],
+)
+def test_an_edit_is_read_and_written_in_one_way(text: str, edit: Edit, name: str) -> None:
+    assert parse_edit(text) == edit
+    assert parse_edit(describe_edit(edit)) == edit
+    assert edits_name((edit, parse_edit("glass:c"))) == f"{name}+glass-c"
+
+
+def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None:
+    before = table()
+    gone, painted = (edit_scene(before, (parse_edit(twin),)) for twin in TWINS)
+    for twin in (gone, painted):
+        glass = [item.name for item in before.objects if item.material.is_glass]
+        assert twin.changed(before) == tuple(glass) == ("ball",)
+        assert not any(item.material.is_glass for item in twin.scene.objects if is_there(item.mesh))
+    assert [is_there(item.mesh) for item in gone.scene.objects] == [True, False, True]
+    assert all(a.mesh is b.mesh for a, b in zip(painted.scene.objects, before.objects, strict=True))
+    assert edits_name((parse_edit("no-glass"),)) == "no-glass"
+    with pytest.raises(HyalineError, match="edit 'no-glass': the scene has no glass; expected some"):
+        edit_scene(gone.scene, (parse_edit("no-glass"),))
+    with pytest.raises(HyalineError, match="edit 'no-glass:ball': has 1 parts after the verb; expected no-glass"):
+        parse_edit("no-glass:ball")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("delete:ball", r"edit 'delete:ball': unknown verb 'delete'; expected remove:OBJECT, move:OBJECT:dx,dy,dz"),
+        ("remove", r"edit 'remove': has 0 parts after the verb; expected remove:OBJECT"),
+        ("remove:", r"expected remove:OBJECT"),
+        ("swap:ball", r"has 1 parts after the verb; expected swap:OBJECT:OBJECT"),
+        ("move:ball:1,2", r"moves by '1,2'; expected move:OBJECT:dx,dy,dz, three numbers in metres"),
+        ("move:ball:1,2,nan", r"moves by '1,2,nan'"),
+        ("remove:bal", r"edit 'remove:bal': no object 'bal'; did you mean 'ball'\?"),
+        ("glass:floor", r"edit 'glass:floor': .* object floor: 4 open edges; glass must be a closed mesh"),
+        ("move:post:0,0,-0.001", r"of the surface of post would lie in faces of floor; leave a gap of a millimetre"),
+        (
+            "duplicate:ball:0,0,0",
+            r"edit 'duplicate:ball:0,0,0': 100.0 % of the surface of ball would lie",
+        ),
+    ],
+)
+def test_an_impossible_edit_gets_one_line_that_names_it(text: str, message: str) -> None:
+    with pytest.raises(HyalineError, match=message):
+        edited(table(), text)
+
+
+def test_a_removed_object_cannot_be_edited_again() -> None:
+    with pytest.raises(HyalineError, match=r"no object 'ball'"):
+        edited(table(), "remove:ball", "move:ball:0,0,1")
+    with pytest.raises(HyalineError, match=r"all of its objects were removed"):
+        edited(table(), "remove:ball", "remove:floor", "remove:post")
+
+
+def test_a_moved_object_takes_its_carved_pattern_along() -> None:
+    after = edited(table(), "move:post:0.1,0.2,0.3", "move:post:0.03,0,0").objects[2]
+    assert isinstance(after.material, Diffuse)
+    assert isinstance(after.material.color, SolidTexture)
+    before = table().objects[2].mesh.vertices
+    np.testing.assert_allclose(after.mesh.vertices, before + np.float32([0.13, 0.2, 0.3]), atol=1e-6)
+    colors = evaluate_texture(after.material.color, after.mesh.vertices)
+    np.testing.assert_allclose(colors, evaluate_texture(STRIPES, before), atol=1e-4)
+    # It would not be so had the pattern stayed in space.
+    assert np.abs(evaluate_texture(STRIPES, after.mesh.vertices) - colors).max() > 0.3
+
+
+def test_swapped_objects_stand_where_the_other_stood() -> None:
+    _, one, other = edited(table(), "swap:ball:post").objects
+    low, high = one.mesh.vertices.min(axis=0), one.mesh.vertices.max(axis=0)
+    np.testing.assert_allclose([*(low + high)[:2] / 2, low[2]], [-0.5, 0, 0.001], atol=1e-6)
+    np.testing.assert_allclose(other.mesh.vertices.mean(axis=0)[:2], [0.5, 0], atol=1e-2)
+    back = edited(table(), "swap:ball:post", "swap:post:ball").objects
+    for item, before in zip(back, table().objects, strict=True):
+        np.testing.assert_allclose(item.mesh.vertices, before.mesh.vertices, atol=1e-6)
+
+
+def test_a_copy_stands_behind_all_others_and_names_its_original() -> None:
+    scene = table()
+    result = edit_scene(scene, tuple(map(parse_edit, ("duplicate:ball:0,0.7,0", "duplicate:ball_copy1:0,-1.4,0"))))
+    assert [item.name for item in result.scene.objects] == ["floor", "ball", "post", "ball_copy1", "ball_copy2"]
+    assert result.copies == {"ball_copy1": "ball", "ball_copy2": "ball"}
+    assert result.changed(scene) == ("ball_copy1", "ball_copy2")
+    np.testing.assert_allclose(result.offsets["ball_copy2"], (0, -0.7, 0), atol=1e-12)
+
+
+def test_an_edited_scene_survives_its_folder(tmp_path: Path) -> None:
+    scene = edited(table(), "remove:ball", "move:post:0,0.1,0")
+    save_scene(scene, tmp_path)
+    loaded = load_scene(tmp_path, is_checked=True)
+    assert not is_there(loaded.objects[1].mesh)
+    assert scene_files(loaded) == scene_files(scene)
+    # A removed object has no mesh, and no other one lacks it.
+    assert (b"null" in scene_files(scene)["scene.json"], b"null" in scene_files(table())["scene.json"]) == (True, False)
+
+
+def test_a_removed_object_leaves_its_id_unused() -> None:
+    cameras = Cameras(world_from_camera=_above(), fov_x=0.9, width=24, height=24)
+    whole, _ = Peeler((quad(0.5), quad(0.0))).peel(cameras, 0, 3)
+    rest, _ = Peeler((no_mesh(), quad(0.0))).peel(cameras, 0, 3)
+    expected = trace(*pixel_rays(cameras, 0), 3)
+    assert set(np.unique(whole.object_id)) == {0, 1, 2}
+    assert set(np.unique(rest.object_id)) == {0, 2}
+    floor = (expected.object_id == 2).any(axis=0)
+    assert np.array_equal(rest.object_id[0] == 2, floor)
+    assert np.array_equal(whole.object_id, expected.object_id)
+
+
+def _above() -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, 3] = (0.1, 0.05, 3.0)
+    return pose[None]
+
+
+# Contact
+
+
+@pytest.mark.parametrize(
+    ("offset", "share"),
+    [
+        ((0, 0, 0.5 * TOLERANCE), 1),
+        ((0, 0, -0.5 * TOLERANCE), 1),
+        ((0, 0, 2 * TOLERANCE), 0),
+        ((1.5, 0, 0), 0.25),
+        ((2, 0, 0), 0),  # An edge in common.
+        ((2.5, 0, 0), 0),
+        ((1.5, -1.5, 0), 1 / 16),
+    ],
+)
+def test_faces_in_one_plane_touch_where_they_overlap(offset: tuple[float, float, float], share: float) -> None:
+    found = touching_share(moved_mesh(quad(0.0), offset), quad(0.0))
+    assert found == pytest.approx(share, abs=0.03 * (0 < share < 1))
+
+
+def test_what_touched_before_an_edit_may_touch_afterwards() -> None:
+    down = table(gap=0.0)
+    for text in ("move:post:0.1,0,0", "duplicate:post:0,-0.5,0", "opaque-glass", "move:ball:0,0.1,0"):
+        assert edited(down, text) != down
+    with pytest.raises(HyalineError, match="of the surface of post would lie in faces of post_copy1"):
+        edited(down, "duplicate:post:0.05,0,0")
+
+
+# Edit masks
+
+
+def test_an_edit_mask_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
+    rng = np.random.default_rng(0)
+    size = 48
+    shown = np.zeros((size, size), bool)
+    shown[4:12, 4:12] = True
+    light = np.zeros((size, size, 3))
+    light[24:36, 20:40] = -0.03
+    before = 0.5 + rng.normal(scale=0.02, size=(2, size, size, 3))
+    shared = before + light + 0.3 * shown[..., None]
+    apart = 0.5 + light + 0.3 * shown[..., None] + rng.normal(scale=0.02, size=before.shape)
+    for after in (shared, apart):
+        found = find_edit_mask(shown, before, after)
+        assert np.array_equal(found == OBJECT, shown)
+        # Sure two pixels inside the shadow, and of all that lies more than two pixels outside of it.
+        assert (found[26:34, 22:38] == LIGHT).all()
+        far = np.ones((size, size), bool)
+        far[22:38, 18:42] = False
+        assert (found[far & ~shown] == LIGHT).mean() < 0.02
+    assert (find_edit_mask(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
+
+
+# Textures of copies
+
+
+def test_a_copy_looks_up_the_texels_of_its_original() -> None:
+    textures = NeuralTextures(object_layout((4, 8, 2)), 3)
+    torch.nn.init.normal_(textures.table)
+    textures.layout = with_copies(textures.layout, [1, 1], 3)
+    uv = torch.rand(50, 1, 2)
+    ids = torch.full((50, 1), 2, dtype=torch.uint8)
+    for copy in (4, 5):
+        assert torch.equal(textures(uv, torch.full_like(ids, copy)), textures(uv, ids))
+    assert not torch.equal(textures(uv, torch.full_like(ids, 1)), textures(uv, ids))
+
+
+def test_a_copy_has_all_shells_of_its_original() -> None:
+    layout = with_copies(object_layout((4, 3, 8, 2)), [1], 2)  # Two objects of two shells each, the second copied.
+    assert layout.sizes == (4, 3, 8, 2, 8, 2)
+    assert layout.bases[4:] == layout.bases[2:4]
+
+
+# On disk
+
+
+@pytest.fixture(scope="module")
+def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    dataset = _build(tmp_path_factory.mktemp("edit") / "table", seed=0)
+    numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
+    proxies = tuple(moved_mesh(mesh, (0, 0, 0.05)) for mesh in read_meshes(dataset, TRUTH))
+    write_proxies(dataset, "box", proxies, (numbers,) * len(proxies))
+    peel_dataset(dataset, "box", num_layers=4, overwrite=False)
+    return dataset
+
+
+def _build(root: Path, *, seed: int) -> Dataset:
+    few = SplitConfig(views=2, spp=32)
+    config = DatasetConfig(
+        scene="table",
+        preset="tiny",
+        resolution=square(24),
+        train=SplitConfig(views=2, spp=8),
+        interpolating=few,
+        extrapolating=few,
+        seed=seed,
+    )
+    return build_dataset(table(), root, config, num_layers=4, workers=1, overwrite=seed > 0)
+
+
+def build(base: Dataset, *texts: str, overwrite: bool = False) -> Dataset:
+    return build_variant(base, plan_edit(base, tuple(map(parse_edit, texts))), workers=1, overwrite=overwrite)
+
+
+def hashes(root: Path) -> dict[str, tuple[str, int]]:
+    files = (path for path in root.rglob("*") if path.is_file())
+    return {str(path): (sha256(path.read_bytes()), path.stat().st_mtime_ns) for path in files}
+
+
+def test_an_edited_dataset_has_the_truth_at_the_same_cameras(base: Dataset) -> None:
+    kept = hashes(base.root)
+    after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
+    assert after.root == base.root / "variants" / "remove-ball+duplicate-post-0.1,0.6,0"
+    assert {path: kept[path] for path in kept} == {p: h for p, h in hashes(base.root).items() if p in kept}
+    assert after.variant is not None and after.edit is not None
+    assert (after.variant.of, after.edit.changed) == (base.seal, ("ball", "post_copy1"))
+    assert [item.name for item in after.objects] == ["floor", "ball", "post", "post_copy1"]
+    assert [is_there(mesh) for mesh in read_meshes(after, TRUTH)] == [True, False, True, True]
+    for split in SPLITS[1:]:
+        np.testing.assert_array_equal(after.cameras(split).world_from_camera, base.cameras(split).world_from_camera)
+        ids = np.concatenate([after.view(split, view).layers().object_id for view in range(2)])
+        assert 2 not in ids
+        assert {1, 3, 4} <= set(np.unique(ids))
+        for view in range(2):
+            before, now = (dataset.view(split, view).image.astype(int) for dataset in (base, after))
+            mask = read_edit_mask(after, split, view)
+            assert np.array_equal(mask == OBJECT, shows_objects(base, after, split, view))
+            # The same random numbers: where no light changed, not even the noise did.
+            assert np.abs(now - before)[mask == OBJECT].mean() > 5
+            assert np.abs(now - before)[mask == ELSEWHERE].mean() < 2
+    assert after.splits == SPLITS[1:]
+
+
+def test_proxies_are_edited_as_their_objects_are(base: Dataset) -> None:
+    after = build(base, "remove:ball", "duplicate:post:0.1,0.6,0")
+    floor, gone, post, copy = read_meshes(after, "box")
+    before = read_meshes(base, "box")
+    assert not is_there(gone)
+    np.testing.assert_array_equal(floor.vertices, before[0].vertices)
+    np.testing.assert_array_equal(post.vertices, before[2].vertices)
+    np.testing.assert_allclose(copy.vertices, before[2].vertices + np.float32([0.1, 0.6, 0]), atol=1e-6)
+    assert {0, 1, 3, 4} == set(np.unique(after.view("interpolating", 0).layers("box").object_id))
+
+
+def test_a_built_edit_is_left_alone_and_verifies(base: Dataset) -> None:
+    after = build(base, "move:ball:-0.2,0.3,0.1")
+    before = hashes(after.root)
+    found = verify_dataset(base.root)
+    assert not found.problems
+    assert build(base, "move:ball:-0.2,0.3,0.1").seal == after.seal
+    assert hashes(after.root) == before
+    assert found.verified == len(hashes(base.root))
+
+
+@pytest.mark.parametrize("file", ["edit-masks/extrapolating/0001.png", "scene/meshes/ball.ply"])
+def test_damage_to_an_edit_is_found_and_mended(base: Dataset, file: str) -> None:
+    after = build(base, "move:ball:-0.2,0.3,0.1")
+    path = after.root / file
+    good = path.read_bytes()
+    path.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
+    problems = verify_dataset(base.root).problems
+    assert len(problems) == 1
+    assert file in problems[0]
+    path.unlink()
+    build(base, "move:ball:-0.2,0.3,0.1")
+    assert path.read_bytes() == good
+
+
+def test_what_cannot_be_edited_is_refused(base: Dataset) -> None:
+    with pytest.raises(
+        HyalineError, match=r"is a variant; name the dataset around it, .*, and give all edits of one scene in one"
+    ):
+        build(build(base, "remove:ball"), "remove:post")
+    with pytest.raises(HyalineError, match=r"no such variant \(there are: .*remove-ball.*\); make it with"):
+        open_variant(base, "remove-sofa")
+
+
+def test_an_edit_of_an_older_dataset_is_not_taken_for_one_of_the_new(base: Dataset, tmp_path: Path) -> None:
+    build(base, "remove:ball")
+    shutil.copytree(base.root / "variants", tmp_path / "variants")
+    root = tmp_path / "table"
+    newer = _build(root, seed=1)
+    shutil.copytree(tmp_path / "variants", root / "variants")
+    with pytest.raises(HyalineError, match=r"remove-ball/dataset.json: belongs to a dataset that stood there before"):
+        open_variant(newer, "remove-ball")
+    build(newer, "remove:ball")
+    variant = open_variant(newer, "remove-ball").variant
+    assert variant is not None and variant.of == newer.seal

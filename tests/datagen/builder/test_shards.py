@@ -1,0 +1,217 @@
+"""Tests builds in parts: at once, killed, sent off as jobs; each ends in the bytes of one build."""
+
+import dataclasses
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.builds import build, build_whole, command, tree
+from support.commands import run
+from support.synthetic import synthetic_scene
+
+from datagen.builder.build import _start_beside_others, open_or_start
+from datagen.builder.shards import Shard, parse_shard
+from datagen.builder.verify import verify_dataset
+from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.geometries import geometry_hash
+from datagen.data.paths import TRUTH, layers_root
+from datagen.disk.errors import HyalineError
+from datagen.disk.ownership import DATASET, LAYERS
+from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
+from datagen.scene.folder import save_scene
+from datagen.scene.rig import make_cameras
+
+ALL = "--angles --larger 2 --larger-views 1"
+"""Variants of both kinds."""
+
+
+@pytest.fixture(scope="module")
+def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("scene") / "mine"
+    scene = synthetic_scene()
+    rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
+    save_scene(dataclasses.replace(scene, cameras=rig), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("data") / "built"
+    build_whole(scene_folder, out)
+    return out
+
+
+def run_at_once(lines: list[list[str]]) -> list[str]:
+    """Runs commands that must succeed; what each said."""
+    parts = [subprocess.Popen(line, stderr=subprocess.PIPE, text=True) for line in lines]
+    said = [part.communicate()[1] for part in parts]
+    print("".join(said))
+    assert [part.returncode for part in parts] == [0] * len(parts)
+    return said
+
+
+@pytest.mark.slow
+def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_path: Path) -> None:
+    whole, out = tmp_path / "whole", tmp_path / "parts"
+    build_whole(scene_folder, whole)
+    run(f"datagen add {whole} {ALL}")
+    said = run_at_once([command(scene_folder, out, "--shard", part) for part in ("1/2", "2/2")])
+    add = [sys.executable, "-m", "datagen", "add", str(out), *ALL.split()]
+    run_at_once([[*add, "--shard", part] for part in ("1/2", "2/2")])
+    assert tree(out) == tree(tmp_path / "whole")
+    assert verify_dataset(out).problems == []
+    assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
+
+
+def test_a_part_that_finds_only_the_head_of_what_another_has_just_begun_writes_the_rest(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "begun"
+    for head in (DATASET.head, layers_root(Path(), TRUTH) / LAYERS.head):
+        (out / head).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(built / head, out / head)
+    for part in ("1/2", "2/2"):
+        answer = build(scene_folder, out, "--shard", part)
+        assert answer.status == 0, answer.err
+    assert tree(out) == tree(built)
+
+
+def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "killed"
+    part = ("--shard", "1/2")
+    process = subprocess.Popen(
+        command(scene_folder, out, *part), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    start = time.monotonic()
+    while not list(out.glob("records/*/*.json")) and time.monotonic() - start < 300:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    # What a part that was killed in a commit leaves.
+    (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
+    answer = build(scene_folder, out, *part)
+    assert answer.status == 0, answer.err
+    assert "part 1/2 is done; " in answer.err and "for the other parts to make" in answer.err
+    assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
+    build_whole(scene_folder, out)
+    assert tree(out) == tree(built)
+
+
+@pytest.mark.slow
+def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "jobs"
+    answer = build(scene_folder, out, "--launcher", "local", "--shards=2")
+    assert answer.status == 0, answer.err
+    assert answer.out.strip() == str(out)
+    assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err
+    assert tree(out) == tree(built)
+    logs = list((tmp_path / "jobs-jobs").glob("*.err"))
+    assert len(logs) == 2 and all("views with" in log.read_text() for log in logs)
+
+
+@pytest.mark.slow
+def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "jobs"
+    shutil.copytree(built, out)
+    answer = build(scene_folder, out, "--launcher", "local", "--shards=2", "--seed", "3")
+    assert answer.status == 1
+    assert answer.err.count("(--seed is 0 there and 3 here)") == 2
+    assert "2 of 2 jobs failed" in answer.err.splitlines()[-1]
+    failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
+    assert Path(failed.partition("; log: ")[2]).is_file()
+    assert "Traceback" not in answer.err
+    assert tree(out) == tree(built)
+
+
+def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
+    few = SplitConfig(views=3, spp=2)
+    config = DatasetConfig(
+        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
+    )
+    scene = synthetic_scene()
+    cameras = make_cameras(scene.cameras, config)
+
+    def start(root: Path, shard: bool) -> str:
+        dataset = open_or_start(scene, root, config, cameras, overwrite=False)
+        root = layers_root(dataset.root, TRUTH)
+        _start_beside_others(dataset, TRUTH, geometry_hash(dataset, TRUTH), num_layers=4)
+        return dataset.seal
+
+    (tmp_path / "alone").mkdir()
+    seal = start(tmp_path / "alone", False)
+    for attempt in range(4):
+        root = tmp_path / f"at-once-{attempt}"
+        root.mkdir()
+        with ThreadPoolExecutor(8) as pool:
+            assert set(pool.map(start, [root] * 8, [True] * 8)) == {seal}
+        assert tree(root) == tree(tmp_path / "alone")
+
+
+def test_of_several_first_commits_one_wins_whole(tmp_path: Path) -> None:
+    contents = [bytes([value]) * 100_000 for value in range(8)]
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(commit_first, [tmp_path / "head"] * 8, contents))
+        assert (winner := (tmp_path / "head").read_bytes()) in contents
+        commit_first(tmp_path / "head", b"late")
+        assert (tmp_path / "head").read_bytes() == winner
+        list(pool.map(commit, [tmp_path / "head"] * 8, contents))
+    assert (tmp_path / "head").read_bytes() in contents
+    assert [path.name for path in tmp_path.iterdir()] == ["head"]
+
+
+def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
+    refused = pytest.raises(HyalineError, match="another process is writing there")
+    with shared_writers(tmp_path), shared_writers(tmp_path), refused, one_writer(tmp_path):
+        pass
+    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
+        pass
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 40])
+def test_parts_are_disjoint_even_and_make_the_whole(count: int) -> None:
+    tasks = list(range(23))
+    parts = [Shard(number=number, count=count).of(tasks) for number in range(1, count + 1)]
+    assert sorted(np.concatenate(parts).astype(int).tolist()) == tasks
+    assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/2", "a/b", "1/2/3", "", "½/2"])
+def test_a_part_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(HyalineError, match=r"^shard: is .*; expected"):
+        parse_shard(text)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--launcher", "local", "--shard", "1/2"), "--launcher: builds all parts; leave out --shard"),
+        (("--shard", "1/2", "--overwrite"), "--overwrite: cannot be combined with --shard; delete"),
+        (("--launcher", "local"), 'submitit, which is not installed; `pip install "hyaline-glass[cluster]"` brings it'),
+    ],
+)
+def test_flags_that_do_not_go_together_are_one_line(
+    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
+) -> None:
+    monkeypatch.setitem(sys.modules, "submitit", None)
+    answer = build(scene_folder, tmp_path / "out", *words)
+    assert answer.status == (1 if "pip install" in message else 2)
+    assert message in answer.err and answer.err.count("error: ") == 1
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "thesis.png").write_text("precious")
+    answer = build(scene_folder, tmp_path, "--shard", "1/2")
+    assert answer.status == 1
+    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.error
+    assert tree(tmp_path) == {"images/thesis.png": b"precious"}

@@ -1,0 +1,212 @@
+"""Tests variants end to end: splits by angle and larger truth, built, predicted and scored with the real commands."""
+
+import dataclasses
+import json
+import shlex
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.builds import tree
+from support.commands import Answer, call
+from support.synthetic import synthetic_scene
+
+from datagen.builder.verify import verify_dataset
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
+from datagen.data.dataset import open_dataset
+from datagen.data.images import read_png
+from datagen.data.paths import image_path
+from datagen.data.variants import evenly, has_variant, open_variant, parent_views
+from datagen.disk.errors import HyalineError
+from datagen.scene.folder import save_scene
+from eval.analyses.variants import enlarge
+from eval.page.report import make_report
+
+FLAGS = (
+    *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
+    *("--views", "3", "--test-views", "3", "--spp", "2", "--test-spp", "2"),
+)
+MORE = ("--angles", "--larger", "2", "--larger-views", "2")
+
+
+def command(*words: object) -> Answer:
+    return call(shlex.join(map(str, words)))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, bytes]]:
+    """A folder with scene/mine and data/mine, variants and all, and what the dataset held before it got them."""
+    root = tmp_path_factory.mktemp("variant")
+    scene = synthetic_scene()
+    rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
+    save_scene(dataclasses.replace(scene, cameras=rig), root / "scene/mine")
+    build = ("datagen", "build", "--scene", root / "scene/mine", "--out", root / "data/mine", *FLAGS)
+    assert command(*build).status == 0
+    plain = tree(root / "data/mine")
+    assert command("datagen", "add", root / "data/mine", *MORE).status == 0
+    return root, plain
+
+
+def test_variants_leave_every_byte_of_the_dataset_alone(made: tuple[Path, dict[str, bytes]]) -> None:
+    root, plain = made
+    after = tree(root / "data/mine")
+    assert {path: data for path, data in after.items() if not path.startswith("variants/")} == plain
+    found = verify_dataset(root / "data/mine")
+    assert (found.verified, found.problems) == (len(after), [])
+
+
+def test_the_splits_by_angle_are_there(made: tuple[Path, dict[str, bytes]]) -> None:
+    dataset = open_dataset(made[0] / "data/mine")
+    variant = open_variant(dataset, "angles")
+    assert variant.splits == tuple(ANGLE_SPLITS)
+    assert variant.home.seal == dataset.seal != variant.seal
+    for split, degrees in ANGLE_SPLITS.items():
+        assert variant.cameras(split).world_from_camera.shape == (3, 4, 4)
+        assert variant.view(split, 2).image.shape == (16, 16, 3)
+        assert variant.view(split, 2).layers().object_id.any(), degrees
+
+
+def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, bytes]]) -> None:
+    dataset = open_dataset(made[0] / "data/mine")
+    variant = open_variant(dataset, "x2")
+    assert not has_variant(dataset, "x4")
+    assert parent_views(variant, "interpolating") == [0, 2]
+    for split in TEST_SPLITS:
+        small, large = dataset.cameras(split), variant.cameras(split)
+        assert np.array_equal(large.world_from_camera, small.world_from_camera[[0, 2]])
+        assert (large.width, large.fov_x) == (32, small.fov_x)
+        # Averaged in fours, it is the smaller picture, but for noise.
+        fine = variant.view(split, 1).image.astype(float).reshape(16, 2, 16, 2, 3).mean(axis=(1, 3))
+        coarse = dataset.view(split, 2).image.astype(float)
+        assert np.abs(fine - coarse).mean() < 0.5 * np.abs(fine - coarse.mean(axis=(0, 1))).mean()
+        layers = variant.view(split, 0).layers()
+        assert layers.object_id.shape == (4, 32, 32)
+
+
+def test_a_damaged_view_of_a_variant_is_named_and_made_again(
+    made: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
+    before = tree(tmp_path / "mine")
+    path = image_path(tmp_path / "mine/variants/angles", "extrapolating-20deg", 1)
+    path.write_bytes(b"garbage")
+    (tmp_path / "mine/variants/x2/notes.txt").write_text("mine")
+    found = verify_dataset(tmp_path / "mine")
+    assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged or edited (checksum differs)"]
+    assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
+    (tmp_path / "mine/variants/x2/notes.txt").unlink()
+    assert command("datagen", "add", tmp_path / "mine", *MORE).status == 0
+    assert tree(tmp_path / "mine") == before
+
+
+def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
+    shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
+    build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS)
+    assert command(*build, "--seed", 1, "--overwrite").status == 0
+    assert not (tmp_path / "mine/variants").exists()
+    shutil.copytree(made[0] / "data/mine/variants", tmp_path / "mine/variants")
+    with pytest.raises(HyalineError, match="belongs to a dataset that stood there before"):
+        open_variant(open_dataset(tmp_path / "mine"), "angles")
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        (("--larger", "1"), "larger: is 1; expected 2 to 8 times"),
+        (("--larger", "2", "--larger-views", "4"), "larger_views: is 4; expected 1 to 3"),
+        (("--larger", "2"), "holds a variant with another configuration (--test-views is 2 there and 3 here); "),
+    ],
+)
+def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], flags: tuple[str, ...], message: str) -> None:
+    assert message in command("datagen", "add", made[0] / "data/mine", *flags).err
+
+
+def test_runs_predict_variants_and_the_report_scores_them(
+    made: tuple[Path, dict[str, bytes]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root, runs = made[0], tmp_path / "runs/mine"
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    hidden = tmp_path / "variants"
+    (root / "data/mine/variants").rename(hidden)
+    size = ("--steps", 3, "--batch", 64, "--hidden", 16, "--texture-size", 16)
+    train = ("model", "train", "paper", root / "data/mine", *size)
+    assert command(*train, "--device", "cpu", "--out", runs / "paper").status == 0
+    hidden.rename(root / "data/mine/variants")
+    drawn = runs / "paper/variants"
+    assert not drawn.exists()
+    # A finished run predicts splits that were built since, and no more after that.
+    render = ("model", "predict", runs / "paper", "--device", "cpu")
+    said = [command(*render, *words).err for words in ((), (), ("--variant", "x2"), ("--variant", "x2"))]
+    torch.set_num_threads(threads)
+    assert ["nothing to do" in text for text in said] == [False, True, False, True]
+    assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
+    advice = "make it with `datagen add`"
+    refused = command(*render, "--variant", "x4").err
+    assert f"x4: no such variant (there are: angles, x2); {advice}" in refused
+
+    # A foreign method that knows the truth, and one that enlarges its own pictures.
+    dataset = open_dataset(root / "data/mine")
+    for split in TEST_SPLITS:
+        shutil.copytree(dataset.root / "images" / split, runs / "perfect/predictions" / split)
+    for name in ("angles", "x2"):
+        shutil.copytree(root / "data/mine/variants" / name / "images", runs / "perfect/variants" / name / "predictions")
+    make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
+    text = capsys.readouterr().out
+    scene = json.loads((tmp_path / "out/results.json").read_text())["scenes"][0]["analyses"]
+    runs_by_angle = scene["variants"]["angles"]["runs"]
+    assert set(runs_by_angle) == {"paper", "perfect"}
+    error = (
+        read_png(drawn / "angles/predictions/extrapolating-40deg/0001.png").astype(float)
+        - open_variant(dataset, "angles").view("extrapolating-40deg", 1).image
+    )
+    value = runs_by_angle["paper"]["extrapolating-40deg"]["psnr_db"]["pictures"][1]
+    assert value == pytest.approx(10 * np.log10(255**2 / np.mean(error**2)))
+    assert runs_by_angle["perfect"]["extrapolating-10deg"]["psnr_db"]["mean"] == "inf"
+
+    scaled = scene["variants"]["x2"]
+    assert scaled["runs"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
+    assert scaled["enlarged"]["perfect"] == scaled["enlarged"]["truth"]
+    assert (set(scaled["runs"]), scaled["resolution"]["width"]) == ({"paper", "perfect"}, 32)
+    assert set(scaled["enlarged"]) == {"paper", "perfect", "truth"}
+    titles = ("mine: extrapolating by angle", "mine: super-resolution, trained at 16 x 16")
+    assert all(title in text for title in titles)
+
+    # What is only half there is named, and all else is scored.
+    lost = sorted((root / "data/mine/variants").glob("*/records/**/0001.json"))
+    contents = [path.read_bytes() for path in lost]
+    for path in lost:
+        path.unlink()
+    with pytest.raises(HyalineError, match="variants"):
+        make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
+    said = capsys.readouterr()
+    for path, content in zip(lost, contents, strict=True):
+        path.write_bytes(content)
+    assert "perfect" in said.out and not any(title in said.out for title in titles)
+    assert "variants/angles" in said.err
+
+
+def test_enlarging_keeps_a_ramp_where_it_was() -> None:
+    """The centres of the larger picture's pixels lie at quarters between those of the smaller one's."""
+    ramp = np.broadcast_to(8 * np.arange(16)[:, None, None] + 60, (16, 16, 3)).astype(np.uint8)
+    large = enlarge(ramp, square(32))
+    expected = 8 * ((np.arange(32) + 0.5) / 2 - 0.5) + 60
+    assert np.abs(large[6:-6, 5, 1] - expected[6:-6]).max() <= 0.6
+    assert np.array_equal(enlarge(ramp, square(16)), ramp)
+
+
+def test_things_chosen_evenly_are_few_and_spread() -> None:
+    assert evenly(3, 12) == [2, 6, 10]
+    assert evenly(4, 4) == [0, 1, 2, 3]
+
+
+def test_predictions_of_a_variant_in_the_runs_own_folder_are_refused_with_their_place(
+    made: tuple[Path, dict[str, bytes]], tmp_path: Path
+) -> None:
+    place = tmp_path / "runs/mine/foreign/predictions/extrapolating-20deg"
+    shutil.copytree(made[0] / "data/mine/variants/angles/images/extrapolating-20deg", place)
+    expected = "is a split of a variant; .* into .*/foreign/variants/angles/predictions/extrapolating-20deg"
+    with pytest.raises(HyalineError, match=f"{place}: {expected}"):
+        make_report(tmp_path / "runs", made[0] / "data", tmp_path / "out", output_format="markdown")
