@@ -22,7 +22,7 @@ LONGEST = (
     "tests/model/methods/test_light_path.py",
     "plugins/hyaline_web/tests/page/test_controls.py",
     "plugins/hyaline_bench/tests/test_bench.py",
-    "tests/model/test_gpu_budgets.py",
+    "tests/model/test_devices.py",
     "tests/model/run/test_sweep.py",
     "plugins/hyaline_paper/tests/test_comparisons.py",
     "plugins/hyaline_random/tests/test_shapes.py",

@@ -1,0 +1,72 @@
+"""Tests that no operation of a method mixes devices, in a training step and in a view, without having a GPU."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from support.pretend_cuda import CUDA, pretended_cuda
+from support.traced_dataset import write_traced_dataset
+from support.training import configured
+
+from datagen.data.dataset import Dataset
+from model.batches.rays import to_device
+from model.methods.table import METHODS, open_inputs
+from model.nets.texture import constant_on, places_on
+from model.run.predict import predict_pixels
+from model.run.preparation import build_renderer
+from model.run.train import train
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def glasses(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return write_traced_dataset(tmp_path_factory.mktemp("devices") / "data", resolution=32)
+
+
+@pytest.mark.parametrize("method", METHODS.built_in)
+def test_training_and_drawing_keep_to_one_device(method: str, glasses: Dataset, tmp_path: Path) -> None:
+    config = dataclasses.replace(configured(glasses, method), batch=64, held_out_views=0, steps=1)
+    inputs = open_inputs(config.net, glasses, config.geometry)
+    for constants in (constant_on, places_on):  # Those of another test are on another device.
+        constants.cache_clear()
+    with pretended_cuda():
+        train(config, glasses, tmp_path / "run", label="x", device=CUDA)
+        renderer = build_renderer(config, inputs, device=CUDA).eval()
+        pixels = config.net.load(inputs, "interpolating", [0], with_images=False).to(CUDA)
+        assert predict_pixels(renderer, pixels)[0].shape[-1] == 3
+
+
+def test_arrays_reach_a_gpu_as_they_are() -> None:
+    rng = np.random.default_rng(0)
+    arrays = {
+        "uv": rng.normal(size=(7, 3, 2)).astype(np.float32),
+        "object_id": rng.integers(256, size=(5, 3), dtype=np.uint8)[::2],  # Not contiguous, and of 9 bytes.
+        "none": np.zeros((0, 3), np.float32),
+        "ray": rng.integers(1 << 40, size=11),
+        "bits": rng.integers(-9, 9, (3, 2), dtype=np.int16),
+    }
+    with pretended_cuda():
+        moved = to_device(arrays, CUDA)
+        assert all(values.device == CUDA for values in moved.values())
+        there = {name: values.cpu() for name, values in moved.items()}
+    for found in (there, to_device(arrays, torch.device("cpu"))):
+        assert list(found) == list(arrays)
+        for name, values in arrays.items():
+            assert found[name].numpy().dtype == values.dtype
+            np.testing.assert_array_equal(found[name].numpy(), values)
+
+
+def test_the_pretended_gpu_refuses_tensors_of_both_devices() -> None:
+    with pretended_cuda():
+        layer = torch.nn.Linear(3, 2).to(CUDA)
+        x = torch.tensor([[1.0, 2.0, 3.0]], device=CUDA)
+        layer(x).square().sum().backward()
+        assert layer.weight.device == CUDA and layer.weight.grad is not None and layer.weight.grad.device == CUDA
+        assert x[x > 1].tolist() == [2, 3]
+        with pytest.raises(RuntimeError, match="tensors on cuda:0 and on the CPU"):
+            x + torch.ones(3)
+        with pytest.raises(TypeError, match="can't convert cuda:0"):
+            x.numpy()
