@@ -61,13 +61,10 @@ reliability: setup
 house: setup
 	$(BIN)/python tests/support/house.py
 
-# RESULTS.md, docs/results/*.md and the tables of README.md and docs/{index,paper}.md, from the stored results.json files.
+# docs/results/*.md and the tables of README, RESULTS and docs/{index,paper,claims}.md, from the stored results.json files.
 results: setup
-	for file in docs/results/*.json; do $(BIN)/report --results $$file > $${file%.json}.md || exit 1; done
-	for file in docs/results/bench/*.md; do \
-	  $(BIN)/hyaline-bench leaderboard docs/results/bench --track $$(basename $$file .md) > $$file || exit 1; \
-	done
-	$(BIN)/report --results docs/results > RESULTS.md.new && mv RESULTS.md.new RESULTS.md
+	for page in paper scenes fits; do $(BIN)/report --results docs/results/$$page > docs/results/$$page.md || exit 1; done
+	$(BIN)/hyaline-bench leaderboard docs/results/bench --markdown > docs/results/bench.md
 	$(BIN)/python docs/tables.py
 
 # The pages of docs/ as a web site.

@@ -1,4 +1,4 @@
-"""Fills the marked tables of README.md and docs/{index,paper,claims}.md from docs/results; `make results` runs it.
+"""Fills the marked tables of README.md, RESULTS.md and docs/{index,paper,claims}.md; `make results` runs it.
 
 A table lies between `<!-- table: NAME -->` and `<!-- end -->`. In that of `claims`, NAME's rows are written by hand but
 for their last two columns; every other one is a key of `TABLES`. plugins/tests/docs/test_claims.py compares tables and
@@ -19,11 +19,13 @@ from hyaline_paper.claims import DROP, FAR, NEAR, Interval, bootstrap
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs/results"
-PAGES = (ROOT / "README.md", ROOT / "docs/index.md", ROOT / "docs/paper.md", ROOT / "docs/claims.md")
+PAGES = tuple(ROOT / name for name in ("README.md", "RESULTS.md", "docs/index.md", "docs/paper.md", "docs/claims.md"))
 TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 ROW = re.compile(r"^\| (?P<claim>.+?) \| (?P<against>.+?) \| `(?P<cell>.+?)` \|.*\|$", re.MULTILINE)
 SPLITS = ("interpolating", "extrapolating")
 ANGLES = (10, 20, 40)
+TRACKS = ("pictures", "masks", "proxies", "shapes", "materials")
+"""Of the benchmark, by what methods are told."""
 DEMO = {
     "light-path": ("`light-path`", "truth", "materials"),
     "paper-best": ("`paper-best`", "truth", ""),
@@ -78,14 +80,15 @@ class Found:
 
 @cache
 def _read(name: str) -> dict[str, Any]:
-    return json.loads((RESULTS / f"{name}.json").read_text())
+    (path,) = RESULTS.glob(f"*/{name}.json")
+    return json.loads(path.read_text())
 
 
 def _by_scene(file: str, run: str, scenes: str = "", key: str = "psnr_db") -> dict[str, Scores]:
     """Scores of a run and of those that differ from it in the seed alone, by scene; `scenes`: how their names begin."""
     if file == "bench":
         (path,) = (path for path in RESULTS.glob("bench/*.json") if re.sub(r"-\d+-steps$", "", path.stem) == run)
-        stored = _read(f"bench/{path.stem}")["scenes"]
+        stored = _read(path.stem)["scenes"]
         found = {
             scene: [np.array([[about["splits"][split]["metrics"][key]]]) for split in SPLITS]
             for scene, about in stored.items()
@@ -299,6 +302,18 @@ def pairs_table() -> str:
     return table_of(columns, rows, texts=1)
 
 
+def tracks_table() -> str:
+    """PSNR of the benchmark's methods over its scenes, by what they are told."""
+    stored = {path.stem: _read(path.stem) for path in RESULTS.glob("bench/*.json")}
+    methods: list[tuple[int, float, tuple[str, ...]]] = []
+    for name, about in stored.items():
+        run = re.sub(r"-\d+-steps$", "", name)
+        near, far = score("bench", run).numbers
+        cells = (about["track"], f"`{run}`", str(len(about["scenes"])), f"{near:.2f}", f"{far:.2f}")
+        methods.append((TRACKS.index(about["track"]), -near - far, cells))
+    return table_of(("track", "method", "scenes", *SPLITS), [cells for *_, cells in sorted(methods)], texts=2)
+
+
 def fits_table() -> str:
     """What fitted glass costs on random scenes."""
     rows = []
@@ -310,8 +325,7 @@ def fits_table() -> str:
             inside += [inside for scene in _read(file)["scenes"] for inside in _indices(scene)]
         cost = np.concatenate(costs, axis=1)
         texts = [" / ".join(_signed(value, 1) for value in of(cost, axis=1)) for of in (np.median, np.min, np.max)]
-        pages = ", ".join(f"[{file}](results/{file}.md)" for file in files)
-        rows.append((pages, str(cost.shape[1]), *texts, f"{sum(inside)} of {len(inside)}"))
+        rows.append((", ".join(files), str(cost.shape[1]), *texts, f"{sum(inside)} of {len(inside)}"))
     return table_of(("fits", "scenes", "median", "least", "greatest", "indices in their interval"), rows, texts=1)
 
 
@@ -342,6 +356,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "angles": angles_table,
     "standard": standard_table,
     "pairs": pairs_table,
+    "tracks": tracks_table,
     "fits": fits_table,
 }
 

@@ -49,21 +49,16 @@ def report(
         published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
         shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
             page would exceed 20 MB, it shows fewer.
-        results: Instead of scoring runs, print a results.json as a page of Markdown, or for a folder, the list of such
-            pages; `make results` writes docs/results/*.md and RESULTS.md this way.
+        results: Instead of scoring runs, print a results.json, or those of a folder, as a page of Markdown; `make
+            results` writes docs/results/*.md this way.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
     hush(quiet)
     if results is not None:
-        from eval.tables.pages import RESULT_LISTS, results_index, results_page
+        from eval.tables.pages import results_page
 
-        more = {}
-        for name in RESULT_LISTS.names():
-            more |= RESULT_LISTS.find(name)(results / name)
-
-        text = results_index(list(results.glob("*.json")), more) if results.is_dir() else results_page(results)
-        sys.stdout.write(text)
+        sys.stdout.write(results_page(results))
         return
     output_format = "json" if json else format
     from datagen.data.paths import find_dataset

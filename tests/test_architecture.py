@@ -15,7 +15,6 @@ from support.soon import soon
 from datagen.scene.sources import SOURCES
 from datagen.terminal.plugins import COMMANDS
 from eval.tables.named import TABLES
-from eval.tables.pages import RESULT_LISTS
 from model.methods.table import METHODS
 
 ROOT = Path(__file__).parent.parent
@@ -81,7 +80,7 @@ sys.argv = sys.argv[1:]
 main()
 """
 """Prints the files that a command of `datagen` has imported at its end."""
-GROUPS = (METHODS, TABLES, COMMANDS, SOURCES, RESULT_LISTS)
+GROUPS = (METHODS, TABLES, COMMANDS, SOURCES)
 
 
 @functools.cache

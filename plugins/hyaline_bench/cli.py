@@ -107,7 +107,7 @@ def leaderboard(
     /,
     *,
     preset: str = "demo",
-    track: str | None = None,
+    markdown: bool = False,
     out: Path | None = None,
 ) -> None:
     """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
@@ -115,25 +115,23 @@ def leaderboard(
     Args:
         scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
         preset: Without SCORES: size of the datasets, tiny, small, demo or standard.
-        track: Instead of writing the page, print this track's tables as Markdown, as docs/results has them.
+        markdown: Instead of writing the page, print the tables as Markdown, as docs/results/bench.md has them.
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
     from eval.page.page import PAGE
     from eval.page.report_folder import write_report
-    from hyaline_bench.leaderboard import leaderboard_page, track_page
+    from hyaline_bench.leaderboard import leaderboard_page, results_page
     from hyaline_bench.protocol import load_protocol
     from hyaline_bench.score import read_scores
 
     protocol = load_protocol()
     protocol.size(preset)
-    if track is not None:
-        choose("track", track, protocol.tracks)
     folder = scores or BENCH / preset / "scores"
     found = read_scores(folder)
     if not found:
         raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
-    if track is not None:
-        sys.stdout.write(track_page(track, found, protocol))
+    if markdown:
+        sys.stdout.write(results_page(found, protocol))
         return
     place = out or BENCH / found[0].preset / "leaderboard"
     for path in write_report(place, {PAGE: lambda: leaderboard_page(found, protocol)}):

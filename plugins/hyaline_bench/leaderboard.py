@@ -1,7 +1,6 @@
 """The leaderboard: the tables of each track, as one HTML page that needs no server, or as Markdown."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from statistics import fmean
 
 from datagen.data.config import TEST_SPLITS
@@ -10,12 +9,8 @@ from datagen.disk.records import shown
 from datagen.pages.html import anchor, document, prose, section, tag
 from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
 from eval.tables.looks import grid_text, html_table, markdown_escaped
-from eval.tables.pages import Row
-from hyaline_bench.protocol import ALL, Protocol, load_protocol
-from hyaline_bench.score import COSTS, Scored, Summary, read_scores, summarise
-
-TRACKS = "bench"
-"""Folder in docs/results with the scores, METHOD.json, and the pages, TRACK.md."""
+from hyaline_bench.protocol import ALL, Protocol
+from hyaline_bench.score import COSTS, Scored, Summary, summarise
 
 NOTES = (
     "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
@@ -50,26 +45,23 @@ def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
     return document(title, tag("h1", title), *notes, *sections, navigation=navigation)
 
 
-def track_page(track: str, found: Sequence[Scored], protocol: Protocol) -> str:
-    """The page of one track in Markdown."""
+def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
+    """All tracks as one page of Markdown."""
     check_comparable(found, protocol)
-    inside = [scored for scored in found if scored.track == track]
-    if not inside:
-        raise HyalineError(f"{track}: the track has no submission")
-    preset = inside[0].preset
-    return "\n".join(
-        [
-            f"# hyaline-bench {protocol.version}, {preset}: {track}\n",
-            "Allowed inputs:\n",
-            *(f"- {markdown_escaped(told)}" for told in _told(track, protocol)),
-            "",
-            f"```\nmodel sweep {'bench-fitted' if track == 'masks' else 'bench'} --preset {preset}",
-            f"hyaline-bench leaderboard --preset {preset} --track {track}\n```\n",
-            f"{OTHERS}\n",
-            *(f"{markdown_escaped(note)}\n" for note in NOTES),
-            *(grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)),
-        ]
-    )
+    preset = found[0].preset
+    parts = [
+        f"# hyaline-bench {protocol.version}, {preset}\n",
+        f"```\nmodel sweep bench --preset {preset}\nmodel sweep bench-fitted --preset {preset}",
+        f"hyaline-bench leaderboard --preset {preset} --markdown\n```\n",
+        f"{OTHERS}\n",
+        *(f"{markdown_escaped(note)}\n" for note in NOTES),
+    ]
+    for track in protocol.tracks:
+        if inside := [scored for scored in found if scored.track == track]:
+            parts += [f"## Track: {track}\n", "Allowed inputs:\n"]
+            parts += [*(f"- {markdown_escaped(told)}" for told in _told(track, protocol)), ""]
+            parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)]
+    return "\n".join(parts)
 
 
 def _grids(inside: Sequence[Scored], protocol: Protocol) -> list[Grid]:
@@ -83,28 +75,6 @@ def _told(track: str, protocol: Protocol) -> list[str]:
     names = list(protocol.tracks)
     allowed = [protocol.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
     return [text[0].upper() + text[1:] for text in allowed]
-
-
-def track_rows(folder: Path) -> dict[Row, str]:
-    """For the list of pages: a row for each track that has submissions, and the page's text."""
-    found, protocol = read_scores(folder), load_protocol()
-    rows: dict[Row, str] = {}
-    for track in protocol.tracks:
-        inside = [scored for scored in found if scored.track == track]
-        if not inside:
-            continue
-        scenes = max(len(scored.scenes) for scored in inside)
-        seeds = {scene.seed for scored in inside for scene in scored.scenes.values() if scene.seed is not None}
-        rows[
-            (
-                f"[{TRACKS}: {track}]({(folder / track).as_posix()}.md)",
-                f"{scenes} datasets",
-                "scores",
-                str(len(seeds)) if seeds else MISSING,
-                ", ".join(sorted({scored.code for scored in inside})),
-            )
-        ] = track_page(track, found, protocol)
-    return rows
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:

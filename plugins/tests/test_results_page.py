@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.commands import call
 
 from datagen.disk.errors import HyalineError
 from eval.tables.grids import MISSING
-from eval.tables.pages import results_index, results_page
-from hyaline_bench.leaderboard import track_rows
+from eval.tables.pages import results_page
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
@@ -52,27 +52,23 @@ def write(folder: Path, name: str, content: dict[str, Any]) -> Path:
     return path
 
 
-def test_the_pages_of_results_are_what_the_command_writes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
-    files = sorted(Path("docs/results").glob("*.json"))
-    assert files and sorted(Path("docs/results").glob("*.md")) == [file.with_suffix(".md") for file in files]
-    for file in files:
-        assert file.with_suffix(".md").read_text() == results_page(file), "write it with `make results`"
-    tracks = track_rows(Path("docs/results/bench"))
-    pages = {file.as_posix(): file.read_text() for file in Path("docs/results/bench").glob("*.md")}
-    assert {row[0].split("(")[1][:-1]: text for row, text in tracks.items()} == pages, "write them with `make results`"
-    assert Path("RESULTS.md").read_text() == results_index(files, tracks), "write it with `make results`"
+    folders = sorted(path for path in Path("docs/results").iterdir() if path.is_dir())
+    assert sorted(Path("docs/results").glob("*.md")) == [folder.with_suffix(".md") for folder in folders]
+    for folder in folders:
+        bench = f"hyaline-bench leaderboard {folder} --markdown"
+        answer = call(bench if folder.name == "bench" else f"report --results {folder}")
+        assert folder.with_suffix(".md").read_text() == answer.out, "write it with `make results`"
+        assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()
 
 
-def test_the_list_of_pages_begins_with_the_shortest(tmp_path: Path) -> None:
-    scene = results()["scenes"][0]
-    long = write(tmp_path, "a.json", results(scenes=[scene | {"scene": f"scene {place}"} for place in range(4)]))
-    short = write(tmp_path, "b.json", results())
-    lines = results_index([long, short]).splitlines()[-3:]
-    assert lines[1:] == [
-        f"| [b]({tmp_path.as_posix()}/b.md) | glass_table | scores | 2 | 0.1.0 (abc) |",
-        f"| [a]({tmp_path.as_posix()}/a.md) | 4 datasets | scores | 2 | 0.1.0 (abc) |",
-    ]
+def test_a_folder_is_one_page_that_says_a_shared_note_once(tmp_path: Path) -> None:
+    write(tmp_path, "a.json", results())
+    write(tmp_path, "b.json", results())
+    lines = results_page(tmp_path).splitlines()
+    assert [line for line in lines if line.startswith("# ")] == ["# a", "# b"] and lines.count("As stored.") == 1
+    assert f"[b.json]({tmp_path.name}/b.json); hyaline 0.1.0 (abc)." in lines
 
 
 @pytest.mark.parametrize(
