@@ -12,7 +12,7 @@ from datagen.terminal.parsing import CommandGroup, group
 DESCRIPTION = (
     "Measure speed: compare alternatives in alternation within one process, after checking that their results agree; "
     "exit status 1 if a ratio is missed. "
-    "Compare with other tools: Cycles, and the loaders of exports."
+    "Compare imports with Cycles, and pages with Python."
 )
 
 
@@ -26,7 +26,6 @@ def commands() -> CommandGroup:
     by_name = {
         "peel": peel,
         "truth": truth,
-        "peers": peers,
         "cycles": cycles,
         "step": step,
         "gpu": gpu,
@@ -73,10 +72,9 @@ def truth(
     light: Literal["soft", "scene", "lamp"] = "soft",
     size: int = 128,
     rounds: int = 7,
-    cycles: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults, and Cycles.
+    """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
 
     Args:
         scene: A name that `datagen scenes` lists, or a folder with a scene.json; its glass is made clear,
@@ -85,7 +83,6 @@ def truth(
             noise need only allow 40 dB.
         size: Width and height in pixels.
         rounds: Turns of each.
-        cycles: Python interpreter of an environment with Blender (`pip install bpy`), whose Cycles takes turns, too.
         json: Print JSON instead of tables.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
@@ -112,43 +109,7 @@ def truth(
         extrapolating=split,
     )
     cameras = make_cameras(description.cameras, config)["train"]
-    show(bench_truth(description, cameras, GOALS[light], rounds=rounds, cycles=cycles), as_json=json)
-
-
-def peers(
-    dataset: str,
-    python: Path,
-    *,
-    only: tuple[str, ...] = (),
-    points: int = 2000,
-    json: bool = False,
-) -> None:
-    """Open exports of a dataset with the tools' own loaders, and compare what they read with the dataset.
-
-    Exit status 1 where something differs, or where no tool is installed.
-
-    Args:
-        dataset: A name in data/, or a folder.
-        python: Python interpreter of the environment in which the tools are installed; it needs no hyaline.
-        only: Only these loaders: nerfstudio-data, nerfstudio-blender, nerfstudio-colmap, nerfbaselines, pycolmap,
-            datasets.
-        points: Points of the surfaces in each export.
-        json: Print JSON instead of a table.
-    """
-    from benchmarks.exports import PEERS, peers_json, peers_table, survey_peers
-    from datagen.terminal.command import choose, fail
-    from hyaline import open_dataset
-
-    reports = survey_peers(
-        open_dataset(dataset), python, [choose("only", name, PEERS) for name in only or PEERS], num_points=points
-    )
-    print(peers_json(reports) if json else peers_table(reports))
-    if all(report.missing for report in reports):
-        tools = "nerfstudio, nerfbaselines, pycolmap, datasets"
-        fail(f"{python}: has none of the tools; install some of {tools} there")
-    wrong = sum(not one.passed for report in reports for one in report.findings)
-    if wrong:
-        fail(f"{wrong} of what the tools read differ from the dataset")
+    show(bench_truth(description, cameras, GOALS[light], rounds=rounds), as_json=json)
 
 
 def cycles(

@@ -49,8 +49,6 @@ class Candidate:
     """How many such calls the whole task takes; gates compare the time of one call times this."""
     note: str = ""
     """A remark for the reader in a few words."""
-    cpu_elsewhere: Callable[[], float] = lambda: 0.0
-    """Processor seconds so far of another process that does the work."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -274,13 +272,10 @@ def _time_by_turns(title: str, candidates: Sequence[Candidate], rounds: int) -> 
 
 
 def _time(candidate: Candidate, repeats: int) -> tuple[float, float]:
-    def cpu_seconds() -> float:
-        return time.process_time() + candidate.cpu_elsewhere()
-
-    wall, cpu = time.perf_counter(), cpu_seconds()
+    wall, cpu = time.perf_counter(), time.process_time()
     for _ in range(repeats):
         candidate.run()
-    return (time.perf_counter() - wall) / repeats, (cpu_seconds() - cpu) / repeats
+    return (time.perf_counter() - wall) / repeats, (time.process_time() - cpu) / repeats
 
 
 def _seconds(times: np.ndarray) -> Seconds:

@@ -1,11 +1,11 @@
-"""Benchmark of truth: how long until a picture's noise is low enough, with our sampling, Mitsuba's own and Cycles'.
+"""Benchmark of truth: how long until a picture's noise is low enough, with our sampling and with Mitsuba's own.
 
 Noise is estimated from independent renderings at two numbers of samples, and a power law through both tells how many
 samples a ceiling takes: it is steeper than 1 / n where samples are stratified. Time per sample is measured by turns.
 
 Under a small lamp most noise is in rare bright pixels, many of which no picture has met yet, so that noise hardly falls
 from one number to the other, and means do not agree yet. There the law is 1 / n through the noise at the larger number,
-and means are not compared; `tests/datagen/render` shows that ours is unbiased. The other renderers look better than
+and means are not compared; `tests/datagen/render` shows that ours is unbiased. Mitsuba's defaults look better than
 they are, because caustics that they have not found yet do not count as noise.
 """
 
@@ -14,16 +14,12 @@ they are, because caustics that they have not found yet do not count as noise.
 
 import dataclasses
 import math
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, Protocol
 
 import numpy as np
 from jaxtyping import Float
 
-from benchmarks.blender_truth import open_cycles
 from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceilings, measure
 from datagen.data.cameras import Cameras
 from datagen.data.images import srgb_from_linear
@@ -40,8 +36,8 @@ Light = Literal["soft", "scene", "lamp"]
 DEFAULT_RR_DEPTH = 5
 """Mitsuba's: from this depth on paths end at random."""
 
-TIMED_SPP, CYCLES_SPP = 16, 128
-"""Samples per pixel of one timed call. Blender takes tenths of a second to begin, which must not count as sampling."""
+TIMED_SPP = 16
+"""Samples per pixel of one timed call."""
 
 PAIRS = 4
 """Independent pairs of renderings that noise is estimated from, at each number of samples."""
@@ -49,7 +45,7 @@ PAIRS = 4
 MIN_AGREEMENT = 0.8, 1.25
 """Squared difference of both means over what their noise predicts; 1 where they estimate the same picture."""
 
-OURS, DEFAULTS, CYCLES = "datagen build", "mitsuba's defaults", "Cycles"
+OURS, DEFAULTS = "datagen build", "mitsuba's defaults"
 
 LAMP_WIDTH, LAMP_HEIGHT = 0.05, 1.0
 """In metres: side of the square lamp, and its height above the point that the cameras look at."""
@@ -104,13 +100,11 @@ def bench_truth(
     max_depth: int = 24,
     mean_spp: int = 512,
     rounds: int = 7,
-    cycles: Path | None = None,
 ) -> BenchReport:
     """Measures the time to a noise ceiling. Call `use_mitsuba` first.
 
     Args:
         mean_spp: samples of the two means that must agree.
-        cycles: interpreter of an environment with bpy; None: Cycles is no rival.
     """
     if is_scalar():
         raise HyalineError("bench truth: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")
@@ -126,41 +120,32 @@ def bench_truth(
     rivals: dict[str, Radiance] = {DEFAULTS: default.radiance, OURS: render_ours}
     facts: dict[str, object] = {"solids left out, which reach into others": num_left_out}
     checks = [Check(name="same picture", run=lambda: compare_means(rivals[DEFAULTS], rivals[OURS], mean_spp))]
-    with ExitStack() as open_rivals:
-        elsewhere: dict[str, Callable[[], float]] = {}
-        if cycles is not None:
-            blender = open_rivals.enter_context(open_cycles(scene, cameras[view], python=cycles, max_depth=max_depth))
-            rivals[CYCLES], elsewhere[CYCLES] = blender.radiance, lambda: blender.cpu_seconds
-            facts["mean light, ours / Cycles"] = compare_brightness(rivals[OURS], rivals[CYCLES], mean_spp)
-        candidates = []
-        for name, radiance in rivals.items():
-            say(f"bench truth: estimating the noise of {name}")
-            law = fit_noise(radiance, goal)
-            wanted = law.spp_for(goal.ceiling_db)
-            _, drawn = radiance(spp=CYCLES_SPP if name == CYCLES else TIMED_SPP, seed=0)
-            facts[f"{name}: samples per pixel for {goal.ceiling_db:g} dB"] = round(wanted, 1)
-            facts[f"{name}: exponent of the noise"] = round(-law.exponent, 2)
-            candidates.append(
-                Candidate(
-                    name=name,
-                    run=lambda radiance=radiance, drawn=drawn: radiance(spp=drawn, seed=1),
-                    calls=wanted / drawn,
-                    note=f"{drawn} spp a call, {wanted / drawn:.1f} calls to {goal.ceiling_db:g} dB",
-                    cpu_elsewhere=elsewhere.get(name, lambda: 0.0),
-                )
+    candidates = []
+    for name, radiance in rivals.items():
+        say(f"bench truth: estimating the noise of {name}")
+        law = fit_noise(radiance, goal)
+        wanted = law.spp_for(goal.ceiling_db)
+        _, drawn = radiance(spp=TIMED_SPP, seed=0)
+        facts[f"{name}: samples per pixel for {goal.ceiling_db:g} dB"] = round(wanted, 1)
+        facts[f"{name}: exponent of the noise"] = round(-law.exponent, 2)
+        candidates.append(
+            Candidate(
+                name=name,
+                run=lambda radiance=radiance, drawn=drawn: radiance(spp=drawn, seed=1),
+                calls=wanted / drawn,
+                note=f"{drawn} spp a call, {wanted / drawn:.1f} calls to {goal.ceiling_db:g} dB",
             )
-        gate = Gate(name="time to the ceiling", baseline=DEFAULTS, candidate=OURS, at_least=goal.at_least)
-        of_cycles = dataclasses.replace(gate, name=f"{gate.name}, {CYCLES}", baseline=CYCLES, at_least=3)
-        report = measure(
-            "bench truth",
-            candidates,
-            checks=checks if goal.exponent is None else (),
-            gates=[gate] if cycles is None else [gate, of_cycles],
-            ceilings=machine_ceilings(),
-            settings={"scene": scene.name, "size": cameras.width, "depth": max_depth},
-            facts=facts,
-            rounds=rounds,
         )
+    report = measure(
+        "bench truth",
+        candidates,
+        checks=checks if goal.exponent is None else (),
+        gates=[Gate(name="time to the ceiling", baseline=DEFAULTS, candidate=OURS, at_least=goal.at_least)],
+        ceilings=machine_ceilings(),
+        settings={"scene": scene.name, "size": cameras.width, "depth": max_depth},
+        facts=facts,
+        rounds=rounds,
+    )
     for timing in report.timings:
         report.facts[f"{timing.name}: seconds to {goal.ceiling_db:g} dB"] = round(timing.calls * timing.wall.median, 3)
     return report
@@ -272,11 +257,6 @@ def compare_means(one: Radiance, other: Radiance, spp: int) -> tuple[bool, str]:
         f"{low:g} to {high:g}; ratio of their brightness {means[1].mean() / means[0].mean():.5f}"
     )
     return low <= found / expected <= high, detail
-
-
-def compare_brightness(ours: Radiance, theirs: Radiance, spp: int) -> float:
-    """Mean radiance of one picture over that of the other."""
-    return round(float(_mean(ours, spp, "ours").mean() / _mean(theirs, spp, "theirs").mean()), 3)
 
 
 def _mean(radiance: Radiance, spp: int, name: str) -> Float[np.ndarray, "h w 3"]:

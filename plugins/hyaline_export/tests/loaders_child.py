@@ -1,17 +1,15 @@
 """Opens an export with a tool's own loader and notes what it read. Runs in that tool's environment, without hyaline.
 
-    python exports_child.py PEER EXPORT QUESTIONS.npz ANSWER.npz
+    python loaders_child.py LOADER EXPORT QUESTIONS.npz ANSWER.npz
 
 Questions: for each picture, by name, some places in pixels (column, row), where (0.5, 0.5) is the centre of the upper
-left one. An answer has the loader's ray through each of them, in the world of the export: a tool's own transforms of
-the world (centring, scaling, rotating) are undone by the transform that the tool reports.
+left one. The answer has the loader's ray through each of them, in the world of the export: a tool's own transforms of
+the world (centring, scaling, rotating) are undone by the transform that the tool reports. Exit status 3: not installed.
 """
 
 # None of these packages is in hyaline's environment.
 # pyright: reportMissingImports=false
 
-import hashlib
-import importlib.metadata
 import json
 import os
 import sys
@@ -21,14 +19,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 
 @dataclass
 class Picture:
     """A picture as a loader gives it."""
 
-    size: tuple[int, int]
-    """Width and height that its camera has."""
     colors: np.ndarray
     """(h, w, channels), 8-bit."""
     origins: np.ndarray
@@ -36,28 +33,37 @@ class Picture:
     directions: np.ndarray
     """(place, 3) of any length."""
     depth: np.ndarray | None = None
-    """(place,) metres along the axis at the pixels around the places, where the loader reads depth."""
+    """(h, w) metres along the axis, where the loader reads depth."""
 
 
 @dataclass
 class Answer:
     """All that a loader read of an export."""
 
-    packages: tuple[str, ...]
     splits: dict[str, list[str]] = field(default_factory=dict)
+    """Empty for a tool that knows none."""
     pictures: dict[str, Picture] = field(default_factory=dict)
     points: np.ndarray | None = None
     """(point, 3) metres, world."""
     colors: np.ndarray | None = None
     """(point, 3) 8-bit."""
     near_far: tuple[float, float] | None = None
-    box: tuple[np.ndarray, np.ndarray] | None = None
-    """The tool's scene box (low and high, 2 3) and the transform (3, 4) that takes the world to it."""
-    track_px: float | None = None
-    """The largest distance between where a track sees a point and where the camera projects it."""
 
 
 Questions = dict[str, np.ndarray]
+
+
+def read_convention(root: Path, questions: Questions) -> Answer:
+    """transforms.json as the documentation says it; no tool. It shows that the comparison works."""
+    meta = json.loads((root / "transforms.json").read_text())
+    answer = Answer(near_far=(meta["near"], meta["far"]))
+    for frame in meta["frames"]:
+        name = Path(frame["file_path"]).stem
+        colors, depth = (np.asarray(Image.open(root / frame[key])) for key in ("file_path", "depth_file_path"))
+        answer.pictures[name] = _by_convention(meta | frame, questions[name], colors, depth / 1000)
+    for split in ("train", "val", "test"):
+        answer.splits[split] = [Path(file).stem for file in meta[f"{split}_filenames"]]
+    return answer
 
 
 def read_nerfstudio_data(root: Path, questions: Questions) -> Answer:
@@ -86,7 +92,7 @@ def _nerfstudio(make_parser: Callable, questions: Questions) -> Answer:
     from nerfstudio.data.datasets.base_dataset import InputDataset
     from nerfstudio.data.datasets.depth_dataset import DepthDataset
 
-    answer = Answer(packages=("nerfstudio",))
+    answer = Answer()
     for split in ("train", "val", "test"):
         outputs = make_parser().get_dataparser_outputs(split=split)
         scale, transform = outputs.dataparser_scale, outputs.dataparser_transform.double().numpy()
@@ -94,20 +100,16 @@ def _nerfstudio(make_parser: Callable, questions: Questions) -> Answer:
         dataset = (DepthDataset if has_depth else InputDataset)(outputs)
         names = [Path(file).stem for file in outputs.image_filenames]
         for index, name in enumerate(names):
-            places = questions[name]
-            origins, directions = _nerfstudio_rays(outputs.cameras, index, places)
+            origins, directions = _nerfstudio_rays(outputs.cameras, index, questions[name])
             picture = Picture(
-                size=(int(outputs.cameras.width[index]), int(outputs.cameras.height[index])),
                 colors=dataset.get_data(index, image_type="uint8")["image"].numpy(),
                 origins=(origins / scale - transform[:, 3]) @ transform[:, :3],
                 directions=directions @ transform[:, :3],
             )
             if has_depth:
-                depth = dataset[index]["depth_image"][..., 0].double().numpy() / scale
-                picture.depth = _at(depth, places)
+                picture.depth = dataset[index]["depth_image"][..., 0].double().numpy() / scale
             answer.pictures[name] = picture
         answer.splits[split] = names
-        answer.box = outputs.scene_box.aabb.double().numpy(), scale * transform
         if (points := outputs.metadata.get("points3D_xyz")) is not None:
             answer.points = (points.double().numpy() / scale - transform[:, 3]) @ transform[:, :3]
             answer.colors = outputs.metadata["points3D_rgb"].numpy()
@@ -127,7 +129,7 @@ def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
     from nerfbaselines.cameras import unproject
     from nerfbaselines.datasets import load_dataset
 
-    answer = Answer(packages=("nerfbaselines",))
+    answer = Answer()
     for split in ("train", "test"):
         features = frozenset(("color", "points3D_xyz", "points3D_rgb"))
         dataset = load_dataset(str(root), split, features=features)
@@ -135,9 +137,7 @@ def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
         for index, name in enumerate(names):
             camera = dataset["cameras"][index]
             origins, directions = unproject(camera[None], questions[name].astype(np.float32))
-            width, height = map(int, camera.image_sizes)
             answer.pictures[name] = Picture(
-                size=(width, height),
                 colors=dataset["images"][index],
                 origins=origins.astype(np.float64),
                 directions=directions.astype(np.float64),
@@ -153,7 +153,7 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
     import pycolmap
 
     model = pycolmap.Reconstruction(str(root / "sparse" / "0"))
-    answer = Answer(packages=("pycolmap",))
+    answer = Answer()
     for image in model.images.values():
         name, camera = Path(image.name).stem, model.cameras[image.camera_id]
         matrix = np.asarray(image.cam_from_world().matrix())
@@ -161,7 +161,6 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
         picture = pycolmap.Bitmap.read(str(root / "images" / image.name), as_rgb=True)
         assert picture is not None
         answer.pictures[name] = Picture(
-            size=(camera.width, camera.height),
             colors=picture.to_array(),
             origins=np.tile(-matrix[:, :3].T @ matrix[:, 3], (len(flat), 1)),
             directions=np.pad(flat, ((0, 0), (0, 1)), constant_values=1) @ matrix[:, :3],
@@ -169,11 +168,12 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
     ids = sorted(model.points3D)
     answer.points = np.array([model.points3D[number].xyz for number in ids])
     answer.colors = np.array([model.points3D[number].color for number in ids], np.uint8)
-    answer.track_px = max(
-        float(np.abs(image.project_point(model.points3D[seen.point3D_id].xyz) - seen.xy).max())
+    off = [
+        np.abs(image.project_point(model.points3D[seen.point3D_id].xyz) - seen.xy).max()
         for image in model.images.values()
         for seen in image.points2D
-    )
+    ]
+    assert max(off) < 0.05, f"tracks are off by {max(off):.2g} px"
     return answer
 
 
@@ -182,7 +182,7 @@ def read_datasets(root: Path, questions: Questions) -> Answer:
     os.environ["HF_HUB_OFFLINE"] = "1"
     import datasets
 
-    answer = Answer(packages=("datasets",))
+    answer = Answer()
     with tempfile.TemporaryDirectory() as cache:
         for split, rows in datasets.load_dataset(str(root), cache_dir=cache).items():
             role = {"train": "train", "validation": "val"}.get(split, "test")
@@ -200,15 +200,15 @@ def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np
     x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
     y = (places[:, 1] - lens["cy"]) / lens["fl_y"]
     return Picture(
-        size=(lens["w"], lens["h"]),
         colors=colors,
         origins=np.tile(matrix[:3, 3], (len(places), 1)),
         directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
-        depth=_at(depth, places),
+        depth=depth,
     )
 
 
 LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
+    "convention": read_convention,
     "nerfstudio-data": read_nerfstudio_data,
     "nerfstudio-blender": read_nerfstudio_blender,
     "nerfstudio-colmap": read_nerfstudio_colmap,
@@ -218,53 +218,28 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
 }
 
 
-def _at(values: np.ndarray, places: np.ndarray) -> np.ndarray:
-    column, row = np.floor(places).astype(int).T
-    return values[row, column]
-
-
 def write_answer(answer: Answer, path: Path) -> None:
     """Arrays by name, and all else as JSON; no pickle."""
-    names = sorted(answer.pictures)
-    pictures = [answer.pictures[name] for name in names]
-    about = {
-        "versions": {name: importlib.metadata.version(name) for name in answer.packages},
-        "names": names,
-        "splits": answer.splits,
-        "sizes": [[int(side) for side in picture.size] for picture in pictures],
-        "channels": [picture.colors.shape[-1] for picture in pictures],
-        "hashes": [hashlib.sha256(picture.colors[..., :3].tobytes()).hexdigest() for picture in pictures],
-        "is_opaque": [
-            picture.colors.shape[-1] == 3 or bool((picture.colors[..., 3] == 255).all()) for picture in pictures
-        ],
-        "near_far": answer.near_far,
-        "track_px": answer.track_px,
-    }
+    about = {"names": list(answer.pictures), "splits": answer.splits, "near_far": answer.near_far}
     arrays = {
-        "origins": np.stack([picture.origins for picture in pictures]),
-        "directions": np.stack([picture.directions for picture in pictures]),
+        f"{name}/{key}": array
+        for name, picture in answer.pictures.items()
+        for key, array in vars(picture).items()
+        if array is not None
     }
-    if len(depth := [picture.depth for picture in pictures if picture.depth is not None]) == len(pictures):
-        arrays["depth"] = np.stack(depth)
     if answer.points is not None and answer.colors is not None:
         arrays["points"], arrays["colors"] = answer.points, answer.colors
-    if answer.box is not None:
-        arrays["box"], arrays["box_from_world"] = answer.box
     # numpy's stubs take the names for their own arguments.
     np.savez(path, about=json.dumps(about), **arrays)  # pyright: ignore[reportArgumentType]
 
 
-def main(peer: str, root: str, questions: str, out: str) -> None:
-    """Exit status 3: the tool, or something that it imports, is not installed."""
+if __name__ == "__main__":
+    loader, root, questions, out = sys.argv[1:]
     with np.load(questions) as file:
         asked = {name: file[name] for name in file.files}
     try:
-        answer = LOADERS[peer](Path(root), asked)
+        answer = LOADERS[loader](Path(root), asked)
     except ImportError as error:
         print(f"{type(error).__name__}: {error}", file=sys.stderr)
         sys.exit(3)
     write_answer(answer, Path(out))
-
-
-if __name__ == "__main__":
-    main(*sys.argv[1:])
