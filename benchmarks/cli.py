@@ -41,30 +41,24 @@ def peel(
     layers: int = 6,
     triangles: float = 1.0,
     rounds: int = 7,
-    engines: tuple[str, ...] = (),
     json: bool = False,
 ) -> None:
-    """Peeling a view: the tracer against a plain loop, all hits by Embree, and stored layers.
+    """Peeling a view and tracing light paths: the tracers against plain loops.
 
     Args:
         size: Width and height in pixels.
         layers: Layers kept per ray.
         triangles: A factor on the 315,000 triangles of the scene.
-        rounds: Turns of each engine.
-        engines: Only these of mitsuba-eager, mitsuba-fused, trimesh, exr, light-path-loop, light-path.
+        rounds: Turns of each.
         json: Print JSON instead of tables.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.terminal.command import choose
 
     use_mitsuba()
     from benchmarks.harness import show
-    from benchmarks.peel import ENGINES, Engine, bench_peel
+    from benchmarks.peel import bench_peel
 
-    chosen: tuple[Engine, ...] = tuple(name for name in ENGINES if not engines or name in engines)
-    for name in engines:
-        choose("engine", name, ENGINES)
-    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds, engines=chosen), as_json=json)
+    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds), as_json=json)
 
 
 def truth(

@@ -22,15 +22,12 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import fail, say
-
-Clock = Literal["wall", "cpu"]
 
 MIN_ROUNDS = 3
 """Fewer have no quartiles."""
@@ -67,7 +64,6 @@ class Gate:
     baseline: str
     candidate: str
     at_least: float
-    clock: Clock = "wall"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,10 +178,7 @@ def measure(
             Timing(name=one.name, note=one.note, calls=one.calls, wall=_seconds(wall), cpu=_seconds(cpu))
             for one, wall, cpu in zip(candidates, walls, cpus, strict=True)
         )
-        series = {
-            one.name: {"wall": one.calls * wall[1:], "cpu": one.calls * cpu[1:]}
-            for one, wall, cpu in zip(candidates, walls, cpus, strict=True)
-        }
+        series = {one.name: one.calls * wall[1:] for one, wall in zip(candidates, walls, strict=True)}
         judged = tuple(_judge(gate, series) for gate in gates)
     return BenchReport(
         title=title,
@@ -283,16 +276,16 @@ def _seconds(times: np.ndarray) -> Seconds:
     return Seconds(first=float(times[0]), median=float(median), low=float(low), high=float(high))
 
 
-def _judge(gate: Gate, series: Mapping[str, Mapping[str, np.ndarray]]) -> Verdict:
+def _judge(gate: Gate, series: Mapping[str, np.ndarray]) -> Verdict:
     missing = [name for name in (gate.baseline, gate.candidate) if name not in series]
     if missing:
         detail = f"not judged: {' and '.join(missing)} did not run"
         return Verdict(name=gate.name, passed=True, detail=detail, at_least=gate.at_least)
     # Neighbours in time are compared, so a slow minute of the machine cancels out.
-    ratios = series[gate.baseline][gate.clock] / np.maximum(series[gate.candidate][gate.clock], 1e-12)
+    ratios = series[gate.baseline] / np.maximum(series[gate.candidate], 1e-12)
     low, ratio, high = np.quantile(ratios, [0.25, 0.5, 0.75])
     detail = (
-        f"{gate.candidate} is {ratio:.2f} times as fast as {gate.baseline} ({gate.clock}; quartiles {low:.2f} to "
+        f"{gate.candidate} is {ratio:.2f} times as fast as {gate.baseline} (quartiles {low:.2f} to "
         f"{high:.2f}); expected at least {gate.at_least:g}"
     )
     passed = bool(ratio >= gate.at_least)

@@ -21,21 +21,21 @@ from datagen.scene.rig import make_cameras
 
 use_mitsuba(quiet=True)
 
-from benchmarks.peel import ENGINES, bench_peel, compare_objects  # noqa: E402
+from benchmarks.peel import bench_peel, compare_objects  # noqa: E402
 from benchmarks.truth import Goal, bench_truth, fit_noise, under_a_lamp  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
 @pytest.mark.full
 def test_every_engine_is_timed_after_all_checks_passed() -> None:
-    pytest.importorskip("embreex", reason="embreex has no wheel for this machine")
     report = bench_peel(size=24, num_layers=3, triangles=0.01, rounds=3)
-    assert [timing.name for timing in report.timings] == list(ENGINES)
-    assert [check.name for check in report.checks] == [
-        "same objects",
-        "stored layers are the peeled ones",
-        "same light paths",
+    assert [timing.name for timing in report.timings] == [
+        "mitsuba-eager",
+        "mitsuba-fused",
+        "light-path-loop",
+        "light-path",
     ]
+    assert [check.name for check in report.checks] == ["same objects", "same light paths"]
     assert all(check.passed for check in report.checks)
     assert all(gate.ratio is not None for gate in report.gates)
 
@@ -96,7 +96,7 @@ def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:
 def test_the_command_lists_its_benches_and_prints_json_alone() -> None:
     answer = call("benchmarks --help")
     assert all(name in answer.out for name in ("peel", "truth", "step"))
-    answer = call("benchmarks peel --size 16 --triangles 0.01 --rounds 3 --engines mitsuba-fused --engines exr --json")
+    answer = call("benchmarks peel --size 16 --triangles 0.01 --rounds 3 --json")
     parsed = json.loads(answer.out)
     assert answer.status == (0 if parsed["passed"] else 1)
-    assert [timing["name"] for timing in parsed["timings"]] == ["mitsuba-fused", "exr"]
+    assert "mitsuba-fused" in [timing["name"] for timing in parsed["timings"]]
