@@ -1,21 +1,24 @@
 """All hostile files, and the world of good ones that each of them is put into."""
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
-from support.hostile.case import Case, not_files
-from support.hostile.jsons import experiment_cases, json_cases, sealed, text_cases
+from support.hostile.jsons import Case, experiment_cases, json_cases, named, not_files, sealed, text_cases, text_of
 from support.hostile.meshes import mesh_cases
 from support.hostile.pictures import PREDICTION, exr_cases, picture_cases
 from support.hostile.states import state_cases
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
+from datagen.data.cameras import look_at
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.paths import TRUTH
 from datagen.scene.folder import save_scene
 
 DATASET = "data/one"
 RUN = "runs/one/paper/run.json"
+THEIRS = "theirs/transforms.json"
 LAYERS = f"{DATASET}/layers/straight"
 SEALED = {
     "dataset": (f"{DATASET}/dataset.json", 2),
@@ -30,8 +33,6 @@ SEALED = {
 
 def write_world(root: Path) -> None:
     """A scene, a dataset with layers and proxies, a trained run, a foreign method's pictures, an EXR: all good."""
-    import shutil
-
     import numpy as np
     import torch
 
@@ -61,6 +62,24 @@ def write_world(root: Path) -> None:
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
     (root / "view.exr").write_bytes(radiance_bytes(truth))
     (root / "grid.toml").write_text('[[runs]]\nmethod = "paper"\n')
+    (root / "theirs").mkdir()
+    frames = []
+    for view in range(4):
+        (root / f"theirs/{view}.png").write_bytes(png_bytes(np.zeros((8, 12, 3), np.uint8)))
+        frames.append({"file_path": f"{view}.png", "transform_matrix": look_at((2, view, 1), (0, 0, 0)).tolist()})
+    lens = {"fl_x": 10.0, "fl_y": 10.0, "cx": 6.5, "cy": 4.0, "w": 12, "h": 8, "k1": 0.0}
+    (root / THEIRS).write_bytes(text_of({**lens, "frames": frames}))
+
+
+def endless_scenes(good: dict[str, Any]) -> list[Case]:
+    """A scene with very many of something."""
+    changes = {
+        "objects": good["objects"][:1] * 100_000,
+        "lights": [{}] * 20_000,
+        "cameras": {**good["cameras"], "walk": good["cameras"]["walk"][:1] * 20_000},
+    }
+    contents = {f"many {key}": text_of({**good, key: value}) for key, value in changes.items()}
+    return named("scene", "scene", "scene/scene.json", contents)
 
 
 def cases_of(root: Path) -> list[Case]:
@@ -73,6 +92,7 @@ def cases_of(root: Path) -> list[Case]:
         *mesh_cases(read("scene/meshes/pane.ply")),
         *json_cases("scene", "scene/scene.json", json.loads(read("scene/scene.json")), each=2),
         *text_cases("scene", "scene/scene.json", read("scene/scene.json")),
+        *endless_scenes(json.loads(read("scene/scene.json"))),
         *not_files("scene", "scene/scene.json"),
         *not_files("scene", "scene/meshes/pane.ply"),
         *experiment_cases(),
@@ -92,9 +112,9 @@ def cases_of(root: Path) -> list[Case]:
         cases += json_cases(reader, path, json.loads(read(path)), each=each, write=sealed)
         cases += text_cases(reader, path, read(path))
         cases += not_files(reader, path, may_be_link=path.startswith("runs/"))
-    cameras = f"{DATASET}/transforms_train.json"
-    cases += json_cases("cameras", cameras, json.loads(read(cameras)), each=2)
-    cases += text_cases("cameras", cameras, read(cameras))
+    for reader, path in (("cameras", f"{DATASET}/transforms_train.json"), ("theirs", THEIRS)):
+        cases += json_cases(reader, path, json.loads(read(path)), each=2)
+        cases += text_cases(reader, path, read(path))
     names = [case.name for case in cases]
     assert len(names) == len(set(names)), sorted(name for name in names if names.count(name) > 1)[:5]
     return cases

@@ -6,7 +6,7 @@ import zlib
 
 import numpy as np
 from PIL import Image
-from support.hostile.case import Case
+from support.hostile.jsons import Case, named
 
 PREDICTION = "runs/one/foreign/predictions/interpolating/0000.png"
 
@@ -42,11 +42,7 @@ def saved(image: Image.Image, kind: str = "PNG", **options: object) -> bytes:
 
 
 def picture_cases(good: bytes) -> list[Case]:
-    """Predictions of an 8 x 8 view.
-
-    Args:
-        good: what is none of them.
-    """
+    """Predictions of an 8 x 8 view; `good` is what is none of them."""
     size = (8, 8)
     gradient = Image.fromarray(np.arange(192, dtype=np.uint8).reshape(8, 8, 3))
     palette = gradient.quantize(4)
@@ -56,31 +52,17 @@ def picture_cases(good: bytes) -> list[Case]:
         "good palette": saved(palette),
         "good opaque alpha": saved(Image.new("RGBA", size, (1, 2, 3, 255))),
         "transparent": saved(Image.new("RGBA", size, (1, 2, 3, 0))),
-        "half transparent": saved(Image.new("RGBA", size, (1, 2, 3, 128))),
         "grey with alpha": saved(Image.new("LA", size, (1, 2))),
         "palette with transparency": saved(palette, transparency=0),
         "16 bits grey": saved(Image.fromarray(np.full(size, 300, np.uint16))),
         "16 bits colour": png(8, 8, depth=16),
         "1 bit": saved(Image.new("1", size)),
-        "2 bits": png(8, 8, depth=2, color=0),
-        "7 bits": png(8, 8, depth=7),
-        "colour type 5": png(8, 8, color=5),
-        "compression 1": png(8, 8, method=1),
         "interlaced": png(8, 8, interlace=1),
-        "interlace 2": png(8, 8, interlace=2),
         "width 0": png(0, 8),
-        "height 0": png(8, 0),
         "7 x 8": png(7, 8),
-        "9 x 8": png(9, 8),
-        "8 x 9": png(8, 9),
-        "1 x 1": png(1, 1),
-        "16 x 16": png(16, 16),
         "30000 x 30000": png(30_000, 30_000),
-        "2^31 wide": png(2**31 - 1, 8),
         "2^31 by 2^31": png(2**31 - 1, 2**31 - 1),
-        "no body": png(8, 8)[:33] + chunk(b"IEND", b""),
         "body of garbage": png(8, 8, body=b"garbage"),
-        "body too short": png(8, 8, body=zlib.compress(bytes(50))),
         "body too long": png(8, 8, body=zlib.compress(bytes(100_000))),
         "body that is a bomb": png(8, 8, body=zlib.compress(bytes(50_000_000))),
         "text that is a bomb": png(8, 8, more=chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(50_000_000)))),
@@ -89,26 +71,16 @@ def picture_cases(good: bytes) -> list[Case]:
         "two headers": png(8, 8, more=chunk(b"IHDR", struct.pack(">IIBBBBB", 9, 9, 8, 2, 0, 0, 0))),
         "unknown critical part": png(8, 8, more=chunk(b"ABCD", b"x")),
         "wrong checksum of a part": png(8, 8, more=chunk(b"tEXt", b"a\0b", good=False)),
-        "wrong checksum of the body": png(8, 8)[:-20] + b"\0\0\0\0" + png(8, 8)[-16:],
         "animated": saved(gradient, save_all=True, append_images=[Image.new("RGB", size)]),
         "JPEG": saved(gradient, "JPEG"),
-        "BMP": saved(gradient, "BMP"),
         "GIF": saved(gradient.quantize(8), "GIF"),
-        "TIFF": saved(gradient, "TIFF"),
-        "PPM": saved(gradient, "PPM"),
         "EPS": saved(gradient, "EPS"),
-        "PSD": b"8BPS\0\1" + bytes(100),
-        "SVG": b'<svg xmlns="http://www.w3.org/2000/svg"><image href="/etc/passwd"/></svg>',
         "signature alone": good[:8],
         "bytes after the end": good + b"more",
-        "zeros": bytes(500),
-        "text": b"hello",
     }
     for length in np.linspace(9, len(good) - 1, 15).astype(int):
         contents[f"cut to {length}"] = good[:length]
-    return [
-        Case(name=f"png {name}", reader="prediction", path=PREDICTION, content=data) for name, data in contents.items()
-    ]
+    return named("png", "prediction", PREDICTION, contents)
 
 
 def exr_cases(good: bytes) -> list[Case]:
@@ -131,4 +103,4 @@ def exr_cases(good: bytes) -> list[Case]:
         for place in rng.integers(4, 300, 3):
             spoilt[int(place)] ^= 1 << int(rng.integers(8))
         contents[f"header spoilt {number}"] = bytes(spoilt)
-    return [Case(name=f"exr {name}", reader="exr", path="view.exr", content=data) for name, data in contents.items()]
+    return named("exr", "exr", "view.exr", contents)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from support.hostile.corpus import DATASET
+from support.hostile.corpus import DATASET, THEIRS
 from support.hostile.pictures import PREDICTION
 
 from datagen.builder.verify import verify_dataset
@@ -55,6 +55,14 @@ def _layers(root: Path) -> str:
 def _cameras(root: Path) -> str:
     cameras = open_dataset(root / DATASET).cameras("train")
     return f"{cameras.world_from_camera.shape} cameras"
+
+
+def _theirs(root: Path) -> str:
+    from hyaline_import.datasets.choices import DatasetImportChoices
+    from hyaline_import.datasets.import_dataset import plan_import
+
+    plan_import((root / THEIRS).parent, DatasetImportChoices())
+    return "an import is planned"
 
 
 def _experiment(root: Path) -> str:
@@ -115,6 +123,7 @@ READERS: dict[str, Callable[[Path], str]] = {
     "layers record": _layers,
     "proxies": _opened(lambda dataset: read_meshes(dataset, "box")),
     "cameras": _cameras,
+    "theirs": _theirs,
     "experiment": _experiment,
     "run": _run,
     "prediction": _prediction,
@@ -135,4 +144,4 @@ COMMANDS: dict[str, str] = {
     **dict.fromkeys(("run", "weights"), _EXPORT),
     **dict.fromkeys(("prediction", "predictions"), _REPORT),
 }
-"""No command reads a lone EXR."""
+"""No command reads a lone EXR, and imports read what is theirs in a process of their own (test_confined_import.py)."""

@@ -2,7 +2,7 @@
 
 A tenth of the files also go through a real command, with a renderer that takes no time.
 
-`python try_all.py OUT FIRST STEP` appends one JSON line per case to OUT: case FIRST, then every STEP-th case after it.
+`python try_all.py OUT STEP` writes a JSON line to OUT before and after every STEP-th case.
 Code that must never run would leave its mark in the working folder.
 """
 
@@ -33,7 +33,7 @@ MARK = "CODE RAN"
 
 
 def main() -> None:
-    out, first, step = Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3])
+    out, step = Path(sys.argv[1]), int(sys.argv[2])
     with tempfile.TemporaryDirectory() as folder:
         base = Path(folder).resolve()
         secret = base / "secret"
@@ -45,10 +45,10 @@ def main() -> None:
         (base / "temporary").mkdir()
         tempfile.tempdir = str(base / "temporary")
         with pytest.MonkeyPatch.context() as patch:
-            _try(base / "world", place, out, range(first, sys.maxsize, step), patch)
+            _try(base / "world", place, out, step, patch)
 
 
-def _try(world: Path, place: Path, out: Path, numbers: range, patch: pytest.MonkeyPatch) -> None:
+def _try(world: Path, place: Path, out: Path, step: int, patch: pytest.MonkeyPatch) -> None:
     from support import fake_renderer
     from support.disk import read_state
     from support.hostile.corpus import cases_of, write_world
@@ -63,25 +63,28 @@ def _try(world: Path, place: Path, out: Path, numbers: range, patch: pytest.Monk
     opened = _listen(world, place)
     cases = cases_of(world)
     good = read_state(world)
-    with out.open("a") as lines:
-        for number in numbers[: len(range(numbers.start, len(cases), numbers.step))]:
-            case = cases[number]
+    with out.open("w") as lines:
+        for number, case in enumerate(cases[::step]):
             begin = {"begin": number, "name": case.name, "path": case.path, "key": case.key}
             lines.write(json.dumps(begin) + "\n")
             lines.flush()
+            _clear(world / case.path)
             case.place(world)
             found = {"outcome": _try_one(functools.partial(READERS[case.reader], world), world, place, opened)}
-            if number // numbers.step % TENTH == 0 and case.reader in commands:
+            if number % TENTH == 0 and case.reader in commands:
                 found["ended"] = _try_one(commands[case.reader], world, place, opened)
-            # The pipe goes, too.
-            path = world / case.path
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
-            path.write_bytes(good.files[case.path])
+            _clear(world / case.path)
+            (world / case.path).write_bytes(good.files[case.path])
             lines.write(json.dumps({"name": case.name, **found}) + "\n")
         # Not `ru_maxrss`: a process inherits that of the one that started it, from before it became another program.
         status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
         peak = int(status["VmHWM"].split()[0]) * 1024
-        lines.write(json.dumps({"peak": peak, "cases": len(cases)}) + "\n")
+        lines.write(json.dumps({"peak": peak}) + "\n")
+
+
+def _clear(path: Path) -> None:
+    """Deletes what lies there: a file, a folder, a pipe or a link."""
+    shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
 
 
 def _try_one(read: Callable[[], str], world: Path, place: Path, opened: list[str]) -> str:
