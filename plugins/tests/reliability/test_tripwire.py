@@ -1,6 +1,5 @@
 """Tests that no command touches a file that hyaline did not make, however it is called and wherever it writes."""
 
-import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -10,71 +9,47 @@ from PIL import Image
 from support.commands import Answer, call
 from support.disk import State, read_state
 from support.gltf import GltfBuilder
-from support.scenarios import BUILD, GRID, TRAIN
+from support.scenarios import BUILD, GRID, SCENARIOS, TRAIN
 
 from datagen.machine.mitsuba_variant import use_mitsuba
-from model.run.sweep import Failure
 
 RENDER = "model predict runs/one/paper --device cpu"
-REPORT = "report runs --data data"
+IMPORT = "datagen import thing.glb --out mine --overwrite"
+UNPACK = "datagen unpack exports/one.tar --out data/two"
 
-
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Trip:
-    """A command that writes, among files that are not its own."""
-
-    line: str
-    start: str = "dataset"
-    """The prepared state that it starts from."""
-    taken: tuple[str, ...] = ()
-    """Foreign files in the very places where it would write: it must refuse, and name one of them."""
-
-
-TRIPS = (
-    Trip(line=BUILD, start="scene"),
-    Trip(line=f"{BUILD} --seed 1 --overwrite", start="proxies"),
-    Trip(line=f"{BUILD} --shard 1/2", start="scene"),
-    Trip(line="datagen add data/one --edit remove:pane --overwrite"),
-    Trip(line="datagen add data/one --angles --larger 2"),
-    Trip(line="datagen peel data/one --num-layers 3 --overwrite"),
-    Trip(line="datagen export data/one --format 3dgs --out exports/one"),
-    Trip(line="datagen pack data/one --out exports/one.tar"),
-    Trip(line="datagen unpack exports/one.tar --out data/two", start="packed"),
-    Trip(line="datagen import thing.glb --out mine --overwrite", start="scene"),
-    Trip(line="datagen import-dataset theirs --out mine --overwrite", start="scene"),
-    Trip(line="datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
-    Trip(line="proxies make data/one --kind box --overwrite", start="proxies"),
-    Trip(line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite", start="run"),
-    Trip(line=f"{RENDER} --variant angles --overwrite", start="drawn"),
-    Trip(line="model export runs/one/paper --out page.html --overwrite", start="run"),
-    Trip(line="model sweep grid.toml"),
-    Trip(line=REPORT, start="run"),
-    # What is not ours stands where the command would write.
-    Trip(line=BUILD, start="scene", taken=("data/one/transforms_train.json",)),
-    Trip(line=f"{BUILD} --overwrite", start="scene", taken=("data/one/images/train/0000.png", "data/one/dataset.json")),
-    Trip(line=f"{BUILD} --shard 1/2", start="scene", taken=("data/one/scene/scene.json",)),
-    Trip(line=f"{BUILD} --views 2 --overwrite", taken=("data/one/images/train/0001.png",)),
-    Trip(line="datagen add data/one --larger 2", taken=("data/one/variants/x2/images/interpolating/0000.png",)),
-    Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/meshes/floor.ply",)),
-    Trip(line="proxies make data/one --kind box", taken=("data/one/proxies/box/layers/straight/mine.partial",)),
-    Trip(line="datagen import thing.glb --out mine --overwrite", start="scene", taken=("mine/meshes/ground.ply",)),
-    Trip(line="datagen import-dataset theirs --out mine", start="scene", taken=("mine/images/train/0000.png",)),
-    Trip(line="datagen pack data/one --out exports/one.tar", taken=("exports/one.tar",)),
-    Trip(line="datagen unpack exports/one.tar --out data/two", start="packed", taken=("data/two/dataset.json",)),
-    Trip(line="datagen look data/one", taken=("one-look.html",)),
-    Trip(line="datagen export data/one --format 3dgs --out exports/one", taken=("exports/one/points3d.ply",)),
-    Trip(
-        line=f"{TRAIN} --out runs/one/paper --overwrite", taken=("runs/one/paper/run.json", "runs/one/paper/weights.pt")
-    ),
-    Trip(
-        line="model film runs/one/paper --device cpu --path spline --frames 2 --out film.webp",
-        start="run",
-        taken=("film.webp",),
-    ),
-    Trip(line="model sweep grid.toml", taken=("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
-    Trip(line=REPORT, start="run", taken=("runs/report/results.json",)),
+FREE = (
+    *((item.start, item.line) for item in SCENARIOS),
+    ("scene", f"{BUILD} --shard 1/2"),
+    ("dataset", "datagen export data/one --format 3dgs --out exports/one"),
+    ("dataset", "datagen pack data/one --out exports/one.tar"),
+    ("packed", UNPACK),
+    ("scene", IMPORT),
+    ("scene", "datagen import-dataset theirs --out mine --overwrite"),
+    ("dataset", "datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
+    ("drawn", f"{RENDER} --variant angles --overwrite"),
+    ("run", "model export runs/one/paper --out page.html --overwrite"),
 )
-"""Between them they write each kind of folder and file, and each kind of command is among them."""
+"""Prepared states, and commands that write: between them each kind of folder and file."""
+
+TAKEN = (
+    ("scene", BUILD, ("data/one/transforms_train.json",)),
+    ("scene", f"{BUILD} --overwrite", ("data/one/images/train/0000.png", "data/one/dataset.json")),
+    ("scene", f"{BUILD} --shard 1/2", ("data/one/scene/scene.json",)),
+    ("dataset", f"{BUILD} --views 2 --overwrite", ("data/one/images/train/0001.png",)),
+    ("dataset", "datagen add data/one --larger 2", ("data/one/variants/x2/images/interpolating/0000.png",)),
+    ("dataset", "proxies make data/one --kind box", ("data/one/proxies/box/layers/straight/mine.partial",)),
+    ("scene", IMPORT, ("mine/meshes/ground.ply",)),
+    ("scene", "datagen import-dataset theirs --out mine", ("mine/images/train/0000.png",)),
+    ("dataset", "datagen pack data/one --out exports/one.tar", ("exports/one.tar",)),
+    ("packed", UNPACK, ("data/two/dataset.json",)),
+    ("dataset", "datagen look data/one", ("one-look.html",)),
+    ("dataset", "datagen export data/one --format 3dgs --out exports/one", ("exports/one/points3d.ply",)),
+    ("dataset", f"{TRAIN} --out runs/one/paper --overwrite", ("runs/one/paper/run.json", "runs/one/paper/weights.pt")),
+    ("run", "model film runs/one/paper --device cpu --path spline --frames 2 --out film.webp", ("film.webp",)),
+    ("dataset", "model sweep grid.toml", ("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
+    ("run", "report", ("runs/report/results.json",)),
+)
+"""The same, and foreign files in the very places where they would write: they must refuse, and name one of them."""
 
 STRANGERS = (
     "download.partial", "notes.tmp", "0000.png.tmp", "0000.json.12ab34cd.tmp", "points3d.ply", "thesis.tex",
@@ -101,11 +76,6 @@ def litter(here: Path) -> dict[str, bytes]:
     return {path: data for path, data in read_state(here).files.items() if path not in before.files}
 
 
-def in_process(arguments: tuple[str, ...], *_: object) -> Failure | None:
-    answer = call(" ".join(["model", "train", *arguments]))
-    return None if answer.status == 0 else Failure(command="model train", reason=answer.error)
-
-
 def write_theirs(root: Path) -> None:
     """A dataset as another project lays it out."""
     root.mkdir()
@@ -124,8 +94,6 @@ def mitsuba() -> None:
 
 @pytest.fixture
 def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
-    # A sweep's runs are commands of their own, each in a process; here they are called in this one.
-    monkeypatch.setattr("model.run.sweep._train_in_child", in_process)
     monkeypatch.setenv("XDG_CACHE_HOME", str(here.parent / "cache"))
 
     def make(name: str) -> None:
@@ -139,38 +107,34 @@ def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.Monk
     return make
 
 
-FREE = [trip for trip in TRIPS if not trip.taken]
-TAKEN = [trip for trip in TRIPS if trip.taken]
-
-
-@pytest.mark.parametrize("trip", FREE, ids=lambda trip: f"{trip.line} ({trip.start})")
+@pytest.mark.parametrize(("state", "line"), FREE)
 def test_foreign_files_in_every_folder_stay_as_they_were(
-    trip: Trip, here: Path, prepared: Callable[[str], None]
+    state: str, line: str, here: Path, prepared: Callable[[str], None]
 ) -> None:
-    prepared(trip.start)
+    prepared(state)
     # Empty folders where commands write belong to nobody: what is begun in a folder must find it empty.
     foreign = litter(here)
-    answer = call(trip.line)
+    answer = call(line)
     _check_end(answer)
     after = read_state(here).files
     assert {path: after.get(path) for path in foreign} == foreign
 
 
-@pytest.mark.parametrize("trip", TAKEN, ids=lambda trip: f"{trip.line} ({', '.join(trip.taken)})")
+@pytest.mark.parametrize(("state", "line", "taken"), TAKEN)
 def test_a_foreign_file_where_a_command_would_write_is_named_and_kept(
-    trip: Trip, here: Path, prepared: Callable[[str], None]
+    state: str, line: str, taken: tuple[str, ...], here: Path, prepared: Callable[[str], None]
 ) -> None:
-    prepared(trip.start)
-    for file in trip.taken:
+    prepared(state)
+    for file in taken:
         put(here / file)
     before = read_state(here)
-    answer = call(trip.line)
+    answer = call(line)
     _check_end(answer)
     after = read_state(here)
     assert answer.status == 1, answer.err
-    assert {path: after.files.get(path) for path in trip.taken} == {path: before.files[path] for path in trip.taken}
+    assert {path: after.files.get(path) for path in taken} == {path: before.files[path] for path in taken}
     assert {path: after.files.get(path) for path in before.files} == before.files, "and nothing else was lost"
-    assert any(Path(file).name in answer.err or str(Path(file).parent) in answer.err for file in trip.taken), answer.err
+    assert any(Path(file).name in answer.err or str(Path(file).parent) in answer.err for file in taken), answer.err
 
 
 @pytest.mark.parametrize("name", ["data/one", "runs/one/paper", "runs/report"])
@@ -189,7 +153,7 @@ def test_a_link_to_a_foreign_folder_is_not_followed(name: str, here: Path, prepa
     line = {
         "data/one": f"{BUILD} --seed 1 --overwrite",
         "runs/one/paper": f"{RENDER} --overwrite",
-        "runs/report": REPORT,
+        "runs/report": "report",
     }
     answer = call(line[name])
     assert answer.status == 1 and answer.error.startswith("error: "), answer.err
