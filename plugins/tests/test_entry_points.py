@@ -102,10 +102,10 @@ def test_a_table_is_printed_beside_those_of_the_paper(guide: Callable[..., None]
 @pytest.mark.parametrize(
     ("source", "message"),
     [
-        ("raise RuntimeError('no GPU')", "csv_export:CSV of csv-export cannot be imported (RuntimeError: no GPU)"),
-        ("import sys; sys.exit(7)", "csv_export:CSV of csv-export cannot be imported (SystemExit: 7)"),
-        ("", "csv_export:CSV of csv-export cannot be imported (AttributeError: "),
-        ("CSV = 3", "csv_export:CSV of csv-export is not a Format; see docs/adding-an-export.md"),
+        ("raise RuntimeError('no GPU')", "cannot be imported (RuntimeError: no GPU)"),
+        ("import sys; sys.exit(7)", "cannot be imported (SystemExit: 7)"),
+        ("", "cannot be imported (AttributeError: "),
+        ("CSV = 3", "is not a Format; see docs/adding-an-export.md"),
     ],
 )
 def test_a_broken_plugin_is_one_line_that_names_its_distribution(
@@ -116,8 +116,7 @@ def test_a_broken_plugin_is_one_line_that_names_its_distribution(
     write_synthetic_dataset(tmp_path / "data" / "one", train_views=1)
     answer = call("datagen export one --format csv")
     assert answer.status == 1 and answer.err.count("\n") == 1
-    assert answer.err.startswith(f"error: format 'csv': {message}")
-    assert call("datagen export one --format csw").error.startswith("error: no format 'csw'; ")
+    assert answer.err.startswith(f"error: format 'csv': csv_export:CSV of csv-export {message}")
     assert "did you mean 'csv'?" in call("datagen export one --format csw").error
 
 

@@ -19,6 +19,7 @@ from datagen.scene.camera_list import CameraList
 from datagen.scene.folder import load_scene, save_scene
 
 LENS = {"fl_x": 30, "fl_y": 30, "cx": 14, "cy": 22.5, "w": 48, "h": 32}
+SIZE = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
 
 
 @pytest.fixture(scope="module")
@@ -34,9 +35,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
         poses = [look_at((2.0 + 0.1 * place, place - 0.8, 1.5), (0.1, 0.3, 0.2)).tolist() for place in range(count)]
         listed = {**LENS, "frames": [{"transform_matrix": pose} for pose in poses]}
         (root / "scene" / TRANSFORMS_FILES[split]).write_text(json.dumps(listed))  # type: ignore[index]
-    out = f"--out '{root}/data/oblong'"
-    size = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
-    run(f"datagen build --scene '{root}/scene' {out} {size}")
+    run(f"datagen build --scene '{root}/scene' --out '{root}/data/oblong' {SIZE}")
     return root
 
 
@@ -93,12 +92,9 @@ def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
         assert np.abs(read_png(home / f"film-{name}" / "0001.png").astype(int) - predicted).max() <= 1
 
 
-def test_its_runs_are_scored_and_shown(home: Path) -> None:
-    answer = call(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report' --format markdown")
-    assert answer.status == 0, answer.err
-    assert "oblong: 24 x 16 pixels, 3 + 1 + 1 views" in answer.out
-    scored = json.loads((home / "report" / "results.json").read_text())
-    (scene,) = scored["scenes"]
+def test_its_runs_are_scored(home: Path) -> None:
+    run(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report'")
+    (scene,) = json.loads((home / "report" / "results.json").read_text())["scenes"]
     assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3
 
 
@@ -137,8 +133,7 @@ def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: P
     data = home / "data/oblong"
     assert "cameras" not in json.loads((data / "scene/scene.json").read_text())
     assert not list((data / "scene").glob("transforms*"))
-    size = "--preset tiny --resolution 24x16 --spp 64 --test-spp 64 --num-layers 4"
-    run(f"datagen build --scene '{data}/scene' --out '{home}/again' {size}")
+    run(f"datagen build --scene '{data}/scene' --out '{home}/again' {SIZE}")
     for name in TRANSFORMS_FILES.values():
         if (data / name).is_file():
             assert (home / "again" / name).read_bytes() == (data / name).read_bytes()
@@ -148,5 +143,5 @@ def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: P
     moved = json.loads((home / "scene/transforms_train.json").read_text())
     moved["frames"][0]["transform_matrix"][2][3] += 0.01
     (home / "scene/transforms_train.json").write_text(json.dumps(moved))
-    answer = call(f"datagen build --scene '{home}/scene' --out '{data}' {size}")
+    answer = call(f"datagen build --scene '{home}/scene' --out '{data}' {SIZE}")
     assert answer.status == 1 and "transforms_train.json differs" in answer.error
