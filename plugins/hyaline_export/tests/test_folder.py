@@ -38,18 +38,17 @@ def test_two_exports_of_a_dataset_are_equal_byte_by_byte(form: str, here: Path) 
     assert tree(here / "out") == tree(here / "again") and tree(here / "out")
 
 
-@pytest.mark.parametrize("what", ["an export", "a file in it", "a file", "a link to a full folder"])
+TAKEN = {
+    "an export": lambda: export("colmap"),
+    "a file in it": lambda: (Path("out").mkdir(), Path("out/notes.txt").write_text("mine")),
+    "a file": lambda: Path("out").write_text("mine"),
+    "a link to a full folder": lambda: Path("out").symlink_to("data"),
+}
+
+
+@pytest.mark.parametrize("what", TAKEN)
 def test_only_a_new_or_empty_folder_is_written(what: str, here: Path) -> None:
-    match what:
-        case "an export":
-            export("colmap")
-        case "a file in it":
-            (here / "out").mkdir()
-            (here / "out" / "notes.txt").write_text("mine")
-        case "a file":
-            (here / "out").write_text("mine")
-        case "a link to a full folder":
-            (here / "out").symlink_to(here / "data")
+    TAKEN[what]()
     before = tree(here)
     answer = export()
     assert answer.status == 1 and "out: is not empty, or not a folder; " in answer.error

@@ -1,14 +1,12 @@
 """Tests that each export shows the dataset's world: vertices, pictures, depth, masks and points, by its own reader."""
 
 import importlib
-import io
 import json
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from support.commands import run
 from support.export_readers import (
     ReadView,
@@ -23,7 +21,7 @@ from support.traced_dataset import BALL, write_traced_dataset
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import surfaces_of
-from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.quantities.view_quantities import quantities
 from datagen.terminal.distribution import VERSION
 from hyaline_export.formats import FORMATS, export_dataset
 from hyaline_export.source import Source
@@ -190,31 +188,6 @@ def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict
         assert (color[on_floor] == floor_color).all()
 
 
-def check_quantities(found: ViewQuantities, files: dict[str, bytes]) -> None:
-    """Every file of a view says what is known of it, by ending."""
-    assert np.array_equal(np.asarray(Image.open(io.BytesIO(files["png"]))), found.view.image)
-    for key, values in {
-        "depth": found.depth_along_axis,
-        "opaque_depth": found.opaque_depth_along_axis,
-        "position": found.position,
-        "normal": found.normal(),
-        "geometric_normal": found.normal("geometric"),
-        "thickness": found.glass_thickness,
-        "albedo": found.albedo,
-        "ior": found.ior,
-    }.items():
-        assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values, equal_nan=True)
-    for key, values in {
-        "object_id": found.object_id,
-        "opaque_object_id": found.opaque_object_id,
-        "material_id": found.material_id,
-        "glass": np.where(found.glass, 255, 0),
-    }.items():
-        assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
-    camera = json.loads(files["camera.json"])
-    assert np.array_equal(camera["transform_matrix"], found.view.camera.world_from_camera)
-
-
 def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset: Dataset, tmp_path: Path) -> None:
     export_dataset(dataset, "quantities", tmp_path / "out", num_points=1, flow=True)
     about = json.loads((tmp_path / "out" / "dataset.json").read_text())
@@ -223,18 +196,44 @@ def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset:
     counts = {name: folders.count(name) for name in set(folders)}
     assert counts == {"train": 8, "val": 2, "interpolating": 2, "extrapolating": 2}
     for picture in pictures:
-        files = {path.name.partition(".")[2]: path.read_bytes() for path in picture.parent.glob(f"{picture.stem}.*")}
+        files = {path.name.partition(".")[2]: path for path in picture.parent.glob(f"{picture.stem}.*")}
         assert files.keys() == about["files"].keys() and all(about["files"].values())
-        found = quantities(view_of(dataset, picture.stem))
-        check_quantities(found, files)
+        view = view_of(dataset, picture.stem)
+        matrix = json.loads(files.pop("camera.json").read_text())["transform_matrix"]
+        assert np.array_equal(matrix, view.camera.world_from_camera)
+        assert np.array_equal(read_picture(files.pop("png")), view.image)
+        found = quantities(view)
+        expected = {
+            "depth": found.depth_along_axis,
+            "opaque_depth": found.opaque_depth_along_axis,
+            "position": found.position,
+            "normal": found.normal(),
+            "geometric_normal": found.normal("geometric"),
+            "thickness": found.glass_thickness,
+            "albedo": found.albedo,
+            "ior": found.ior,
+            "object_id": found.object_id,
+            "opaque_object_id": found.opaque_object_id,
+            "material_id": found.material_id,
+            "glass": np.where(found.glass, 255, 0),
+        }
         if picture.parent.name == "val":
             ends = found.light_ends
-            arrays = {"flow": ends.flow, "attenuation": ends.attenuation, "end_depth": ends.depth_along_axis}
-            for key, values in {**arrays, "end_position": ends.position}.items():
-                assert np.array_equal(np.load(io.BytesIO(files[f"{key}.npy"])), values) and values.any()
-            masks = {"has_flow": 255 * ends.has_flow, "has_left": 255 * ends.has_left, "end_object_id": ends.object_id}
-            for key, values in masks.items():
-                assert np.array_equal(np.asarray(Image.open(io.BytesIO(files[f"{key}.png"]))), values)
+            assert ends.flow.any() and ends.attenuation.any() and ends.position.any()
+            expected |= {
+                "flow": ends.flow,
+                "has_flow": 255 * ends.has_flow,
+                "attenuation": ends.attenuation,
+                "end_depth": ends.depth_along_axis,
+                "end_position": ends.position,
+                "end_object_id": ends.object_id,
+                "has_left": 255 * ends.has_left,
+            }
+            assert {name.partition(".")[0] for name in files} == expected.keys()
+        for name, path in files.items():
+            if (values := expected.get(name.partition(".")[0])) is not None:
+                read = np.load(path) if path.suffix == ".npy" else read_picture(path)
+                assert np.array_equal(read, values, equal_nan=read.dtype.kind == "f"), name
 
 
 def test_views_held_out_are_those_that_training_holds_out(dataset: Dataset) -> None:
@@ -245,19 +244,22 @@ def test_views_held_out_are_those_that_training_holds_out(dataset: Dataset) -> N
     assert [item.view.split for item in source.of_role("test")] == ["interpolating"] * 2 + ["extrapolating"] * 2
 
 
-def test_what_cannot_be_exported_is_said(dataset: Dataset, tmp_path: Path) -> None:
-    def export(form: str, out: Path, flow: bool = False) -> None:
-        export_dataset(dataset, form, out, num_points=1, flow=flow)
-
-    with pytest.raises(HyalineError, match="no format 'nerfstudo'; did you mean 'nerfstudio'"):
-        export("nerfstudo", tmp_path / "out")
-    with pytest.raises(HyalineError, match="--flow: has no place in the format colmap"):
-        export("colmap", tmp_path / "out", flow=True)
-    with pytest.raises(HyalineError, match=r"lies in the dataset .*; choose a place outside"):
-        export("colmap", dataset.root / "colmap")
-    with pytest.raises(HyalineError, match="points: is 0; expected 1 to"):
-        Source(dataset=dataset, num_points=0, flow=False)
-    assert not (tmp_path / "out").exists()
+@pytest.mark.parametrize(
+    ("form", "out", "flow", "points", "message"),
+    [
+        ("nerfstudo", "out", False, 1, "no format 'nerfstudo'; did you mean 'nerfstudio'"),
+        ("colmap", "out", True, 1, "--flow: has no place in the format colmap"),
+        ("colmap", "glasses/colmap", False, 1, "lies in the dataset "),
+        ("colmap", "out", False, 0, "points: is 0; expected 1 to"),
+    ],
+)
+def test_what_cannot_be_exported_is_said(
+    form: str, out: str, flow: bool, points: int, message: str, dataset: Dataset
+) -> None:
+    place = dataset.root.parent / out
+    with pytest.raises(HyalineError, match=message):
+        export_dataset(dataset, form, place, num_points=points, flow=flow)
+    assert not place.exists()
 
 
 @pytest.mark.parametrize("form", ["nerfstudio", "blender", "3dgs"])
