@@ -61,31 +61,45 @@ if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 
-def test_a_page_draws_what_python_draws_with_one_ray_a_pixel(
-    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+@pytest.mark.parametrize(("samples", "least"), [(1, 45), (16, 50)])
+def test_a_page_draws_what_python_draws(
+    page: Watched, renderer: LightPathRenderer, dataset: Dataset, samples: int, least: float
 ) -> None:
-    truth = drawn_by_python(renderer, dataset)
+    truth = drawn_by_python(renderer, dataset, samples)
     assert truth.std() > 20
-    assert psnr(page.picture(VIEW, SHAPE, 1), truth) >= 45
+    assert psnr(page.picture(VIEW, SHAPE, samples), truth) >= least
 
 
-def test_a_page_draws_what_python_draws_with_sixteen_rays_a_pixel(
-    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+def with_other(*names: str, scene: Scene | None = None, **change: Any) -> Scene:
+    """The scene with another mesh or material for some objects."""
+    scene = scene or every_surface()
+    objects = (dataclasses.replace(item, **change) if item.name in names else item for item in scene.objects)
+    return dataclasses.replace(scene, objects=tuple(objects))
+
+
+# Rounding gives level normals, which a page keeps as directions on an octahedron, a slight lean up or down.
+ROUGH_WALLS = with_other("metal", mesh=post(0.28, 0.6, -0.6, 0.3, 0.35))
+PROXY = {"straight_layers": 7, "shells": 3, "relief": True, "directions": True, "stack_hidden": 12}
+
+
+@pytest.mark.parametrize(
+    ("scene", "change", "quality", "least"),
+    [
+        pytest.param(ROUGH_WALLS, {}, "exact", 45, id="facets of upright rough walls"),
+        pytest.param(every_surface(), {"branches": 1}, "exact", 45, id="a stack of one branch", marks=pytest.mark.full),
+        pytest.param(solid_surfaces(), PROXY, "exact", 45, id="straight layers, shells and relief"),
+        pytest.param(solid_surfaces(), PROXY, "small", 42, id="the same, small", marks=pytest.mark.full),
+    ],
+)
+def test_other_scenes_and_renderers_are_drawn_as_by_python(
+    browser: "Browser", tmp_path: Path, scene: Scene, change: dict[str, Any], quality: str, least: float
 ) -> None:
-    assert psnr(page.picture(VIEW, SHAPE, 16), drawn_by_python(renderer, dataset, 16)) >= 50
-
-
-def test_upright_rough_walls_choose_the_facets_that_they_choose_in_python(
-    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path
-) -> None:
-    # Rounding gives level normals, which a page keeps as directions on an octahedron, a slight lean up or down.
-    wall = post(0.28, 0.6, -0.6, 0.3, 0.35)
-    objects = (
-        dataclasses.replace(item, mesh=wall) if item.name == "metal" else item for item in every_surface().objects
-    )
-    dataset = write_scene(tmp_path / "data" / "web", dataclasses.replace(every_surface(), objects=tuple(objects)))
-    with opened_page(browser, tmp_path, renderer, dataset) as page:
-        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
+    dataset, renderer = write_scene(tmp_path / "data" / "web", scene), noisy_light_path(**change)
+    truth = drawn_by_python(renderer, dataset)
+    assert truth.std() > 15
+    with opened_page(browser, tmp_path, renderer, dataset, quality) as page:
+        assert psnr(page.picture(VIEW, SHAPE, 1), truth) >= least
+        assert page.complaints == []
 
 
 @pytest.mark.parametrize(
@@ -159,25 +173,12 @@ def test_glass_that_parts_colours_is_drawn_as_by_python(
     browser: "Browser", renderer: LightPathRenderer, tmp_path: Path
 ) -> None:
     prism = Dielectric(ior=1.6, dispersion=3.0)
-    objects = [
-        dataclasses.replace(item, material=prism) if item.name in ("metal", "ice") else item
-        for item in every_surface().objects
-    ]
-    dataset = write_scene(tmp_path / "data" / "web", dataclasses.replace(every_surface(), objects=tuple(objects)))
+    dataset = write_scene(tmp_path / "data" / "web", with_other("metal", "ice", material=prism))
     with opened_page(browser, tmp_path, renderer, dataset) as page:
         drawn = page.picture(VIEW, SHAPE, 1)
         flat = page.picture(VIEW, SHAPE, 1, {name: {"spread": [0, 0, 0]} for name in ("metal", "ice")})
     assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45
     assert psnr(drawn, flat) < 42  # Colours that went one way would not be found out above 45.
-
-
-@pytest.mark.full
-def test_the_stack_network_of_a_page_that_follows_one_branch_is_told_of_two_as_in_python(
-    browser: "Browser", dataset: Dataset, tmp_path: Path
-) -> None:
-    renderer = noisy_light_path(branches=1)
-    with opened_page(browser, tmp_path, renderer, dataset) as page:
-        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
 
 
 def test_a_small_page_is_close_to_python(
@@ -304,17 +305,6 @@ def test_a_constant_that_changes_in_python_changes_in_the_shader(
     assert lines() == before
 
 
-@pytest.mark.full  # The quick run sees that the shader has the constants, below `SHARED`.
-def test_a_page_stacks_as_many_vertices_as_python(
-    browser: "Browser", dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for module in (net, pixels, page_of_light_path):
-        monkeypatch.setattr(module, "STACKED_VERTICES", (3, 1))
-    renderer = noisy_light_path()
-    with opened_page(browser, tmp_path, renderer, dataset) as page:
-        assert psnr(page.picture(VIEW, SHAPE, 1), drawn_by_python(renderer, dataset)) >= 45
-
-
 def test_a_template_whose_places_are_not_those_of_the_parts_is_no_page() -> None:
     assert fill("a {{b}} {{c}}", {"b": "{{c}}", "c": "d"}) == "a {{c}} d"
     for parts in ({"b": "x"}, {"b": "x", "c": "y", "d": "z"}):
@@ -332,14 +322,7 @@ Objects = tuple[SceneObject, ...]
 
 def after(name: str, **change: Any) -> Callable[[], Objects]:
     """The scene with another object of a name."""
-    return lambda: tuple(
-        dataclasses.replace(item, **change) if item.name == name else item for item in every_surface().objects
-    )
-
-
-def after_command(*edits: str) -> Callable[[], Objects]:
-    """The scene after edits, as `datagen build --edit` is given them."""
-    return lambda: edit_scene(every_surface(), tuple(map(parse_edit, edits))).scene.objects
+    return lambda: with_other(name, **change).objects
 
 
 def turned(mesh: Mesh, angles: tuple[float, float, float]) -> Mesh:
@@ -349,8 +332,8 @@ def turned(mesh: Mesh, angles: tuple[float, float, float]) -> Mesh:
     return dataclasses.replace(mesh, vertices=(mesh.vertices - middle) @ turn.T + middle, normals=mesh.normals @ turn.T)
 
 
-def mesh_named(name: str) -> Mesh:
-    return next(item.mesh for item in every_surface().objects if item.name == name)
+def named(name: str) -> SceneObject:
+    return next(item for item in every_surface().objects if item.name == name)
 
 
 def with_a_copy() -> LightPathRenderer:
@@ -362,56 +345,36 @@ def with_a_copy() -> LightPathRenderer:
     return net
 
 
+METAL, PANE, GLASS = (named(name).mesh for name in ("metal", "pane", "glass"))
+DENSE = Dielectric(ior=1.8, absorption=(0.3, 2, 3), priority=1)
+RED = Dielectric(ior=1.33, absorption=(6, 0, 0), priority=1)
+COLORED = Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)
+
+
 @pytest.mark.parametrize(
-    ("edits", "objects"),
+    ("name", "edit", "objects"),
     [
-        ({"glass": {"shown": False}}, after("glass", mesh=no_mesh())),
-        (
-            {"metal": {"offset": [0.3, -0.5, 0.2]}},
-            after("metal", mesh=moved_mesh(mesh_named("metal"), (0.3, -0.5, 0.2))),
-        ),
-        ({"pane": {"turn": [0, 0, 34]}}, after("pane", mesh=turned(mesh_named("pane"), (0, 0, 34)))),
-        ({"glass": {"turn": [25, 10, 40]}}, after("glass", mesh=turned(mesh_named("glass"), (25, 10, 40)))),
-        (
-            {"drink": {"mediumIor": 1.8}},
-            after("drink", material=Dielectric(ior=1.8, absorption=(0.3, 2, 3), priority=1)),
-        ),
-        (
-            {"drink": {"absorption": [6, 0, 0]}},
-            after("drink", material=Dielectric(ior=1.33, absorption=(6, 0, 0), priority=1)),
-        ),
-        (
-            {"metal": {"material": "ice"}},
-            after("metal", material=next(item.material for item in every_surface().objects if item.name == "ice")),
-        ),
-        ({"metal": {"material": "clear glass"}}, after("metal", material=CLEAR_GLASS)),
-        (
-            {"metal": {"tint": None, "color": [0.9, 0.7, 0.4]}},
-            after("metal", material=Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)),
-        ),
-        ({"glass": {"material": "matt"}}, after("glass", material=GREY)),
-    ],
-    ids=[
-        "removed",
-        "moved",
-        "turned",
-        "turned all ways",
-        "index",
-        "absorption",
-        "material",
-        "to glass",
-        "of one colour",
-        "opaque",
+        ("glass", {"shown": False}, after("glass", mesh=no_mesh())),
+        ("metal", {"offset": [0.3, -0.5, 0.2]}, after("metal", mesh=moved_mesh(METAL, (0.3, -0.5, 0.2)))),
+        ("pane", {"turn": [0, 0, 34]}, after("pane", mesh=turned(PANE, (0, 0, 34)))),
+        ("glass", {"turn": [25, 10, 40]}, after("glass", mesh=turned(GLASS, (25, 10, 40)))),
+        ("drink", {"mediumIor": 1.8}, after("drink", material=DENSE)),
+        ("drink", {"absorption": [6, 0, 0]}, after("drink", material=RED)),
+        ("metal", {"material": "ice"}, after("metal", material=named("ice").material)),
+        ("metal", {"material": "clear glass"}, after("metal", material=CLEAR_GLASS)),
+        ("metal", {"tint": None, "color": [0.9, 0.7, 0.4]}, after("metal", material=COLORED)),
+        ("glass", {"material": "matt"}, after("glass", material=GREY)),
     ],
 )
 def test_an_edited_scene_is_that_of_python(
     page: Watched,
     renderer: LightPathRenderer,
     dataset: Dataset,
-    edits: dict[str, Any],
+    name: str,
+    edit: dict[str, Any],
     objects: Callable[[], Objects],
 ) -> None:
-    drawn = page.picture(VIEW, SHAPE, 1, edits)
+    drawn = page.picture(VIEW, SHAPE, 1, {name: edit})
     # In a few of the 1,584 pixels a ray meets the other one of two faces that share an edge.
     assert psnr(drawn, drawn_by_python(renderer, dataset, objects=objects())) >= 43
     assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
@@ -424,9 +387,8 @@ def with_vessel(thicker: float) -> Scene:
     wall = find_wall(vessel)
     assert wall is not None and 0.06 < wall.thickness < 0.08
     moved = dataclasses.replace(vessel, vertices=vessel.vertices + np.float32(thicker) * wall.shifts)
-    shapes = {"glass": moved, "drink": placed(trimesh.creation.cylinder(0.2, 0.5, sections=24), 0.2, 0.1, 0.5)}
-    objects = (dataclasses.replace(item, mesh=shapes.get(item.name, item.mesh)) for item in every_surface().objects)
-    return dataclasses.replace(every_surface(), objects=tuple(objects))
+    drink = placed(trimesh.creation.cylinder(0.2, 0.5, sections=24), 0.2, 0.1, 0.5)
+    return with_other("drink", mesh=drink, scene=with_other("glass", mesh=moved))
 
 
 @pytest.mark.parametrize("quality", ["exact", pytest.param("small", marks=pytest.mark.full)])
@@ -442,51 +404,18 @@ def test_a_wall_that_was_made_thicker_and_back_is_that_of_python(
     assert psnr(before, after) < 35
 
 
-def test_a_copy_is_that_of_python(page: Watched, renderer: LightPathRenderer, dataset: Dataset) -> None:
-    edits = ("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2", "remove:pane", "glass:plastic")
-    copied = after_command(*edits)()
-    drawn = page.picture(VIEW, SHAPE, 1, page_edits(dataset, tuple(map(parse_edit, edits)), knows_materials=True))
-    assert psnr(drawn, drawn_by_python(with_a_copy(), dataset, objects=copied)) >= 45
-    assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
+COPY = ("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2", "remove:pane", "glass:plastic")
 
 
-def test_two_objects_that_trade_places_are_those_of_python(
-    page: Watched, renderer: LightPathRenderer, dataset: Dataset
+@pytest.mark.parametrize(("edits", "make"), [(COPY, with_a_copy), (("swap:metal:ice",), noisy_light_path)])
+def test_copies_and_objects_that_trade_places_are_those_of_python(
+    page: Watched, dataset: Dataset, edits: tuple[str, ...], make: Callable[[], LightPathRenderer]
 ) -> None:
-    swapped = after_command("swap:metal:ice")()
-    edits = page_edits(dataset, (parse_edit("swap:metal:ice"),), knows_materials=True)
-    drawn = page.picture(VIEW, SHAPE, 1, edits)
-    assert psnr(drawn, drawn_by_python(renderer, dataset, objects=swapped)) >= 45
-    assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
-
-
-# Proxies
-
-
-PROXY = {"straight_layers": 7, "shells": 3, "relief": True, "directions": True, "stack_hidden": 12}
-
-
-@pytest.fixture(scope="module")
-def proxies(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    return write_scene(tmp_path_factory.mktemp("proxies") / "data" / "web", solid_surfaces())
-
-
-@pytest.mark.parametrize(
-    ("change", "quality", "least"),
-    [
-        pytest.param(PROXY, "exact", 45, id="exact"),
-        pytest.param(PROXY, "small", 42, id="small", marks=pytest.mark.full),
-    ],
-)
-def test_straight_layers_shells_and_relief_are_drawn_as_by_python(
-    browser: "Browser", proxies: Dataset, tmp_path: Path, change: dict[str, Any], quality: Any, least: float
-) -> None:
-    renderer = noisy_light_path(**change)
-    truth = drawn_by_python(renderer, proxies)
-    assert truth.std() > 15
-    with opened_page(browser, tmp_path, renderer, proxies, quality) as page:
-        assert psnr(page.picture(VIEW, SHAPE, 1), truth) >= least
-        assert page.complaints == []
+    parsed = tuple(map(parse_edit, edits))
+    drawn = page.picture(VIEW, SHAPE, 1, page_edits(dataset, parsed, knows_materials=True))
+    objects = edit_scene(every_surface(), parsed).scene.objects
+    assert psnr(drawn, drawn_by_python(make(), dataset, objects=objects)) >= 45
+    assert psnr(drawn, drawn_by_python(noisy_light_path(), dataset)) < 35
 
 
 # Firefox
