@@ -1,11 +1,18 @@
-"""The names of random scenes: `random-0007` is the scene of seed 7, `random-table-0007` that of a chosen family."""
+"""The names of random scenes, as a source of scenes: `random-0007` has seed 7, `random-table-0007` a chosen family."""
 
 import re
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from datagen.disk.errors import HyalineError
+from datagen.scene.sources import SceneSource
 from datagen.terminal.command import choose
 from datagen.terminal.plugins import Group
+
+if TYPE_CHECKING:
+    from datagen.data.config import Resolution
+    from datagen.scene.description import Scene
+    from datagen.scene.import_choices import ImportChoices
 
 FAMILIES: Group = Group(
     name="hyaline.random_families",
@@ -57,3 +64,23 @@ def parse_random(name: str) -> RandomName | None:
         return None
     meant = RandomName(seed=int(found[2]), chosen=found[1])
     return meant if str(meant) == name else None
+
+
+def _find(given: str, _resolution: "Resolution", _imports: "ImportChoices") -> "Scene":
+    from hyaline_random.drawing import make_random
+
+    name = parse_random(given)
+    if name is None:
+        raise HyalineError(
+            f"scene {given}: is not a random scene; expected a name like random-0007 or random-table-0007"
+        )
+    return make_random(name)
+
+
+RANDOM_SCENES = SceneSource(
+    has=lambda given: given.startswith(RANDOM),
+    find=_find,
+    is_of_files=False,
+    name_of=lambda seed, family: str(RandomName(seed=seed, chosen=family)),
+    families=FAMILIES.names,
+)

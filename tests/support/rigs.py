@@ -16,8 +16,8 @@ RIG = CameraRig(
 )
 
 
-def config(views: int = 64, seed: int = 0) -> DatasetConfig:
+def config(views: int = 64, seed: int = 0, size: int = 24) -> DatasetConfig:
     split = SplitConfig(views=views, spp=4)
     return DatasetConfig(
-        scene="s", preset="p", resolution=square(24), train=split, interpolating=split, extrapolating=split, seed=seed
+        scene="s", preset="p", resolution=square(size), train=split, interpolating=split, extrapolating=split, seed=seed
     )

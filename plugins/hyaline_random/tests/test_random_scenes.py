@@ -11,6 +11,7 @@ from support.commands import call, run
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
 from datagen.disk.storage import sha256
+from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import open_scene
 
 SIZE = "--preset tiny --resolution 4 --views 2 --test-views 1 --spp 2 --test-spp 2 --num-layers 2"
@@ -23,6 +24,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def as_they_are(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
         return meshes
 
+    use_mitsuba(quiet=True)  # Textures are baked by it.
     monkeypatch.setattr("hyaline_random.drawing.unwrap_all", as_they_are)
     fake_renderer.install(monkeypatch)
     return tmp_path
@@ -86,20 +88,18 @@ def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("flags", "error"),
+    ("flags", "status", "error"),
     [
-        ("--scene drinks --count 2", "--family, --count: only for random scenes; type `datagen build random`"),
-        ("--family table", "--family, --count: only for random scenes; type `datagen build random`"),
-        ("--scene random --count 0", "--count: is 0; expected at least 1"),
-        ("--scene random --seed -1", "seed: is -1; expected 0 or more, and at most 63 bits"),
-        ("--scene random --edit remove:ball", "datagen build: Unrecognized options: --edit, remove:ball"),
-        ("--scene random-12", "scene random-12: is not a random scene; expected a name like random-0007"),
+        ("--scene drinks --count 2", 2, "--family, --count: only for random scenes"),
+        ("--family table", 2, "--family, --count: only for random scenes"),
+        ("--scene random --count 0", 2, "--count: is 0"),
+        ("--scene random --seed -1", 1, "seed: is -1"),
+        ("--scene random-12", 1, "scene random-12: is not a random scene"),
     ],
 )
-def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, error: str) -> None:
-    answer = call(f"datagen build {flags} {SIZE if '--edit' not in flags else ''}")
-    assert answer.status == (1 if error.startswith(("seed", "scene")) else 2)
-    assert error in answer.error
+def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, status: int, error: str) -> None:
+    answer = call(f"datagen build {flags} {SIZE}")
+    assert answer.status == status and error in answer.error
     assert not (here / "data").exists()
 
 
