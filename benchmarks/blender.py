@@ -18,7 +18,7 @@ from jaxtyping import Float
 from benchmarks.blender_child import NOT_INSTALLED, UNREADABLE
 from benchmarks.sky import radiance_of_sky
 from datagen.data.cameras import Camera
-from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.config import DatasetConfig, Resolution
 from datagen.data.images import encode_float_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import linear_texels
@@ -84,15 +84,7 @@ def compare_with_cycles(
     if file.suffix.lower() not in READ_BY_BLENDER:
         raise HyalineError(f"{file}: Blender reads {', '.join(READ_BY_BLENDER)} of what hyaline imports")
     imported = import_scene(file, choices)
-    split = SplitConfig(views=VIEWS, spp=spp)
-    config = DatasetConfig(
-        scene=imported.scene.name,
-        preset="cycles",
-        resolution=size,
-        train=split,
-        interpolating=split,
-        extrapolating=split,
-    )
+    config = DatasetConfig.even(imported.scene.name, size, VIEWS)
     cameras = make_cameras(imported.scene.cameras, config)["interpolating"]
     say(f"{file.name}: rendering with hyaline")
     truth = render_view(

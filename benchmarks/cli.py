@@ -84,7 +84,7 @@ def truth(
     use_mitsuba()
     from benchmarks.harness import show
     from benchmarks.truth import GOALS, bench_truth, under_a_lamp, under_soft_light
-    from datagen.data.config import DatasetConfig, SplitConfig, square
+    from datagen.data.config import DatasetConfig, square
     from datagen.scene.finding import find_scene
     from datagen.scene.rig import make_cameras
 
@@ -93,15 +93,7 @@ def truth(
         description = under_soft_light(description)
     elif light == "lamp":
         description = under_a_lamp(description)
-    split = SplitConfig(views=4, spp=4)
-    config = DatasetConfig(
-        scene=description.name,
-        preset="bench",
-        resolution=square(size),
-        train=split,
-        interpolating=split,
-        extrapolating=split,
-    )
+    config = DatasetConfig.even(description.name, square(size), 4)
     cameras = make_cameras(description.cameras, config)["train"]
     show(bench_truth(description, cameras, GOALS[light], rounds=rounds), as_json=json)
 

@@ -23,7 +23,7 @@ from benchmarks.naive import (
     relative_error,
 )
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import DatasetConfig, square
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.finding import find_scene
@@ -194,16 +194,7 @@ def light_path_step(seed: int = 0) -> Callable[[], None]:
 
 def bench_cameras(scene: Scene) -> Cameras:
     """Sixteen training cameras of 128 x 128 pixels."""
-    split = SplitConfig(views=16, spp=4)
-    config = DatasetConfig(
-        scene=scene.name,
-        preset="bench",
-        resolution=square(128),
-        train=split,
-        interpolating=split,
-        extrapolating=split,
-    )
-    return make_cameras(scene.cameras, config)["train"]
+    return make_cameras(scene.cameras, DatasetConfig.even(scene.name, square(128), 16))["train"]
 
 
 def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed: int = 0) -> BenchReport:

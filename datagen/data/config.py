@@ -146,6 +146,19 @@ class DatasetConfig:
         if self.ceiling_db is not None and not 10 <= self.ceiling_db <= 50:
             raise HyalineError(f"ceiling_db: is {self.ceiling_db}; expected 10 to 50 dB")
 
+    @classmethod
+    def even(cls, scene: str, resolution: Resolution, views: int, *, spp: int = 4) -> "DatasetConfig":
+        """As many views in each split: for pictures and cameras that no preset describes."""
+        split = SplitConfig(views=views, spp=spp)
+        return cls(
+            scene=scene,
+            preset="even",
+            resolution=resolution,
+            train=split,
+            interpolating=split,
+            extrapolating=split,
+        )
+
     def split(self, split: Split) -> SplitConfig:
         """The size of a split; splits by angle have the size of `extrapolating`."""
         sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.config import DatasetConfig, square
 from datagen.data.meshes import face_corners, windings
 from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
@@ -216,15 +216,7 @@ def _radius(
 
 
 def _glass_share(objects: tuple[SceneObject, ...], target: Vector, radius: float, *, views: int) -> float:
-    split = SplitConfig(views=views, spp=2)
-    config = DatasetConfig(
-        scene="random",
-        preset="draw",
-        resolution=Resolution(width=SIZE, height=SIZE),
-        train=split,
-        interpolating=split,
-        extrapolating=split,
-    )
+    config = DatasetConfig.even("random", square(SIZE), views)
     rig = _rig(target, radius, (0.0, 360.0), np.random.default_rng(0))
     return float(glass_shares(objects, make_cameras(rig, config)["train"]).mean())
 

@@ -1,6 +1,8 @@
 """A camera rig, and the configuration of a dataset."""
 
-from datagen.data.config import DatasetConfig, SplitConfig, square
+import dataclasses
+
+from datagen.data.config import DatasetConfig, square
 from datagen.scene.description import CameraRig, WalkPoint
 
 RIG = CameraRig(
@@ -17,7 +19,4 @@ RIG = CameraRig(
 
 
 def config(views: int = 64, seed: int = 0, size: int = 24) -> DatasetConfig:
-    split = SplitConfig(views=views, spp=4)
-    return DatasetConfig(
-        scene="s", preset="p", resolution=square(size), train=split, interpolating=split, extrapolating=split, seed=seed
-    )
+    return dataclasses.replace(DatasetConfig.even("s", square(size), views), seed=seed)

@@ -78,16 +78,8 @@ def glass_scene() -> Scene:
 def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: int | Resolution = 48) -> Dataset:
     """A complete dataset with straight layers: 10 training views and 2 of each test split, in colours by object."""
     scene = scene or glass_scene()
-    few = SplitConfig(views=2, spp=4)
     size = resolution if isinstance(resolution, Resolution) else square(resolution)
-    config = DatasetConfig(
-        scene=scene.name,
-        preset="tiny",
-        resolution=size,
-        train=SplitConfig(views=10, spp=4),
-        interpolating=few,
-        extrapolating=few,
-    )
+    config = dataclasses.replace(DatasetConfig.even(scene.name, size, 2), train=SplitConfig(views=10, spp=4))
     cameras: dict[Split, Cameras] = {split: _cameras(split, config.split(split).views, size) for split in SPLITS}
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])

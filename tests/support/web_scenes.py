@@ -15,7 +15,7 @@ from torch import nn
 
 from benchmarks.browser import Watched, open_file, watched_page
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, Resolution, SplitConfig
+from datagen.data.config import SPLITS, DatasetConfig, Resolution
 from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
@@ -106,16 +106,8 @@ def every_surface() -> Scene:
 
 def write_scene(root: Path, scene: Scene, pose: np.ndarray = POSE) -> Dataset:
     """A scene with one camera in each split, without any picture."""
-    few = SplitConfig(views=1, spp=4)
     height, width = SHAPE
-    config = DatasetConfig(
-        scene="web",
-        preset="tiny",
-        resolution=Resolution(width=width, height=height),
-        train=few,
-        interpolating=few,
-        extrapolating=few,
-    )
+    config = DatasetConfig.even("web", Resolution(width=width, height=height), 1)
     cameras = Cameras(
         world_from_camera=pose[None], fov_x=np.radians(45), width=width, height=height, center=(19.5, 20.0)
     )

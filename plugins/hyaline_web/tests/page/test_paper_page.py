@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from support.meshes import box
+from support.traced_dataset import with_own_uv
 from support.web_scenes import SHAPE, VIEW, every_surface, opened_page, psnr, write_scene
 
 from datagen.data.dataset import Dataset
@@ -30,25 +31,11 @@ if TYPE_CHECKING:
 LAYERS = 5
 
 
-def charted(mesh: Mesh) -> Mesh:
-    """The mesh with a chart of its own for each face: every surface point has texels of its own."""
-    corners = mesh.faces.reshape(-1)
-    cells = int(np.ceil(np.sqrt(len(mesh.faces))))
-    cell = np.repeat(np.stack(np.divmod(np.arange(len(mesh.faces)), cells), axis=1), 3, axis=0)
-    inside = np.tile(np.array([[0.15, 0.15], [0.85, 0.15], [0.15, 0.85]]), (len(mesh.faces), 1))
-    return Mesh(
-        vertices=mesh.vertices[corners],
-        faces=np.arange(len(corners), dtype=np.int32).reshape(-1, 3),
-        normals=mesh.normals[corners],
-        uv=((cell + inside) / cells).astype(np.float32),
-    )
-
-
 def boxes() -> Scene:
     """A box in a box, and one beside them."""
 
     def placed(size: tuple[float, float, float], *place: float) -> Mesh:
-        mesh = charted(box(size))
+        mesh = with_own_uv(box(size))
         return dataclasses.replace(mesh, vertices=mesh.vertices + np.float32(place))
 
     grey = Diffuse(color=(0.5, 0.5, 0.5))
