@@ -1,7 +1,4 @@
-"""Benchmark of a GPU: the networks beside the naive baseline, truth, light paths, and training on them.
-
-Floors follow from what this GPU was measured to do: matrix products, and copying.
-"""
+"""Benchmark of a GPU: the networks beside the naive baseline, truth, light paths, and training on them."""
 
 import tempfile
 from collections.abc import Callable
@@ -22,7 +19,6 @@ from datagen.render.truth import Renderer
 from datagen.trace.light_path import LightPathTracer, Limits
 from model.batches.rays import RayBatch
 from model.methods.light_path.config import LightPathConfig
-from model.methods.paper.renderer import PaperRenderer
 from model.methods.table import open_inputs
 from model.run.predict import predict_pixels
 
@@ -48,28 +44,6 @@ def gpu_ceilings() -> tuple[Ceiling, Ceiling]:
         Ceiling(name="matrix product", value=1e-12 * flops, unit="TFLOP/s"),
         Ceiling(name="copy, bytes read and written", value=1e-9 * copied, unit="GB/s"),
     )
-
-
-def floors(
-    renderer: PaperRenderer, num_pixels: int, filled: float, ceilings: tuple[Ceiling, Ceiling]
-) -> dict[str, float]:
-    """Least seconds of a frame and of a step: products at the GPU's best, each byte moved once.
-
-    A frame reads its layers (6 bytes a place) and 4 texels of 2 bytes a channel for each surface. A step multiplies
-    three times as much, and its Adam moves 34 bytes a parameter of the textures.
-    """
-    flops_a_second, bytes_a_second = 1e12 * ceilings[0].value, 1e9 * ceilings[1].value
-    table = renderer.textures.get_parameter("table")
-    flops = 2 * sum(parameter.numel() for name, parameter in renderer.net.named_parameters() if parameter.ndim == 2)
-    products = num_pixels * flops / flops_a_second
-    num_layers = renderer.net.first.linear.in_features // table.shape[1]
-    places = num_pixels * num_layers
-    texels = places * filled * 4 * 2 * table.shape[1] / bytes_a_second
-    layers = places * 6 / bytes_a_second
-    return {
-        "frame": max(products, texels + layers),
-        "step": max(3 * products, 3 * texels + 34 * table.numel() / bytes_a_second),
-    }
 
 
 def synchronised(run: Callable[[], object]) -> Callable[[], None]:
@@ -102,7 +76,6 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
     renderer = make_renderer(choices, rng=rng).to(device)
     naive = NaiveRenderer(renderer).to(device)
     rays, truth = made_up_batch(choices, rng=rng)
-    filled = float((rays.object_id != 0).float().mean())
 
     def of_size(count: int) -> RayBatch:
         index = torch.arange(count) % len(truth)
@@ -126,8 +99,6 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
         error, most = relative_error(draw(renderer), draw(naive)), GPU_TOLERANCE
         return error <= most, f"colours off by {error:.1e} of the largest; expected at most {most:g}"
 
-    ceilings = gpu_ceilings()
-    least = floors(renderer, frame, filled, ceilings)["frame"], floors(renderer, step, filled, ceilings)["step"]
     folder = tempfile.TemporaryDirectory(prefix="hyaline-bench-")
     traced, amounts = traced_candidates(Path(folder.name), device, size=SIZE)
     report = measure(
@@ -143,18 +114,13 @@ def bench_gpu(choices: BenchChoices, *, seed: int = 0, frame: int = FRAME, step:
         ],
         checks=[Check(name="same colours", run=compare)],
         gates=[Gate(name="whole step", baseline="naive step", candidate="step", at_least=GPU_GATE)],
-        ceilings=ceilings,
+        ceilings=gpu_ceilings(),
         settings={"frame": frame, "step": step, **describe(choices, renderer)},
         facts={"gpu": torch.cuda.get_device_name(), "TF32": "off for both", "Mitsuba": choose_variant().variant},
         rounds=choices.rounds,
     )
     folder.cleanup()
-    floor = {"frame": least[0], "step": least[1]}
     for timing in report.timings:
-        if timing.name in floor:
-            seconds = floor[timing.name]
-            share = seconds / timing.wall.median
-            report.facts[f"floor of a {timing.name}"] = f"{1e3 * seconds:.3f} ms on this GPU, {share:.1%} of it reached"
         if timing.name in amounts:
             count, unit = amounts[timing.name]
             report.facts[timing.name] = f"{count / timing.wall.median:,.3g} {unit}/s"

@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import mmap
 import time
 from collections.abc import Callable, Sequence
 
@@ -10,7 +9,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
-from torch.nn.functional import linear
 
 from benchmarks.choices import BenchChoices
 from benchmarks.harness import BenchReport, Candidate, Ceiling, Check, Gate, best_seconds, machine_ceilings, measure
@@ -243,17 +241,11 @@ def bench_step(choices: BenchChoices, *, ceilings: Sequence[Ceiling] = (), seed:
     return report
 
 
-FAULTED = 64 << 20
-"""Bytes of the block that is written with and without page faults."""
-
-
 def all_ceilings() -> tuple[Ceiling, ...]:
-    """Those that any bench prints, and torch's: matrix products, and what page faults cost."""
+    """Those that any bench prints, and torch's matrix products."""
     return (
         *machine_ceilings(),
         Ceiling(name="matrix product, torch, all cores", value=_product(), unit="GFLOP/s"),
-        Ceiling(name="layer of the network, all cores", value=_layer(), unit="GFLOP/s"),
-        Ceiling(name="writing fresh memory, page faults included", value=_faults(), unit="times as long"),
     )
 
 
@@ -262,22 +254,3 @@ def _product() -> float:
     size = 1536
     a, b = torch.ones(2, size, size)
     return 2 * size**3 / best_seconds(lambda: a @ b) * 1e-9
-
-
-@torch.inference_mode()
-def _layer() -> float:
-    pixels, inputs, outputs = 65_536, 96, 88
-    x, weight = torch.ones(pixels, inputs), torch.ones(outputs, inputs)
-    bias = torch.zeros(outputs)
-    return 2 * pixels * inputs * outputs / best_seconds(lambda: linear(x, weight, bias)) * 1e-9
-
-
-def _faults() -> float:
-    """How much longer a block takes to write when each of its pages must first be fetched from the kernel."""
-    ones = torch.ones(FAULTED, dtype=torch.uint8)
-    kept = torch.zeros_like(ones)
-
-    def write_fresh() -> None:
-        torch.frombuffer(mmap.mmap(-1, FAULTED), dtype=torch.uint8).copy_(ones)
-
-    return best_seconds(write_fresh) / best_seconds(lambda: kept.copy_(ones))
