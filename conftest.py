@@ -1,5 +1,5 @@
-"""What all tests share: a folder of its own for each, checked annotations, the promises of docs/reliability.md and the
-counting of their cases, what keeps them quick, and their order."""
+"""What all tests share: a folder of its own for each, checked annotations, the promises of docs/reliability.md,
+what keeps them quick, and their order."""
 
 import gc
 import os

@@ -57,6 +57,18 @@ def test_the_site_lists_every_page() -> None:
     assert sorted(listed) == sorted(["RESULTS.md", *pages])
 
 
+def test_every_promise_is_kept_by_the_tests_that_its_table_names() -> None:
+    page = ROOT / "docs" / "reliability.md"
+    rows = re.findall(r"^\| (R\d+) \| (.*?) \|", page.read_text(), flags=re.MULTILINE)
+    told = {name: {(page.parent / link).resolve() for link in re.findall(r"\]\((.*?)\)", cell)} for name, cell in rows}
+    found: dict[str, set[Path]] = {name: set() for name in re.findall(r"\*\*(R\d+)\.", page.read_text())}
+    for path in (*(ROOT / "tests").rglob("test_*.py"), *(ROOT / "plugins").rglob("test_*.py")):
+        for names in re.findall(r"mark\.promise\((.*?)\)", path.read_text()):
+            for name in re.findall(r"R\d+", names):
+                found[name].add(path)
+    assert told == found
+
+
 class Links(HTMLParser):
     """What a page of the site refers to, and the places in it that others may refer to."""
 

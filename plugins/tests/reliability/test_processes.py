@@ -49,7 +49,7 @@ def whole(build: Build, tmp_path_factory: pytest.TempPathFactory) -> tuple[State
 
 @pytest.mark.promise("R2")
 def test_a_build_that_is_killed_again_and_again_ends_in_the_same_bytes(
-    build: Build, whole: tuple[State, float], tmp_path: Path, is_full: bool, cases: Callable[[int, str], None]
+    build: Build, whole: tuple[State, float], tmp_path: Path, is_full: bool
 ) -> None:
     expected, seconds = whole
     rng = np.random.default_rng(0)
@@ -67,13 +67,11 @@ def test_a_build_that_is_killed_again_and_again_ends_in_the_same_bytes(
         _finish(build(out))
         assert not differing(read_state(out), expected)
         finished += 1
-    cases(kills, "processes killed")
-    cases(finished, "datasets of equal bytes after it")
 
 
 @pytest.mark.promise("R11")
 def test_a_build_that_is_told_to_stop_stops_soon_with_its_status_and_goes_on(
-    build: Build, whole: tuple[State, float], tmp_path: Path, is_full: bool, cases: Callable[[int, str], None]
+    build: Build, whole: tuple[State, float], tmp_path: Path, is_full: bool
 ) -> None:
     expected, seconds = whole
     a_view = seconds / (VIEWS + 6)
@@ -98,7 +96,6 @@ def test_a_build_that_is_told_to_stop_stops_soon_with_its_status_and_goes_on(
     assert stopped >= SIGNALS[is_full] // 2
     _finish(build(out))
     assert not differing(read_state(out), expected)
-    cases(stopped, "processes told to stop")
 
 
 def _start(command: list[str]) -> subprocess.Popen[str]:

@@ -4,7 +4,6 @@ import dataclasses
 import os
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -132,7 +131,7 @@ def repair(most: int = 3) -> list[str]:
 
 @pytest.mark.parametrize("which", ["leaf", "record", "head", "head of layers"])
 def test_every_damage_of_every_file_is_named_and_repaired_to_the_same_bytes(
-    here: Path, which: str, is_full: bool, cases: Callable[[int, str], None]
+    here: Path, which: str, is_full: bool
 ) -> None:
     whole = tree(ROOT)
     files = [path for path in whole if role(path) == which and path != "dataset.json"]
@@ -152,7 +151,6 @@ def test_every_damage_of_every_file_is_named_and_repaired_to_the_same_bytes(
         lines = repair()
         assert differing(tree(ROOT), whole) == [], lines
         count += len(damaged)
-    cases(count, "damaged files")
 
 
 def differing(found: dict[str, bytes | str], whole: dict[str, bytes | str]) -> list[str]:
@@ -167,7 +165,7 @@ LOST_FOR_GOOD = re.compile(r"(proxies|variants)(/[^/]+)?|proxies/box/layers(/str
     "damage_of_folder", ["deleted", *(pytest.param(kind, marks=pytest.mark.full) for kind in ("link", "pipe", "file"))]
 )
 def test_every_lost_folder_is_named_and_repaired_to_the_same_bytes(
-    here: Path, damage_of_folder: str, is_full: bool, cases: Callable[[int, str], None]
+    here: Path, damage_of_folder: str, is_full: bool
 ) -> None:
     whole = tree(ROOT)
     folders = [path.relative_to(ROOT).as_posix() for path in sorted(ROOT.rglob("*")) if path.is_dir()]
@@ -188,7 +186,6 @@ def test_every_lost_folder_is_named_and_repaired_to_the_same_bytes(
         lines = repair()
         assert differing(tree(ROOT), whole) == [], (chosen, lines)
         count += len(chosen)
-    cases(count, "lost folders")
 
 
 def test_lost_layers_are_named_and_made_by_the_command_that_made_them(here: Path) -> None:
