@@ -4,6 +4,7 @@ import dataclasses
 from pathlib import Path
 
 import numpy as np
+from support.meshes import box
 from support.synthetic import pixel_rays
 
 from datagen.data.cameras import Cameras, look_at
@@ -55,7 +56,7 @@ def glass_scene() -> Scene:
             moved(ball(BALL[1], subdivisions=3), BALL[0].tolist()),
             Dielectric(ior=1.5, absorption=(3.0, 1.0, 0.0)),
         ),
-        "slab": (moved(_flat_box((0.8, 0.8, high - low)), (0.9, 0, (low + high) / 2)), Dielectric(ior=1.6)),
+        "slab": (moved(box((0.8, 0.8, high - low)), (0.9, 0, (low + high) / 2)), Dielectric(ior=1.6)),
         "pane": (sheet((-1.2, -0.4, 0.5), (0.6, 0, 0), (0, 0.8, 0)), ThinDielectric(ior=1.5)),
         "cube": (moved(rounded_box((0.4, 0.4, 0.4), bevel=0.05), (0, 0.9, 0.25)), Plastic(color=(0.2, 0.6, 0.3))),
     }
@@ -99,29 +100,6 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
             commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
             write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
     return dataset
-
-
-def _flat_box(size: tuple[float, float, float]) -> Mesh:
-    """A box whose faces are flat, normals included, so that Snell's law can be worked out for it by hand."""
-    half = np.array(size) / 2
-    sides = []
-    for axis in range(3):
-        for sign in (1, -1):
-            u, v = np.eye(3)[(axis + 1) % 3], np.eye(3)[(axis + 2) % 3]
-            u, v = (u, v) if sign > 0 else (v, u)
-            out = sign * np.eye(3)[axis]
-            corner = (out - u - v) * half
-            sides.append(sheet(tuple(corner), tuple(2 * u * half), tuple(2 * v * half)))
-    offsets = np.cumsum([0, *(len(side.vertices) for side in sides)])[:-1]
-    return dataclasses.replace(
-        sides[0],
-        vertices=np.concatenate([side.vertices for side in sides]),
-        faces=np.concatenate([side.faces + offset for side, offset in zip(sides, offsets, strict=True)]).astype(
-            np.int32
-        ),
-        normals=np.concatenate([side.normals for side in sides]),
-        uv=np.concatenate([side.uv for side in sides]),
-    )
 
 
 def _colors(count: int) -> np.ndarray:

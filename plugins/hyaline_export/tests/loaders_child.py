@@ -23,26 +23,14 @@ from PIL import Image
 
 
 @dataclass
-class Picture:
-    """A picture as a loader gives it."""
-
-    colors: np.ndarray
-    """(h, w, channels), 8-bit."""
-    origins: np.ndarray
-    """(place, 3) metres, world."""
-    directions: np.ndarray
-    """(place, 3) of any length."""
-    depth: np.ndarray | None = None
-    """(h, w) metres along the axis, where the loader reads depth."""
-
-
-@dataclass
 class Answer:
     """All that a loader read of an export."""
 
     splits: dict[str, list[str]] = field(default_factory=dict)
     """Empty for a tool that knows none."""
-    pictures: dict[str, Picture] = field(default_factory=dict)
+    pictures: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    """By name: 8-bit `colors` (h, w, channels), `origins` and `directions` (place, 3) of any length in the world, and
+    `depth` (h, w) in metres along the axis where the loader reads it."""
     points: np.ndarray | None = None
     """(point, 3) metres, world."""
     colors: np.ndarray | None = None
@@ -101,13 +89,13 @@ def _nerfstudio(make_parser: Callable, questions: Questions) -> Answer:
         names = [Path(file).stem for file in outputs.image_filenames]
         for index, name in enumerate(names):
             origins, directions = _nerfstudio_rays(outputs.cameras, index, questions[name])
-            picture = Picture(
-                colors=dataset.get_data(index, image_type="uint8")["image"].numpy(),
-                origins=(origins / scale - transform[:, 3]) @ transform[:, :3],
-                directions=directions @ transform[:, :3],
-            )
+            picture = {
+                "colors": dataset.get_data(index, image_type="uint8")["image"].numpy(),
+                "origins": (origins / scale - transform[:, 3]) @ transform[:, :3],
+                "directions": directions @ transform[:, :3],
+            }
             if has_depth:
-                picture.depth = dataset[index]["depth_image"][..., 0].double().numpy() / scale
+                picture["depth"] = dataset[index]["depth_image"][..., 0].double().numpy() / scale
             answer.pictures[name] = picture
         answer.splits[split] = names
         if (points := outputs.metadata.get("points3D_xyz")) is not None:
@@ -137,11 +125,11 @@ def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
         for index, name in enumerate(names):
             camera = dataset["cameras"][index]
             origins, directions = unproject(camera[None], questions[name].astype(np.float32))
-            answer.pictures[name] = Picture(
-                colors=dataset["images"][index],
-                origins=origins.astype(np.float64),
-                directions=directions.astype(np.float64),
-            )
+            answer.pictures[name] = {
+                "colors": dataset["images"][index],
+                "origins": origins.astype(np.float64),
+                "directions": directions.astype(np.float64),
+            }
         answer.splits[split] = names
         answer.points, answer.colors = dataset["points3D_xyz"].astype(np.float64), dataset["points3D_rgb"]
         answer.near_far = tuple(dataset["metadata"]["depth_range"])
@@ -160,11 +148,11 @@ def read_pycolmap(root: Path, questions: Questions) -> Answer:
         flat = np.asarray(camera.cam_from_img(questions[name].astype(np.float64)))
         picture = pycolmap.Bitmap.read(str(root / "images" / image.name), as_rgb=True)
         assert picture is not None
-        answer.pictures[name] = Picture(
-            colors=picture.to_array(),
-            origins=np.tile(-matrix[:, :3].T @ matrix[:, 3], (len(flat), 1)),
-            directions=np.pad(flat, ((0, 0), (0, 1)), constant_values=1) @ matrix[:, :3],
-        )
+        answer.pictures[name] = {
+            "colors": picture.to_array(),
+            "origins": np.tile(-matrix[:, :3].T @ matrix[:, 3], (len(flat), 1)),
+            "directions": np.pad(flat, ((0, 0), (0, 1)), constant_values=1) @ matrix[:, :3],
+        }
     ids = sorted(model.points3D)
     answer.points = np.array([model.points3D[number].xyz for number in ids])
     answer.colors = np.array([model.points3D[number].color for number in ids], np.uint8)
@@ -194,17 +182,17 @@ def read_datasets(root: Path, questions: Questions) -> Answer:
     return answer
 
 
-def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> Picture:
+def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np.ndarray) -> dict[str, np.ndarray]:
     """A picture with the camera keys of transforms.json."""
     matrix = np.array(lens["transform_matrix"])
     x = (places[:, 0] - lens["cx"]) / lens["fl_x"]
     y = (places[:, 1] - lens["cy"]) / lens["fl_y"]
-    return Picture(
-        colors=colors,
-        origins=np.tile(matrix[:3, 3], (len(places), 1)),
-        directions=np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
-        depth=depth,
-    )
+    return {
+        "colors": colors,
+        "origins": np.tile(matrix[:3, 3], (len(places), 1)),
+        "directions": np.stack([x, -y, -np.ones_like(x)], axis=-1) @ matrix[:3, :3].T,
+        "depth": depth,
+    }
 
 
 LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
@@ -221,12 +209,7 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
 def write_answer(answer: Answer, path: Path) -> None:
     """Arrays by name, and all else as JSON; no pickle."""
     about = {"names": list(answer.pictures), "splits": answer.splits, "near_far": answer.near_far}
-    arrays = {
-        f"{name}/{key}": array
-        for name, picture in answer.pictures.items()
-        for key, array in vars(picture).items()
-        if array is not None
-    }
+    arrays = {f"{name}/{key}": array for name, picture in answer.pictures.items() for key, array in picture.items()}
     if answer.points is not None and answer.colors is not None:
         arrays["points"], arrays["colors"] = answer.points, answer.colors
     # numpy's stubs take the names for their own arguments.

@@ -18,7 +18,7 @@ from support.commands import call, run
 from support.disk import failing_from, observe
 from support.synthetic import write_synthetic_dataset
 
-from datagen.disk.storage import seal_bytes, sha256
+from datagen.disk.storage import seal_bytes
 
 HEAD = "dataset.json"
 
@@ -235,20 +235,6 @@ def test_a_hostile_archive_is_one_line_and_leaves_nothing(here: Path, name: str)
     assert re.search(reason, answer.error) and "hyaline-tmp" not in answer.error, answer.error
     assert tree(here) == before
     assert sorted(path.name for path in here.iterdir()) == ["data", "hostile.tar", "my scene.tar"]
-
-
-def test_a_link_at_a_temporary_name_is_not_followed(here: Path) -> None:
-    """Whoever had an archive could compute the name that was used while it was unpacked."""
-    Path("mine").mkdir()
-    Path("mine/dataset.json").write_text("precious")
-    with tarfile.open("my scene.tar") as archive:
-        members = [archive.extractfile(entry) for entry in archive]
-        contents = {sha256(member.read())[:16] for member in members if member is not None}
-    for digest in (*contents, sha256(Path("my scene.tar").read_bytes())[:16]):
-        Path(f"out.{digest}.hyaline-tmp").symlink_to("mine")
-    run("datagen unpack 'my scene.tar' --out out")
-    assert tree(Path("mine")) == {"dataset.json": b"precious"}
-    assert not Path("out").is_symlink() and tree(Path("out")) == tree(Path("data/my scene"))
 
 
 @pytest.mark.parametrize("names", ["junk/{:05}", "images/train/{:05}.png", "proxies/a{:05}/proxies.json"])
