@@ -84,7 +84,6 @@ def report(
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
     """
-    from eval.analyses.fits import read_fits
     from eval.page.report import score_runs, write_page
     from eval.page.report_folder import check_report_folder
     from eval.score.runs import has_predictions, list_run_folders, open_run
@@ -108,8 +107,8 @@ def report(
     check_report_folder(place)
     errors = []
     opened = [open_run(folder, Path(data), dataset) for folder, dataset in zip(folders, datasets, strict=True)]
-    fits = read_fits(Path(root), errors, besides=place) if runs is None else []
-    scored = score_runs(opened, errors, fits, made_by={"command": "hyaline.report"})
+    others = list_run_folders(Path(root), besides=place) if runs is None else []
+    scored = score_runs(opened, errors, others, made_by={"command": "hyaline.report"})
     for error in errors[:-1] if scored is None else errors:
         say(f"error: {error}")
     if scored is None:

@@ -4,7 +4,7 @@ matplotlib is imported only when a picture is drawn.
 """
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -18,7 +18,6 @@ from datagen.terminal.command import say, track
 from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
 from eval.analyses.edits import EditScores, edit_grids, edit_json, edit_sheet, score_edits
-from eval.analyses.fits import Fit, Measured, fit_data, measure_fit
 from eval.analyses.variants import (
     VariantScores,
     angle_grid,
@@ -32,6 +31,7 @@ from eval.page.report_folder import Draw
 from eval.score.runs import Run
 from eval.score.scores import RunScores, SceneScores, Truth
 from eval.tables.grids import Grid
+from eval.tables.parts import FoundPart, PartPage
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -49,16 +49,16 @@ class Further:
     """By the run's name, over seeds where there are several."""
     variants: tuple[VariantScores, ...]
     edits: tuple[EditScores, ...]
-    fits: tuple[tuple[Fit, tuple[Measured, ...]], ...]
-    """What `model fit` found, and how its objects compare with the truth."""
+    pages: tuple[PartPage, ...]
+    """Pages that plug-ins bring."""
 
 
-def analyse(scene: SceneScores, errors: list[HyalineError], fits: Sequence[Fit] = ()) -> Further:
+def analyse(scene: SceneScores, errors: list[HyalineError], parts: Mapping[str, FoundPart]) -> Further:
     """All analyses of a scored scene.
 
     Args:
         errors: problems of runs are added here; the other runs are analysed.
-        fits: of any scene.
+        parts: what plug-ins know of it, by their names.
     """
     grids: list[Grid] = []
     data: dict[str, Json] = {}
@@ -88,14 +88,7 @@ def analyse(scene: SceneScores, errors: list[HyalineError], fits: Sequence[Fit] 
         }
     if by_name:
         data["variants"] = by_name
-    measured = []
-    for fit in (fit for fit in fits if fit.dataset == scene.dataset.seal):
-        try:
-            measured.append((fit, measure_fit(scene.dataset, fit)))
-        except HyalineError as error:
-            errors.append(error)
-    if measured:
-        data["fits"] = fit_data(measured)
+    data |= {part_name: part.data for part_name, part in parts.items()}
     return Further(
         title=scene.title,
         grids=tuple(grids),
@@ -104,7 +97,7 @@ def analyse(scene: SceneScores, errors: list[HyalineError], fits: Sequence[Fit] 
         curves=pooled,
         variants=tuple(variants),
         edits=edits,
-        fits=tuple(measured),
+        pages=tuple(page for part in parts.values() for page in part.pages),
     )
 
 

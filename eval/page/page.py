@@ -12,7 +12,6 @@ from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.pages.html import Markup, Part, anchor, document, join, prose, section, tag
 from datagen.pages.pictures import Encoded, Gallery
 from eval.analyses.edits import EditScores
-from eval.page.fit_page import fit_anchor, fit_page
 from eval.page.further import Further
 from eval.page.run_page import (
     Compared,
@@ -30,6 +29,7 @@ from eval.score.scores import RunScores, SceneScores, metric_notes
 from eval.score.seeds import group_seeds
 from eval.tables.grids import Column, Grid, format_number
 from eval.tables.looks import html_table
+from eval.tables.parts import PartPage
 from eval.tables.scenes import Stored, scene_grids
 
 PAGE = "index.html"
@@ -95,11 +95,7 @@ def _draw_page(
     }
     every = [item for of_scene in compared.values() for items in of_scene.values() for item in items]
     overviews = {scene.title: _side_by_side(scene, compared[scene.title], gallery) for scene in scenes}
-    fits = [
-        fit_page(scene, fit, measured, [item for items in compared[scene.title].values() for item in items], gallery)
-        for scene, more in pairs
-        for fit, measured in more.fits
-    ]
+    others = [_part_page(scene, page, gallery) for scene, more in pairs for page in more.pages]
     store_views(gallery, every, min(most_views, USUAL_VIEWS))
     edits = {scene.title: [draw_edit(gallery, scene, edit) for edit in more.edits] for scene, more in pairs}
     shown = store_views(gallery, every, most_views)
@@ -131,7 +127,7 @@ def _draw_page(
         gallery.store(),
         overview,
         *analyses,
-        *fits,
+        *others,
         *runs,
         left_out,
         navigation=_navigation(parts),
@@ -176,7 +172,7 @@ def _compared(scores: RunScores, further: Further) -> list[Compared]:
 
 
 def _navigation(parts: Sequence[_ScenePart]) -> Markup:
-    """The overview, then each scene with its fits and runs below it."""
+    """The overview, then each scene with its runs and other pages below it."""
 
     def item(place: str, name: str, *below: Markup) -> Markup:
         return tag("li", tag("a", name, href=f"#{place}-page"), tag("ul", *below) if below else None)
@@ -184,8 +180,8 @@ def _navigation(parts: Sequence[_ScenePart]) -> Markup:
     items = [item("overview", "Overview")]
     for part in parts:
         runs = [item(run_anchor(part.scene, scores.run), scores.run.name) for scores in part.scene.runs]
-        fits = [item(fit_anchor(part.scene, fit), fit.folder.name) for fit, _ in part.further.fits]
-        items.append(item(_scene_anchor(part.scene), part.scene.title, *fits, *runs))
+        others = [item(_part_anchor(part.scene, page), page.title) for page in part.further.pages]
+        items.append(item(_scene_anchor(part.scene), part.scene.title, *others, *runs))
     return tag("nav", tag("ul", *items), aria_label="Parts of the report")
 
 
@@ -238,6 +234,21 @@ def _scene_page(part: _ScenePart) -> Markup:
     content += [html_table(grid, links) for grid in (described, *part.further.grids)]
     content += part.edits
     return tag("div", section(scene.title, *content, id_=place), class_="page", id=f"{place}-page")
+
+
+def _part_anchor(scene: SceneScores, page: PartPage) -> str:
+    return anchor("part", scene.title, page.title)
+
+
+def _part_page(scene: SceneScores, page: PartPage, gallery: Gallery) -> Markup:
+    """A page that a plug-in brings: its note, its tables, and its pictures, as far as they fit."""
+    place, figures = _part_anchor(scene, page), []
+    for name, read in page.pictures.items():
+        if gallery.add(key := f"{place}-{anchor(name)}", read):
+            figures.append(tag("figure", gallery.show(key, label=name), tag("figcaption", name)))
+    note = tag("p", prose(f"On {scene.title}. {page.note}"), class_="note")
+    parts = [note, *map(html_table, page.grids), tag("div", *figures, class_="charts")]
+    return tag("div", section(page.title, *parts, id_=place), class_="page", id=f"{place}-page")
 
 
 def draw_edit(gallery: Gallery, scene: SceneScores, edit: EditScores) -> Markup:

@@ -19,7 +19,6 @@ from datagen.disk.storage import dump_json
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.analyses.edits import object_psnr, score_edits
-from eval.analyses.fits import FIT, Fit, read_fits
 from eval.analyses.variants import score_variants
 from eval.page.further import Further, analyse, figures_of
 from eval.page.page import PAGE, USUAL_VIEWS, report_page
@@ -29,6 +28,7 @@ from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_r
 from eval.tables.grids import TABLE_WIDTH
 from eval.tables.looks import grid_text, tables_text
 from eval.tables.named import TABLES, EditedPsnr
+from eval.tables.parts import FoundPart, report_parts
 from eval.tables.published import published_grid, published_json
 from eval.tables.results import grid_json, results_csv, results_data
 from eval.tables.scenes import Stored
@@ -68,8 +68,8 @@ def make_report(
             f"{runs_root}/SCENE/NAME/predictions/SPLIT/0000.png"
         )
     say(f"{out}: reporting on {len(runs)} runs")
-    fits = read_fits(runs_root, errors, besides=out)
-    if found := score_runs(runs, errors, fits, made_by=_made_by(only)):
+    folders = list_run_folders(runs_root, besides=out)
+    if found := score_runs(runs, errors, folders, made_by=_made_by(only)):
         _print_scores(found, output_format, is_full=is_full, is_published=is_published)
         write_page(found, out, most_views=most_views)
     for error in errors[:-1]:
@@ -90,22 +90,36 @@ class Scored:
 
 
 def score_runs(
-    runs: list[Run], errors: list[HyalineError], fits: Sequence[Fit] = (), *, made_by: dict[str, Json]
+    runs: list[Run], errors: list[HyalineError], folders: Sequence[Path] = (), *, made_by: dict[str, Json]
 ) -> Scored | None:
     """Scores and analyses runs; None if no run can be scored.
 
     Args:
         errors: takes why a run could not be scored or analysed.
-        fits: what `model fit` found; those of the runs' datasets are analysed, too.
+        folders: of runs and of what plug-ins know, such as fits of the runs' datasets.
         made_by: the command that asked for it, for results.json.
     """
     scenes = _score_scenes(runs, errors)
     if not scenes:
         return None
-    further = [analyse(scene, errors, fits) for scene in scenes]
+    parts = _find_parts([scene.dataset for scene in scenes], folders, errors)
+    further = [analyse(scene, errors, found) for scene, found in zip(scenes, parts, strict=True)]
     more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
     results = results_data(scenes, {analyses.title: analyses.data for analyses in further}, more)
     return Scored(scenes=scenes, further=further, results=results)
+
+
+def _find_parts(
+    datasets: Sequence[Dataset], folders: Sequence[Path], errors: list[HyalineError]
+) -> list[dict[str, FoundPart]]:
+    """What plug-ins know of each dataset, by their names."""
+    found: list[dict[str, FoundPart]] = [{} for _ in datasets]
+    for name, part in report_parts().items():
+        own = [folder for folder in folders if (folder / part.head).is_file()]
+        for of_dataset, each in zip(found, part.find(datasets, own, errors), strict=True):
+            if each is not None:
+                of_dataset[name] = each
+    return found
 
 
 def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
@@ -185,6 +199,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
         raise HyalineError(f"{runs_root}: is a run; name a folder of runs, such as {runs_root.resolve().parent}")
     dataset = None if only is None else open_dataset(only)
     runs, errors = [], []
+    heads = ["results.json", *(part.head for part in report_parts().values())]
     for folder in list_run_folders(runs_root, besides=out):
         is_own = dataset is None or folder.parent.name == dataset.name
         try:
@@ -192,7 +207,7 @@ def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -
                 run = open_run(folder, data_root, dataset if is_own else None)
                 if dataset is None or run.dataset.seal == dataset.seal:
                     runs.append(run)
-            elif is_own and not any((folder / name).is_file() for name in (FIT, "results.json")):
+            elif is_own and not any((folder / name).is_file() for name in heads):
                 say(f"{folder}: no predictions yet; skipped")
         except HyalineError as error:
             if is_own:

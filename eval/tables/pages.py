@@ -10,8 +10,9 @@ from datagen.disk.records import load_json, shown
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.named import TABLES
+from eval.tables.parts import report_parts
 from eval.tables.results import RESULTS_VERSION
-from eval.tables.scenes import Stored, coverage_grids, page_grids
+from eval.tables.scenes import Stored, page_grids
 
 NOTES = (
     "dB per 10°: how PSNR falls with the angle between a test ray and the nearest training ray that met its texel. ±: "
@@ -81,6 +82,14 @@ def _page_grids(path: Path, data: Stored) -> list[Grid]:
     try:
         if "tables" in data:
             return [_grid_of(grid) for name in _in_order(data["tables"]) for grid in data["tables"][name]]
-        return [*(grid for scene in data["scenes"] for grid in page_grids(scene)), *coverage_grids(data["scenes"])]
+        parts, grids = report_parts(), []
+        found: dict[str, dict[str, Stored]] = {name: {} for name in parts}
+        for scene in data["scenes"]:
+            grids += page_grids(scene)
+            for name, part in parts.items():
+                if stored := scene["analyses"].get(name):
+                    grids += part.scene_grids(scene["scene"], stored)
+                    found[name][scene["scene"]] = stored
+        return grids + [grid for name, part in parts.items() for grid in part.all_grids(found[name])]
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error

@@ -1,20 +1,15 @@
-"""Tables of scores from the content of results.json: of a scene's runs, variants and fits."""
+"""Tables of scores from the content of results.json: of a scene's runs and variants."""
 
 import math
 import re
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-import numpy as np
-
 from datagen.builder.presets import PRESETS
 from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
 from eval.score.scores import METRICS, Metric
 from eval.score.seeds import Spread, spread
 from eval.tables.grids import CEILING, MISSING, Column, Grid, ceiling_text, format_number
-
-COVERED = 0.9
-"""Share of the intervals that should hold the truth."""
 
 Stored = dict[str, Any]
 """A part of results.json."""
@@ -30,7 +25,7 @@ def scene_grids(scene: Stored, *, is_wrapped: bool = False) -> tuple[Grid, Grid]
 
 
 def page_grids(scene: Stored) -> list[Grid]:
-    """The scores of a scene with what its runs know, then of each variant that they predicted, and of fits."""
+    """The scores of a scene with what its runs know, then of each variant that they predicted."""
     runs = {run["run"]: run for run in scene["runs"]}
     texts: dict[str, Callable[[str], str]] = {
         "knows": lambda name: runs[name]["knowledge"] or MISSING,
@@ -44,8 +39,6 @@ def page_grids(scene: Stored) -> list[Grid]:
         metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
         title = f"{scene['scene']}: variant {name}"
         grids.append(_grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {}))
-    if fits := analyses.get("fits"):
-        grids.append(_fits_grid(f"{scene['scene']}: glass found from masks and pictures", fits))
     return grids
 
 
@@ -109,95 +102,6 @@ def _size(scene: Stored) -> str:
     if is_own and preset is not None and resolution == preset.resolution:
         return f", preset {scene['preset']}: {resolution} pixels"
     return f": {resolution} pixels, {views}"
-
-
-def _fits_grid(title: str, fits: Stored) -> Grid:
-    """What `model fit` found of each object, beside the truth in brackets."""
-    texts = ("fit", "object", "kind")
-    columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
-    return Grid(
-        title=title,
-        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
-        rows=tuple(
-            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
-            for fit, objects in fits.items()
-            for name, item in objects.items()
-        ),
-        notes=(
-            "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
-            "the mean of both directions. Normals: median error. Wall: median thickness.",
-        ),
-    )
-
-
-def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
-    """Surface, normals, wall, index, absorption and roughness of one object."""
-    errors, true = measured["errors"] or {}, measured["true"]
-
-    def found(key: str, decimals: int) -> str:
-        if numbers.get(key) is None:
-            return MISSING
-        value = format_number(numbers[key]["value"], decimals)
-        return value if true.get(key) is None else f"{value} ({format_number(true[key], decimals)})"
-
-    def millimetres(key: str) -> str:
-        return format_number(None if errors.get(key) is None else 1000 * errors[key], 2)
-
-    has_wall = numbers.get("wall") is not None
-    tints = [found(f"absorption_{channel}", 1) for channel in ("red", "green", "blue")]
-    return (
-        millimetres("chamfer"),
-        format_number(_number(errors.get("normal_deg")), 1),
-        f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
-        found("ior", 3),
-        MISSING if MISSING in tints else ", ".join(tints),
-        found("roughness", 2),
-    )
-
-
-def coverage_grids(scenes: list[Stored]) -> list[Grid]:
-    """How many intervals of fits hold the truth, by dataset and kind of number; nothing where no truth is known."""
-    misses: dict[str, dict[str, list[float]]] = {}
-    for scene in scenes:
-        for objects in scene["analyses"].get("fits", {}).values():
-            for item in objects.values():
-                for key, found in item["numbers"].items():
-                    if (true := item["measured"]["true"].get(key)) is not None:
-                        of_scene = misses.setdefault(scene["scene"], {})
-                        of_scene.setdefault(key.split("_")[0], []).append(_miss(found, true))
-    if not misses:
-        return []
-    keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
-    pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
-    rows = [(scene, *(_held(of_scene.get(key, [])) for key in keys)) for scene, of_scene in misses.items()]
-    rows.append(("all", *(_held(pooled[key]) for key in keys)))
-    wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
-    rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
-    return [
-        Grid(
-            title="intervals of fits that contain the true value",
-            columns=(
-                Column(group="dataset", is_number=False),
-                *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
-            ),
-            rows=tuple(rows),
-            notes=(
-                "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
-                f"{100 * COVERED:.0f} % of all to contain the true value.",
-            ),
-        )
-    ]
-
-
-def _miss(found: Stored, true: float) -> float:
-    """Distance of the truth from a value, relative to the interval's width on that side; 1 at its end."""
-    value = found["value"]
-    side = found["high"] - value if true > value else value - found["low"]
-    return abs(true - value) / side if side > 0 else (0.0 if true == value else math.inf)
-
-
-def _held(misses: list[float]) -> str:
-    return f"{sum(miss <= 1 for miss in misses)} of {len(misses)}" if misses else MISSING
 
 
 def _groups(scene: Stored) -> list[list[str]]:

@@ -17,7 +17,6 @@ LONGEST = (
     "plugins/hyaline_photos/tests/fit/test_boxes.py",
     "tests/eval/test_report.py",
     "tests/datagen/builder/test_build.py",
-    "tests/eval/page/test_fit_page.py",
     "plugins/tests/docs/test_pages.py",
     "tests/model/methods/test_light_path.py",
     "plugins/hyaline_web/tests/page/test_controls.py",

@@ -1,0 +1,61 @@
+"""Parts of the report that plug-ins bring, such as the fits of a dataset's glass."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
+from datagen.pages.pictures import Image8
+from datagen.terminal.plugins import Group
+from eval.tables.grids import Grid
+from eval.tables.scenes import Stored
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartPage:
+    """A page of the report about one folder."""
+
+    title: str
+    note: str
+    grids: tuple[Grid, ...]
+    pictures: dict[str, Callable[[], Image8]]
+    """By their captions."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundPart:
+    """What a plug-in knows of one dataset."""
+
+    data: Json
+    """For results.json, among the analyses of the scene."""
+    pages: tuple[PartPage, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReportPart:
+    """A part of the report."""
+
+    head: str
+    """The file by which its folders among those of runs are known, such as fit.json."""
+    find: Callable[[Sequence[Dataset], Sequence[Path], list[HyalineError]], list[FoundPart | None]]
+    """What there is of each dataset in some folders; adds the errors of folders that cannot be read."""
+    scene_grids: Callable[[str, Stored], list[Grid]]
+    """Tables of a RESULTS page from the title of a scene and the stored `FoundPart.data`."""
+    all_grids: Callable[[dict[str, Stored]], list[Grid]]
+    """The same from those of all scenes, by title."""
+
+
+REPORT_PARTS: Group[ReportPart] = Group(
+    name="hyaline.report_parts",
+    what="part of the report",
+    built_in={},
+    guide="docs/architecture.md",
+    kind="eval.tables.parts:ReportPart",
+)
+
+
+def report_parts() -> dict[str, ReportPart]:
+    """All parts by name, which is also the key of their data in results.json."""
+    return {name: REPORT_PARTS.find(name) for name in REPORT_PARTS.names()}

@@ -1,0 +1,273 @@
+"""Fits in the report: what `model fit` found of each object, beside the truth."""
+
+import functools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from datagen.data.dataset import Dataset
+from datagen.data.geometries import list_geometries, read_meshes
+from datagen.data.images import read_png
+from datagen.data.meshes import Mesh, is_there
+from datagen.data.paths import TRUTH
+from datagen.data.shape_errors import ShapeErrors, shape_errors
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.storage import load_sealed
+from datagen.scene.folder import open_scene
+from eval.tables.grids import MISSING, Column, Grid, format_number
+from eval.tables.parts import FoundPart, PartPage, ReportPart
+from eval.tables.scenes import Stored
+from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
+from hyaline_photos.fit.lathe import perpendicular
+
+CAPTURE = "capture"
+"""Layout of datasets of photographs, whose scene has stand-ins for glass."""
+BESIDE_AXIS = 1e-4
+"""Metres from the axis where the floor is measured: on it, edges meet."""
+CHANNELS = ("absorption_red", "absorption_green", "absorption_blue")
+LENGTHS = ("wall", "floor", "foot", "level")
+"""Numbers in metres; tables show millimetres."""
+COVERED = 0.9
+"""Share of the intervals that should hold the truth."""
+
+Numbers = dict[str, dict[str, float] | None]
+"""`value`, `low` and `high` by name: ior, wall, floor, ..."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitObject:
+    """One object of a fit.json; what does not apply to it is None."""
+
+    name: str
+    kind: str
+    axis: dict[str, tuple[float, float, float]] | None = None
+    """`point` and `direction` of the axis of a round one."""
+    numbers: Numbers
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measured:
+    """How an object of a fit compares with the truth."""
+
+    errors: ShapeErrors | None
+    """None where the truth is unknown."""
+    true: dict[str, float]
+    """Numbers of the true object by their names in `FitObject.numbers`."""
+
+
+def find_fits(
+    datasets: Sequence[Dataset], folders: Sequence[Path], errors: list[HyalineError]
+) -> list[FoundPart | None]:
+    """The finished fits of each dataset."""
+    data: list[dict[str, Json]] = [{} for _ in datasets]
+    pages: list[list[PartPage]] = [[] for _ in datasets]
+    for folder in folders:
+        try:
+            content = load_sealed(folder / FIT.head)
+            for place, dataset in enumerate(datasets):
+                if content.get("dataset") == dataset.seal and "objects" in content:
+                    stored, page = _read_fit(folder, content, dataset)
+                    data[place][folder.name] = stored
+                    pages[place].append(page)
+        except HyalineError as error:
+            errors.append(error)
+    return [FoundPart(data=found, pages=tuple(page)) if found else None for found, page in zip(data, pages)]
+
+
+def _read_fit(folder: Path, content: dict[str, Json], dataset: Dataset) -> tuple[dict[str, Json], PartPage]:
+    """A fit for results.json, and its page."""
+    where = str(folder / FIT.head)
+    if content.get("version") != FIT_VERSION:
+        raise HyalineError(f"{where}: format version {shown(content.get('version'))}; this program reads {FIT_VERSION}")
+    geometry = from_json(str, content.get("geometry"), where=f"{where}: geometry")
+    names, listed = {field.name for field in fields(FitObject)}, content["objects"]
+    if isinstance(listed, list):
+        listed = [{key: each[key] for key in each if key in names} for each in listed if isinstance(each, dict)]
+    objects = from_json(tuple[FitObject, ...], listed, where=f"{where}: objects")
+    stored: dict[str, Json] = {
+        item.name: {"kind": item.kind, "numbers": to_json(item.numbers), "measured": to_json(measured)}
+        for item, measured in zip(objects, measure(dataset, geometry, objects), strict=True)
+    }
+    note = f"Runs on what was found: `--geometry {geometry}`."
+    page = PartPage(
+        title=folder.name,
+        note=note if knows_truth(dataset) else f"{note} The true glass is unknown.",
+        grids=(numbers_grid(stored), *scene_grids(dataset.name, {folder.name: stored})),
+        pictures={path.stem: functools.partial(read_png, path) for path in sorted(folder.glob("*.png"))},
+    )
+    return stored, page
+
+
+def measure(dataset: Dataset, geometry: str, objects: Sequence[FitObject]) -> list[Measured]:
+    """How each object of a fit compares with the truth."""
+    if not knows_truth(dataset):
+        return [Measured(errors=None, true={}) for _ in objects]
+    truths = _meshes(dataset, TRUTH)
+    meshes = _meshes(dataset, geometry) if geometry in list_geometries(dataset) else {}
+    materials = {item.name: item.material for item in open_scene(dataset).objects}
+    measured = []
+    for item in objects:
+        truth, mesh, true = truths.get(item.name), meshes.get(item.name), {}
+        errors = None if truth is None or mesh is None else shape_errors(mesh, truth)
+        if item.name in materials:
+            material = materials[item.name]
+            true = {"ior": material.surface().ior, "roughness": material.surface().roughness}
+            if (medium := material.medium) is not None:
+                true |= dict(zip(CHANNELS, medium.absorption, strict=True))
+        if errors is not None and errors.true_thickness is not None:
+            true["wall"] = errors.true_thickness
+        if truth is not None and item.axis is not None:
+            true |= true_floor(truth, np.array(item.axis["point"]), np.array(item.axis["direction"]))
+        measured.append(Measured(errors=errors, true=true))
+    return measured
+
+
+def knows_truth(dataset: Dataset) -> bool:
+    """True if the scene's meshes are what was seen."""
+    return dataset.imported is None or (bool(dataset.objects) and dataset.imported.layout != CAPTURE)
+
+
+def _meshes(dataset: Dataset, geometry: str) -> dict[str, Mesh]:
+    """The meshes of a geometry that are there, by name."""
+    meshes = read_meshes(dataset, geometry)
+    return {item.name: mesh for item, mesh in zip(dataset.objects, meshes, strict=True) if is_there(mesh)}
+
+
+def true_floor(truth: Mesh, point: np.ndarray, up: np.ndarray) -> dict[str, float]:
+    """Height of the lowest point of the hollow above that of the outside; nothing if the axis misses the mesh."""
+    import trimesh
+
+    across, aside = perpendicular(up)
+    shape = trimesh.Trimesh(truth.vertices, truth.faces, process=False)
+    cut = np.asarray(trimesh.intersections.mesh_plane(shape, aside, point)).reshape(-1, 2, 3)
+    ends = (cut - point) @ np.stack([across, up], axis=-1) - [BESIDE_AXIS, 0]
+    ends = ends[ends[:, 0, 0] * ends[:, 1, 0] < 0]
+    (low, low_height), (high, high_height) = np.moveaxis(ends, (0, 1, 2), (2, 0, 1))
+    heights = np.sort(low_height - low * (high_height - low_height) / (high - low))
+    lowest = ((truth.vertices - point) @ up).min()
+    return {"floor": float(heights[1] - lowest)} if len(heights) > 1 else {}
+
+
+# Tables, all of them from results.json
+
+
+def numbers_grid(objects: Stored) -> Grid:
+    """Every number that was found, with its interval and the true one."""
+    rows = []
+    for name, item in objects.items():
+        for key, number in item["numbers"].items():
+            if number is not None:
+                true = {"true": item["measured"]["true"].get(key)} | number
+                value, low, high, truth = (_in_unit(key, true.get(each)) for each in ("value", "low", "high", "true"))
+                title = f"{key} (mm)" if key in LENGTHS else key.replace("_", " ")
+                rows.append((name, item["kind"], title, value, f"{low} to {high}", truth))
+    texts, numbers = ("object", "kind", "number"), ("found", "between", "true")
+    return Grid(
+        title="What was found",
+        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in numbers)),
+        rows=tuple(rows),
+        notes=("True walls: the median thickness, measured from outside along the normal.",),
+    )
+
+
+def _in_unit(key: str, value: float | None) -> str:
+    is_length = value is not None and key in LENGTHS
+    return format_number(1000 * value if is_length else value, 2 if is_length else 3)
+
+
+def scene_grids(scene: str, fits: Stored) -> list[Grid]:
+    """What `model fit` found of each object, beside the truth in brackets."""
+    texts = ("fit", "object", "kind")
+    columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
+    grid = Grid(
+        title=f"{scene}: glass found from masks and pictures",
+        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
+        rows=tuple(
+            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
+            for fit, objects in fits.items()
+            for name, item in objects.items()
+        ),
+        notes=(
+            "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
+            "the mean of both directions. Normals: median error. Wall: median thickness.",
+        ),
+    )
+    return [grid]
+
+
+def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
+    """Surface, normals, wall, index, absorption and roughness of one object."""
+    errors, true = measured["errors"] or {}, measured["true"]
+
+    def found(key: str, decimals: int) -> str:
+        if numbers.get(key) is None:
+            return MISSING
+        value = format_number(numbers[key]["value"], decimals)
+        return value if true.get(key) is None else f"{value} ({format_number(true[key], decimals)})"
+
+    def millimetres(key: str) -> str:
+        return format_number(None if errors.get(key) is None else 1000 * errors[key], 2)
+
+    has_wall = numbers.get("wall") is not None
+    tints = [found(channel, 1) for channel in CHANNELS]
+    return (
+        millimetres("chamfer"),
+        format_number(errors.get("normal_deg"), 1),
+        f"{millimetres('thickness')} ({millimetres('true_thickness')})" if has_wall else MISSING,
+        found("ior", 3),
+        MISSING if MISSING in tints else ", ".join(tints),
+        found("roughness", 2),
+    )
+
+
+def coverage_grids(scenes: dict[str, Stored]) -> list[Grid]:
+    """How many intervals of fits hold the truth, by dataset and kind of number; nothing where no truth is known."""
+    misses: dict[str, dict[str, list[float]]] = {}
+    for scene, fits in scenes.items():
+        for objects in fits.values():
+            for item in objects.values():
+                for key, found in item["numbers"].items():
+                    if (true := item["measured"]["true"].get(key)) is not None:
+                        of_scene = misses.setdefault(scene, {})
+                        of_scene.setdefault(key.split("_")[0], []).append(_miss(found, true))
+    if not misses:
+        return []
+    keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
+    pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
+    rows = [(scene, *(_held(of_scene.get(key, [])) for key in keys)) for scene, of_scene in misses.items()]
+    rows.append(("all", *(_held(pooled[key]) for key in keys)))
+    wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
+    rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
+    return [
+        Grid(
+            title="intervals of fits that contain the true value",
+            columns=(
+                Column(group="dataset", is_number=False),
+                *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
+            ),
+            rows=tuple(rows),
+            notes=(
+                "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
+                f"{100 * COVERED:.0f} % of all to contain the true value.",
+            ),
+        )
+    ]
+
+
+def _miss(found: Stored, true: float) -> float:
+    """Distance of the truth from a value, relative to the interval's width on that side; 1 at its end."""
+    value = found["value"]
+    side = found["high"] - value if true > value else value - found["low"]
+    return abs(true - value) / side if side > 0 else (0.0 if true == value else math.inf)
+
+
+def _held(misses: list[float]) -> str:
+    return f"{sum(miss <= 1 for miss in misses)} of {len(misses)}" if misses else MISSING
+
+
+FITS = ReportPart(head=FIT.head, find=find_fits, scene_grids=scene_grids, all_grids=coverage_grids)
+"""The entry point `fits` of `hyaline.report_parts`."""
