@@ -86,7 +86,7 @@ def _read_fit(folder: Path, content: dict[str, Json], dataset: Dataset) -> tuple
     geometry = from_json(str, content.get("geometry"), where=f"{where}: geometry")
     names, listed = {field.name for field in fields(FitObject)}, content["objects"]
     if isinstance(listed, list):
-        listed = [{key: each[key] for key in each if key in names} for each in listed if isinstance(each, dict)]
+        listed: Json = [{key: each[key] for key in each if key in names} for each in listed if isinstance(each, dict)]
     objects = from_json(tuple[FitObject, ...], listed, where=f"{where}: objects")
     stored: dict[str, Json] = {
         item.name: {"kind": item.kind, "numbers": to_json(item.numbers), "measured": to_json(measured)}
@@ -175,8 +175,9 @@ def numbers_grid(objects: Stored) -> Grid:
 
 
 def _in_unit(key: str, value: float | None) -> str:
-    is_length = value is not None and key in LENGTHS
-    return format_number(1000 * value if is_length else value, 2 if is_length else 3)
+    if value is not None and key in LENGTHS:
+        return format_number(1000 * value, 2)
+    return format_number(value, 3)
 
 
 def scene_grids(scene: str, fits: Stored) -> list[Grid]:

@@ -15,8 +15,8 @@ OUTSIDE_OF = Revolution(
     axis=Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0])),
     outside=evenly(np.array([(0, 0), (0.05, 0), (0.05, 0.1)]), OUTSIDE),
 )
-TRUTH = dataclasses.replace(
-    OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), ior=1.53, taper=0.9, absorption=(6.0, 0.0, 20.0), foot=0.003
+TRUTH = dataclasses.replace(OUTSIDE_OF.hollowed(0.07, 0.13, 0.45), absorption=(6.0, 0.0, 20.0)).having(
+    ior=1.53, taper=0.9, foot=0.003
 )
 
 
@@ -28,11 +28,11 @@ def misses_of(truth: Revolution) -> Callable[[Revolution], np.ndarray]:
     lengths = np.abs(rng.normal(size=(PIXELS, 1))) * 0.01
 
     def numbers(glass: Revolution) -> np.ndarray:
-        if glass.wall is None:
-            return np.array([2.0, 2.0, 0, 0, glass.ior, 0])
+        if "wall" not in glass.numbers:
+            return np.array([2.0, 2.0, 0, 0, glass.numbers["ior"], 0])
         names = ("wall", "floor", "corner", "foot")
-        logs = [np.log(getattr(glass, name)) for name in names]
-        return np.array([*logs, glass.ior, np.log(glass.taper)])
+        logs = [np.log(glass.numbers[name]) for name in names]
+        return np.array([*logs, glass.numbers["ior"], np.log(glass.numbers["taper"])])
 
     def miss(glass: Revolution) -> np.ndarray:
         shift = numbers(glass) - numbers(truth)

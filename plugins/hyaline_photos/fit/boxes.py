@@ -48,6 +48,9 @@ ENOUGH = 3e-4
 BISECTIONS = 20
 """Interval halvings along a ray; they narrow it to a micrometre."""
 
+TINY = 1e-8
+"""Step in metres or radians of numerical derivatives."""
+
 FLAT, THICK = 0.06, 0.02
 """Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
 get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
@@ -181,45 +184,32 @@ def _panes(box: Box) -> list[Box]:
     ]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Passes:
-    """Where rays come closest to a box or are deepest inside it."""
-
-    point: Float64[np.ndarray, "3 ray"]
-    """Along the box's axes, from its centre."""
-    distance: Float64[np.ndarray, " ray"]
-    """Signed, in metres; negative inside."""
-    normal: Float64[np.ndarray, "3 ray"]
-    """The distance's gradient, along the box's axes."""
+def _distance(box: Box, points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+    """Signed distance of points in metres; negative inside."""
+    return _beyond(box, box.axes @ (points - box.center).T)
 
 
-def _passes(box: Box, rays: NearRays) -> _Passes:
-    """Bisects the sign of the distance's slope along each ray, up to the first known surface."""
+def _beyond(box: Box, points: Float64[np.ndarray, "3 point"]) -> Float64[np.ndarray, " point"]:
+    """The same of points along the box's axes, from its centre."""
+    q = np.abs(points) - (box.half_sizes - box.rounding)[:, None]
+    x, y, z = np.maximum(q, 0)
+    inside = np.minimum(np.maximum(np.maximum(q[0], q[1]), q[2]), 0)
+    return np.sqrt(x * x + y * y + z * z) + inside - box.rounding
+
+
+def _closest(box: Box, rays: NearRays) -> Float64[np.ndarray, "ray 3"]:
+    """Where rays come closest to a box or are deepest inside it, up to the first known surface: the distance is convex
+    along a ray, so that its slope says on which side the least is."""
     o, d = box.axes @ (rays.origins - box.center).T, box.axes @ rays.directions.T
     middle, radius = -(o * d).sum(axis=0), float(np.linalg.norm(box.half_sizes))
     high = np.clip(middle + radius, 0, rays.reach)
     low = np.clip(middle - radius, 0, high)
     for _ in range(BISECTIONS):
         t = (low + high) / 2
-        _, normal = _signed_distance(box, o + t * d)
-        rises = normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2] > 0
+        here = o + t * d
+        rises = _beyond(box, here + TINY * d) > _beyond(box, here)
         low, high = np.where(rises, low, t), np.where(rises, t, high)
-    point = o + high * d
-    distance, normal = _signed_distance(box, point)
-    return _Passes(point=point, distance=distance, normal=normal)
-
-
-def _signed_distance(
-    box: Box, p: Float64[np.ndarray, "3 point"]
-) -> tuple[Float64[np.ndarray, " point"], Float64[np.ndarray, "3 point"]]:
-    """Distance of points, given along the box's axes, and its gradient."""
-    q = np.abs(p) - (box.half_sizes - box.rounding)[:, None]
-    outside = np.maximum(q, 0)
-    length = np.sqrt(outside[0] ** 2 + outside[1] ** 2 + outside[2] ** 2)
-    is_out = length > 1e-12
-    most = np.maximum(np.maximum(q[0], q[1]), q[2])
-    normal = np.where(is_out, outside / np.maximum(length, 1e-12), q == most)
-    return np.where(is_out, length, most) - box.rounding, np.copysign(normal, p)
+    return rays.at(high)
 
 
 def _fitted(
@@ -233,46 +223,43 @@ def _fitted(
     """
     width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
 
-    def judge(box: Box) -> tuple[float, _Passes]:
-        passes = _passes(box, rays)
-        return misfit(passes.distance, rays.hits, width), passes
+    def judge(box: Box) -> tuple[float, np.ndarray]:
+        points = _closest(box, rays)
+        return misfit(_distance(box, points), rays.hits, width), points
 
-    def step(box: Box, passes: _Passes, damping: float) -> Box:
-        gradient, curvature = _slopes(box, rays, passes, turn, width)
-        way = -np.linalg.solve(curvature + damping * np.diag(curvature.diagonal() + 1e-9), gradient)
-        return _moved(box, way, turn, support)
+    def step(box: Box, points: np.ndarray, damping: float) -> Box:
+        before = _distance(box, points)
+        # Where a ray comes closest, its distance does not change with the place along it.
+        moves = TINY * np.eye(7 + len(turn))
+        slopes = np.stack([(_distance(_moved(box, move, turn), points) - before) / TINY for move in moves])
+        pulls = pull(before, rays.hits, width)
+        curvature = (slopes * pulls.curvature) @ slopes.T / len(before)
+        damped = curvature + damping * np.diag(curvature.diagonal() + 1e-9)
+        way = -np.linalg.solve(damped, slopes @ pulls.slope / len(before))
+        return _limited(_moved(box, way, turn), turn, support)
 
     return descend(box, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
 
 
-def _slopes(
-    box: Box, rays: NearRays, passes: _Passes, turn: np.ndarray, width: float
-) -> tuple[Float64[np.ndarray, " number"], Float64[np.ndarray, "number number"]]:
-    """Gradient of the misfit and an approximate Hessian in center, half sizes, rounding and turns."""
-    across, torque = np.abs(passes.normal), np.cross(passes.normal, passes.point, axis=0)
-    rows = [-box.axes.T @ passes.normal, -across, across.sum(axis=0, keepdims=True) - 1, turn @ box.axes.T @ torque]
-    slopes = np.concatenate(rows)
-    pulls, count = pull(passes.distance, rays.hits, width), len(rays.hits)
-    return slopes @ pulls.slope / count, (slopes * pulls.curvature) @ slopes.T / count
-
-
-def _moved(box: Box, step: Float64[np.ndarray, " number"], turn: np.ndarray, support: float | None) -> Box:
-    """The box after a step, within the limits of its numbers."""
-    half_sizes = np.maximum(box.half_sizes + step[3:6], LEAST_SIZE)
-    most = MOST_ROUNDING * half_sizes.min()
-    moved = dataclasses.replace(
+def _moved(box: Box, step: Float64[np.ndarray, " number"], turn: np.ndarray) -> Box:
+    """The box after a step in center, half sizes, rounding and turns."""
+    return dataclasses.replace(
         _turned(box, step[7:] @ turn),
         center=box.center + step[:3],
-        half_sizes=half_sizes,
-        rounding=float(np.clip(box.rounding + step[6], min(LEAST_ROUNDING, most), most)),
+        half_sizes=box.half_sizes + step[3:6],
+        rounding=float(box.rounding + step[6]),
     )
-    if support is None or len(turn) > 1:
-        return moved
-    below = support - (moved.center @ turn[0] - half_sizes[2])
-    if below <= 0:
-        return moved
-    shrunk = np.maximum(half_sizes - [0, 0, below / 2], LEAST_SIZE)
-    return dataclasses.replace(moved, center=moved.center + below / 2 * turn[0], half_sizes=shrunk)
+
+
+def _limited(box: Box, turn: np.ndarray, support: float | None) -> Box:
+    """The box within the limits of its numbers, an upright one above its support."""
+    half_sizes, center = np.maximum(box.half_sizes, LEAST_SIZE), box.center
+    most = MOST_ROUNDING * half_sizes.min()
+    rounding = float(np.clip(box.rounding, min(LEAST_ROUNDING, most), most))
+    if support is not None and len(turn) == 1 and (below := support - (center @ turn[0] - half_sizes[2])) > 0:
+        half_sizes = np.maximum(half_sizes - [0, 0, below / 2], LEAST_SIZE)
+        center = center + below / 2 * turn[0]
+    return dataclasses.replace(box, center=center, half_sizes=half_sizes, rounding=rounding)
 
 
 def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
@@ -285,7 +272,9 @@ def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
 
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
-    return dataclasses.replace(box, unexplained=float((errors(_passes(box, rays).distance, rays.hits) > 0).mean()))
+    return dataclasses.replace(
+        box, unexplained=float((errors(_distance(box, _closest(box, rays)), rays.hits) > 0).mean())
+    )
 
 
 def _rounded(box: Box) -> Mesh:

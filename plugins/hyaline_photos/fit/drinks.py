@@ -124,8 +124,8 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
     wrong = ((1 - seen + false) / 2).min(axis=0)
     if wrong.min() > WRONG:
         return None
-    hollow = glass if glass.wall is not None else glass.hollowed(*USUAL)
-    return dataclasses.replace(hollow, level=float(heights[wrong.argmin()] - lowest), drink_ior=WATER)
+    hollow = glass if glass.hollow else glass.hollowed(*USUAL)
+    return hollow.having(level=float(heights[wrong.argmin()] - lowest), drink_ior=WATER)
 
 
 def _rays_to(sightings: Sightings, drink: int, vessel: int) -> NearRays:

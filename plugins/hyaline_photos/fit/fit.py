@@ -23,7 +23,6 @@ from datagen.builder.build import peel_dataset
 from datagen.builder.build_variant import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, has_layers
 from datagen.data.geometries import read_meshes
-from datagen.data.images import to_8bit
 from datagen.data.layer_writing import find_num_layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
@@ -42,16 +41,16 @@ from hyaline_photos.fit.found import (
     FoundGlass,
     Objects,
     digest,
-    history_row,
+    from_state,
     in_words,
     settled,
-    states,
     summary,
+    to_state,
     write_geometry,
 )
 from hyaline_photos.fit.kinds import choose_outside, choose_shown
 from hyaline_photos.fit.materials import find_absorption
-from hyaline_photos.fit.search import alternatives, count_searches, grid_row, guess, guesses, in_even_views, refine
+from hyaline_photos.fit.search import alternatives, count_searches, guess, guesses, in_even_views, refine
 from hyaline_photos.fit.shapes import Revolution
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
@@ -197,8 +196,8 @@ class _Work:
         return found
 
     def _stage(self, name: str, title: str, before: Objects, make: Callable[[], Objects]) -> Objects:
-        state = self.folder.stage(name, title, digest(before), lambda: states(make()))
-        return {int(key): FoundGlass.of(cast(dict, value)) for key, value in state.items()}
+        state = self.folder.stage(name, title, digest(before), lambda: cast(dict, to_state(make())))
+        return {int(key): found for key, found in from_state(state).items()}
 
     def _learn_room(self) -> dict[str, State]:
         pixels, beside = self._pixels({}, room.FINE), np.flatnonzero(self._beside_glass())
@@ -227,8 +226,8 @@ class _Work:
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
             found |= self._found_if_shown(object_id, sightings)
-            if object_id in found and isinstance(found[object_id].hull, Box):
-                sightings = with_known(sightings, object_id, found[object_id].hull.mesh())
+            if object_id in found and isinstance(solid := found[object_id].glass.settled(), Box):
+                sightings = with_known(sightings, object_id, solid.mesh())
         done = set[int]()
         for inside, vessel in holders.items():
             if vessel in done:
@@ -277,7 +276,7 @@ class _Work:
         glass = outside.glass
         if isinstance(glass, Revolution):
             glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
-        return FoundGlass(glass=glass, hull=outside.glass.settled(), unexplained=outside.unexplained)
+        return FoundGlass(glass=glass, unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)
@@ -295,9 +294,7 @@ class _Work:
             if second is not best:
                 words += f"; with {second.loss / best.loss:.2f} times the loss: {in_words(second.glass)}"
             say(words)
-            listed = tuple(map(grid_row, sorted(cells, key=lambda cell: cell.loss)))
-            history = (history_row("grid", glass, best.loss),)
-            found[object_id] = dataclasses.replace(item, glass=glass, cells=listed, history=history)
+            found[object_id] = dataclasses.replace(item, glass=glass)
         self._show_drawn("grid", drawn, found)
         return found
 
@@ -306,13 +303,13 @@ class _Work:
         for number in numbers:
             total = sum(count_searches(item.glass, number) for item in found.values())
             label = f"{stage}, round {number + 1}"
-            list(track(self._round(stage, textures, found, number), label=label, total=total))
+            list(track(self._round(textures, found, number), label=label, total=total))
         for object_id, item in found.items():
             say(f"  {self._name(object_id)}: {in_words(item.glass)}")
         self._show_drawn(stage, self._room(textures, found), found)
         return found
 
-    def _round(self, stage: str, textures: dict[str, State], found: Objects, number: int) -> Iterator[None]:
+    def _round(self, textures: dict[str, State], found: Objects, number: int) -> Iterator[None]:
         """Searches all numbers of all objects once, and replaces the objects in `found`."""
         drawn = self._room(textures, found, room.FINE if number >= room.COARSE_ROUNDS else room.COARSE)
         for object_id in found:
@@ -324,9 +321,8 @@ class _Work:
                     value = dataclasses.replace(value, before=earlier.value)
                 item = dataclasses.replace(item, glass=glass, numbers={**item.numbers, name: value})
                 yield
-            loss = float(misses(item.glass).mean())
-            history = (*item.history, history_row(stage, item.glass, loss))
-            found[object_id] = dataclasses.replace(item, history=history)
+            drawn.put(item.ids(object_id), item.glass)
+            found[object_id] = item
 
     # What the stages share
 
@@ -367,7 +363,6 @@ class _Work:
             pixels = view * height * width + np.arange(height * width)
             rows.append(pictures.compared(self._picture(view), drawn.draw(pixels).reshape(height, width, 3)))
         self.folder.write_picture("room", pictures.sheet(rows))
-        self.folder.write_picture("sky", pictures.sheet([[to_8bit(drawn.sky(pictures.SKY_HEIGHT))]]))
 
     def _show_outsides(self, found: Objects) -> None:
         from datagen.trace.peel import Peeler

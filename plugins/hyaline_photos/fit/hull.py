@@ -15,7 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from hyaline_photos.fit.outside import find_center
 from hyaline_photos.fit.shapes import Glass
-from hyaline_photos.fit.silhouettes import pull, unexplained
+from hyaline_photos.fit.silhouettes import closest, pull, unexplained
 from hyaline_photos.fit.views import NearRays, Sightings, rays_near
 
 COARSE, FINEST = 40, 200
@@ -326,32 +326,30 @@ def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, ray
     field[known] = ((points[known] - positions[near[known]]) * normals[near[known]]).sum(axis=1)
     field = field.reshape(counts)
     middle, radius = (low + high + margin) / 2, float(np.linalg.norm(high + margin - low)) / 2
-    o, d = rays.origins, rays.directions
-    between = ((middle - o) * d).sum(axis=1)
+    between = ((middle - rays.origins) * rays.directions).sum(axis=1)
     first, last = np.clip(between - radius, 0, rays.reach), np.clip(between + radius, 0, rays.reach)
-    least, nearest = np.full(len(o), np.inf), np.zeros(len(o))
-    for share in np.linspace(0, 1, int(2 * radius / step)):
-        t = first + share * (last - first)
-        here = ndimage.map_coordinates(
-            field, ((o + t[:, None] * d - low) / step).T, order=1, mode="constant", cval=margin
-        )
-        nearest, least = np.where(here < least, t, nearest), np.minimum(here, least)
+
+    def from_grid(t: Float64[np.ndarray, "ray place"]) -> Float64[np.ndarray, "ray place"]:
+        at = np.moveaxis((rays.at(t) - low) / step, -1, 0)
+        return np.asarray(ndimage.map_coordinates(field, at, order=1, mode="constant", cval=margin))
+
+    nearest = closest(from_grid, first, last, (int(2 * radius / step),))
     # The same search on the surface itself, around the best place of the grid.
-    kept = np.flatnonzero(least < 0.99 * margin)
-    o, d, nearest, least = o[kept], d[kept], nearest[kept], np.full(len(kept), np.inf)
-    for reach in (step, step / 3):
-        middle_t, least[:] = nearest, np.inf
-        for share in (-1, -1 / 3, 1 / 3, 1):
-            t = np.clip(middle_t + share * reach, 0, rays.reach[kept])
-            here, _, _ = _away(tree, positions, normals, o + t[:, None] * d)
-            nearest, least = np.where(here < least, t, nearest), np.minimum(here, least)
-    distance, near, shares = _away(tree, positions, normals, o + nearest[:, None] * d)
-    row = np.repeat(np.arange(len(kept)), near.shape[1])
+    kept = from_grid(nearest[:, None])[:, 0] < 0.99 * margin
+    rays, nearest = rays.only(kept), nearest[kept]
+
+    def from_surface(t: Float64[np.ndarray, "ray place"]) -> Float64[np.ndarray, "ray place"]:
+        return _away(tree, positions, normals, rays.at(t).reshape(-1, 3))[0].reshape(t.shape)
+
+    low_t, high_t = (np.clip(nearest + side * step, 0, rays.reach) for side in (-1, 1))
+    nearest = closest(from_surface, low_t, high_t, (4, 4))
+    distance, near, shares = _away(tree, positions, normals, rays.at(nearest))
+    row = np.repeat(np.arange(len(near)), near.shape[1])
     return _Contacts(
         distance=distance,
-        weights=sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(kept), len(positions))),
+        weights=sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(near), len(positions))),
         pixel=rays.pixel_angle * nearest,
-        hits=rays.hits[kept],
+        hits=rays.hits,
     )
 
 

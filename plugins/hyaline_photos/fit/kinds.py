@@ -181,7 +181,7 @@ def _round(evidence: _Evidence, hull: Hull) -> list[tuple[float, Glass]]:
     if solid is not None and (outside is None or not solid.has_flat_top):
         return [*found, (OUTLINE, solid)]
     if outside is not None and solid is not None:
-        return [*found, (OUTLINE, dataclasses.replace(outside, solid=solid.solid, dish=solid.dish))]
+        return [*found, (OUTLINE, dataclasses.replace(outside, solid=solid.solid, numbers=solid.numbers))]
     return [*found, (OUTLINE, outside)] if outside is not None else found
 
 

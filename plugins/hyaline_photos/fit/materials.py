@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from datagen.scene.values import as_vector
-from hyaline_photos.fit.shapes import Glass, hollow_of
+from hyaline_photos.fit.shapes import Glass
 
 STEPS = 7
 """Values that are tried of a number that was found before."""
@@ -61,7 +61,7 @@ def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixe
     """First guesses of tint, index and roughness. Tint and index of a solid are found in turns."""
     glass, _ = find_absorption(glass, "absorption", misses, is_even)
     found = find_index(glass, misses)
-    if found.ior != glass.ior:
+    if found.numbers != glass.numbers:
         found, _ = find_absorption(found, "absorption", misses, is_even)
     return find_roughness(found, misses)
 
@@ -72,9 +72,7 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
     As long as a wall is only roughly known, another index makes up for its errors: the wall of a bottle of index 1.52
     was found a fifth too thin, with an index of 1.94.
     """
-    if hollow_of(glass) is not None:
-        return glass
-    return best_of([dataclasses.replace(glass, ior=value) for value in INDICES], misses)
+    return glass if glass.hollow else best_of([glass.having(ior=value) for value in INDICES], misses)
 
 
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
@@ -83,22 +81,22 @@ def find_roughness(glass: Glass, misses: Misses) -> Glass:
     Frosted solids get another index, too. Less frost with a higher index spreads light as far, so many pairs explain
     pictures as well, and of these the most usual index is taken.
     """
-    tried = [dataclasses.replace(glass, roughness=value) for value in ROUGHNESSES]
+    tried = [glass.having(roughness=value) for value in ROUGHNESSES]
     found = smoothed(best_of(tried, misses), misses)
-    if found.roughness is None or hollow_of(found) is not None:
+    if "roughness" not in found.numbers or found.hollow:
         return found
     pairs = itertools.product(INDICES, ROUGHNESSES)
-    tried = [dataclasses.replace(glass, ior=ior, roughness=roughness) for ior, roughness in pairs]
+    tried = [glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs]
     losses = [float(misses(each).mean()) for each in tried]
     as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * min(losses)]
-    return min(as_good, key=lambda each: (abs(each[0].ior - USUAL_INDEX), each[1]))[0]
+    return min(as_good, key=lambda each: (abs(each[0].numbers["ior"] - USUAL_INDEX), each[1]))[0]
 
 
 def smoothed(frosted: Glass, misses: Misses) -> Glass:
     """Smooth, unless frost explains more than hardly any, which is drawn by as many rays."""
-    hardly = dataclasses.replace(frosted, roughness=LEAST_ROUGHNESS)
+    hardly = frosted.having(roughness=LEAST_ROUGHNESS)
     is_worth_it = misses(frosted).mean() < (1 - WORTH_IT) * misses(hardly).mean()
-    return frosted if is_worth_it else dataclasses.replace(frosted, roughness=None)
+    return frosted if is_worth_it else frosted.without("roughness")
 
 
 def best_of(glasses: Sequence[Glass], misses: Misses) -> Glass:

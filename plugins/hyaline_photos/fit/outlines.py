@@ -111,9 +111,9 @@ def find_solid(hull: Hull, support: float | None) -> Revolution | None:
     else:
         pieces.append(np.linspace((0.0, high), side[-1], END, endpoint=False)[::-1])
     line = np.concatenate(pieces)
+    found = Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), section=hull.around, solid=line)
     is_loose = support is None and hull.around is None
-    dish = 0.0 if is_loose and not closes_below and not closes_above else None
-    return Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), section=hull.around, solid=line, dish=dish)
+    return found.having(dish=0.0) if is_loose and not closes_below and not closes_above else found
 
 
 def find_ball(hull: Hull) -> Revolution | None:

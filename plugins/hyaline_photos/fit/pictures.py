@@ -17,9 +17,6 @@ ENLARGED = 3
 
 SHOWN_VIEWS = 4
 
-SKY_HEIGHT = 96
-"""Rows of the picture of the learned sky."""
-
 MARGIN = 6
 """Pixels around an object."""
 

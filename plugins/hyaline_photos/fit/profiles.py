@@ -7,6 +7,7 @@ curvature: about an axis, the squared radius of a ball, a cone, a cylinder or an
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int
@@ -16,7 +17,7 @@ from hyaline_photos.fit.lathe import Axis, perpendicular
 from hyaline_photos.fit.outside import Hull, along_and_across
 from hyaline_photos.fit.section import Section
 from hyaline_photos.fit.shapes import find_shelf
-from hyaline_photos.fit.silhouettes import descend, misfit, pull
+from hyaline_photos.fit.silhouettes import closest, descend, misfit, pull
 from hyaline_photos.fit.views import NearRays
 
 SOFTNESS, SOFTNESS_FOR_WRONG_MASKS = (0.25, 0.12, 0.06, 0.03, 0.015), (0.5, 0.25, 0.12)
@@ -51,8 +52,8 @@ THREAD = 1e-3
 LEAST_PLACES = 8
 """Fewer heights show no curvature."""
 
-ALONG, ZOOMS, FINER = 48, 2, 9
-"""Places along a ray at which its distance from the surface is looked up, and those around the least in each zoom."""
+PLACES = (48, 9, 9)
+"""Places along a ray at which its distance from the surface is looked up, then those around the least."""
 
 WINDOW = 1.1
 """Radius of the cylinder in which rays are looked at, in parts of the largest radius."""
@@ -72,19 +73,16 @@ class _Profile:
     """Squared radii, in square metres."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Passes:
-    """Places along rays; one for each ray: where it comes closest to a surface, or is deepest inside."""
+class _Places(NamedTuple):
+    """Places along rays, beside a surface."""
 
-    distance: Float64[np.ndarray, "*place"]
-    """Metres from the surface, to first order; negative inside."""
-    t: Float64[np.ndarray, "*place"]
-    """Metres along the ray."""
-    place: Int[np.ndarray, "*place"]
+    distance: Float64[np.ndarray, "ray place"]
+    """Metres from the surface, to first order; negative inside, infinite beyond its ends."""
+    below: Int[np.ndarray, "ray place"]
     """The last height below."""
-    share: Float64[np.ndarray, "*place"]
+    share: Float64[np.ndarray, "ray place"]
     """Share of the way to the next height."""
-    steepness: Float64[np.ndarray, "*place"]
+    steepness: Float64[np.ndarray, "ray place"]
     """Derivative of the squared distance from the axis by the distance from the surface."""
 
 
@@ -99,9 +97,9 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
         return hull
     profile = _Profile(axis=hull.axis, around=hull.around, heights=heights, squares=radii**2)
     edge = rays.at_edges().thinned(RAYS)
-    passes = _passes(edge, profile)
+    t = _closest(edge, profile)
     near = NEAR if hull.is_exact else NEAR_FOR_WRONG_MASKS
-    edge = edge.only(np.abs(passes.distance) < near * rays.pixel_angle * passes.t)
+    edge = edge.only(np.abs(_at(edge, t, profile).distance[:, 0]) < near * rays.pixel_angle * t)
     if not edge.hits.any() or edge.hits.all():
         return hull
     for softness in SOFTNESS if hull.is_exact else SOFTNESS_FOR_WRONG_MASKS:
@@ -135,23 +133,24 @@ def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " he
     jumps = np.diff(bends, axis=0)[is_free[:-3] & is_free[3:]] / size**2
     moves = np.append(is_free, [True, True])
 
-    def told(passes: _Passes) -> tuple[NearRays, _Passes, Float64[np.ndarray, " ray"]]:
-        """The rays that pass where radii are fitted, and the widths over which they turn."""
-        is_told = is_free[passes.place] & is_free[passes.place + 1]
-        return rays.only(is_told), _only(passes, is_told), softness * rays.pixel_angle * passes.t[is_told]
+    def told(profile: _Profile, t: np.ndarray) -> tuple[NearRays, np.ndarray, np.ndarray, np.ndarray]:
+        """The rays that pass where radii are fitted, where and how far, and the widths over which they turn."""
+        places = _at(rays, t, profile)
+        kept = (is_free[places.below] & is_free[places.below + 1])[:, 0]
+        return rays.only(kept), t[kept], places.distance[kept, 0], softness * rays.pixel_angle * t[kept]
 
-    def judge(profile: _Profile) -> tuple[float, _Passes]:
-        passes = _passes(rays, profile)
-        some, near, width = told(passes)
+    def judge(profile: _Profile) -> tuple[float, np.ndarray]:
+        t = _closest(rays, profile)
+        some, _, distance, width = told(profile, t)
         if not len(width):
-            return np.inf, passes
-        wrong = misfit(near.distance, some.hits, width) * len(width)
-        return float(wrong + _price(jumps @ profile.squares).sum()), passes
+            return np.inf, t
+        wrong = misfit(distance, some.hits, width) * len(width)
+        return float(wrong + _price(jumps @ profile.squares).sum()), t
 
-    def step(profile: _Profile, passes: _Passes, damping: float) -> _Profile:
-        some, near, width = told(passes)
-        pulls = pull(near.distance, some.hits, width)
-        slopes = _slopes(some, near, profile)
+    def step(profile: _Profile, t: np.ndarray, damping: float) -> _Profile:
+        some, t, distance, width = told(profile, t)
+        pulls = pull(distance, some.hits, width)
+        slopes = _slopes(some, t, profile)
         # Newton's unknowns: squares in parts of the size's, and the axis in parts of the size.
         slopes = slopes @ sparse.diags_array(np.append(np.full(len(heights), size**2), [size, size]))
         seen = (slopes.T @ sparse.diags_array(pulls.curvature) @ slopes).toarray()
@@ -181,8 +180,8 @@ def _stiffness(leaps: Float64[np.ndarray, " jump"]) -> Float64[np.ndarray, " jum
     return PRICE / (size * (1 + size / JUMP))
 
 
-def _passes(rays: NearRays, profile: _Profile) -> _Passes:
-    """How rays pass a surface, up to the first known one where they miss it."""
+def _closest(rays: NearRays, profile: _Profile) -> Float64[np.ndarray, " ray"]:
+    """Metres along rays to where they are closest to a surface, up to the first known one where they miss it."""
     _, from_axis = along_and_across(rays.origins - profile.axis.point, profile.axis)
     _, across = along_and_across(rays.directions, profile.axis)
     flat = np.maximum(np.einsum("rc,rc->r", across, across), 1e-12)
@@ -192,17 +191,12 @@ def _passes(rays: NearRays, profile: _Profile) -> _Passes:
     half = np.sqrt(np.maximum(reach**2 - np.einsum("rc,rc->r", off, off), (0.1 * reach) ** 2) / flat)
     last = np.where(rays.hits, np.inf, rays.reach)
     low, high = np.minimum(np.maximum(middle - half, 0), last), np.minimum(middle + half, last)
-    row, t = np.arange(len(low)), np.linspace(low, high, ALONG, axis=1)
-    for _ in range(ZOOMS):
-        best = _at(rays, t, profile).distance.argmin(axis=1)
-        low, high = t[row, np.maximum(best - 1, 0)], t[row, np.minimum(best + 1, t.shape[1] - 1)]
-        t = np.linspace(low, high, FINER, axis=1)
-    places = _at(rays, t, profile)
-    return _only(places, (row, places.distance.argmin(axis=1)))
+    return closest(lambda t: _at(rays, t, profile).distance, low, high, PLACES)
 
 
-def _at(rays: NearRays, t: Float64[np.ndarray, "ray place"], profile: _Profile) -> _Passes:
-    """How far from the surface places along rays are; infinitely beyond its ends."""
+def _at(rays: NearRays, t: Float64[np.ndarray, "ray *place"], profile: _Profile) -> _Places:
+    """How far from the surface places along rays are."""
+    t = t.reshape(len(t), -1)
     axis, around, heights, squares = profile.axis, profile.around, profile.heights, profile.squares
     step = heights[1] - heights[0]
     ways = np.stack([*perpendicular(axis.direction), axis.direction], axis=1)
@@ -216,22 +210,18 @@ def _at(rays: NearRays, t: Float64[np.ndarray, "ray place"], profile: _Profile) 
     steepness = np.sqrt(4 * np.maximum(square, 0) + (rise / step) ** 2 + 1e-12)
     is_on = (share >= 0) & (share <= 1)
     distance = np.where(is_on, (far - square) / steepness, np.inf)
-    return _Passes(distance=distance, t=t, place=place, share=share, steepness=steepness)
+    return _Places(distance, place, share, steepness)
 
 
-def _slopes(rays: NearRays, passes: _Passes, profile: _Profile) -> sparse.csr_array:
+def _slopes(rays: NearRays, t: Float64[np.ndarray, " ray"], profile: _Profile) -> sparse.csr_array:
     """Derivatives of the distances by the squared radii, and by the axis's place across it."""
-    count, row = len(passes.t), np.repeat(np.arange(len(passes.t)), 2)
-    columns = np.stack([passes.place, passes.place + 1], axis=1).ravel()
-    shares = -np.stack([1 - passes.share, passes.share], axis=1) / passes.steepness[:, None]
+    count, row = len(t), np.repeat(np.arange(len(t)), 2)
+    distance, below, share, steepness = (each[:, 0] for each in _at(rays, t, profile))
+    columns = np.stack([below, below + 1], axis=1).ravel()
+    shares = -np.stack([1 - share, share], axis=1) / steepness[:, None]
     by_squares = sparse.csr_array((shares.ravel(), (row, columns)), shape=(count, len(profile.heights)))
     by_axis = []
     for shift in STEP * np.eye(2):
         moved = dataclasses.replace(profile, axis=profile.axis.moved(np.zeros(2), shift))
-        distance = _at(rays, passes.t[:, None], moved).distance[:, 0]
-        by_axis.append((distance - passes.distance) / STEP)
+        by_axis.append((_at(rays, t, moved).distance[:, 0] - distance) / STEP)
     return sparse.csr_array(sparse.hstack([by_squares, sparse.csr_array(np.stack(by_axis, axis=1))]))
-
-
-def _only(passes: _Passes, kept: np.ndarray | tuple[np.ndarray, np.ndarray]) -> _Passes:
-    return _Passes(**{name: value[kept] for name, value in vars(passes).items()})

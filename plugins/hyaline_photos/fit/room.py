@@ -166,16 +166,6 @@ class Room:
             rays = [self.renderer.radiance(pixels.take(part, None)) for part in parts]
             return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
 
-    def sky(self, height: int) -> Float32[np.ndarray, "h w 3"]:
-        """sRGB colours, in [0, 1], of the learned sky: the zenith on top, azimuth 0 (x) in the middle."""
-        polar = (torch.arange(height) + 0.5)[:, None] * torch.pi / height
-        azimuth = (torch.arange(2 * height) + 0.5)[None] * torch.pi / height - torch.pi
-        up = polar.cos().expand(height, 2 * height)
-        directions = torch.stack([polar.sin() * azimuth.cos(), polar.sin() * azimuth.sin(), up], dim=-1)
-        with torch.inference_mode():
-            radiance = self.renderer.environment(directions.reshape(-1, 3))
-        return srgb_curve(radiance).clamp(0, 1).reshape(height, 2 * height, 3).numpy()
-
     def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"], guesses: Sequence[Glass]) -> Misses:
         """The loss of some pixels as a function of the glass that replaces these objects.
 
@@ -188,7 +178,7 @@ class Room:
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
             self.put(object_ids, glass)
-            drawn = self.draw(rows, RAYS if glass.roughness is None else FROSTED_RAYS)
+            drawn = self.draw(rows, FROSTED_RAYS if "roughness" in glass.numbers else RAYS)
             return weights[:, None] * penalty(drawn - truth)
 
         return miss

@@ -27,7 +27,7 @@ from hyaline_photos.fit.materials import (
     smoothed,
     vertex,
 )
-from hyaline_photos.fit.shapes import USUAL_WALL, Glass, Revolution, hollow_of
+from hyaline_photos.fit.shapes import USUAL_WALL, Glass, Revolution
 
 SOFTNESS = 0.05
 """sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
@@ -82,7 +82,12 @@ NUMBERS: dict[str, Number] = {
     "level": Number(low=1e-5, high=10.0, reach=0.06, least=0.02),
     "drink_ior": Number(low=1.2, high=2.0, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
 }
-"""Search ranges, in search order."""
+"""Search ranges, in search order. In metres: wall (above the floor), floor (the hollow's lowest point above the
+outside's), foot (reach of the rounding between bottom and side), level (of a drink above the outside's lowest point).
+Relative: taper (wall at the rim over that above the floor), corner (reach of the rounding between floor and wall, in
+parts of the floor's radius), dish (how far the flat ends of a solid are sunk, as spheres, in parts of their radius),
+sag (exponent of the heights of a foot's upper side, from its edge to the stem; masks don't show it where it is flatter
+than the lowest view)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,11 +127,11 @@ def guess(
         return cells, find_material(alternatives(cells)[0].glass, misses, is_even)
 
     cells, glass = drawn(None)
-    if len(cells) == 1 or not (any(glass.absorption) or glass.roughness is not None):
+    if len(cells) == 1 or not (any(glass.absorption) or "roughness" in glass.numbers):
         return cells, glass
     apart = [cell.glass for cell in _best_by_wall(cells)]
     likes = [best_of([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
-    if glass.roughness is not None:
+    if "roughness" in glass.numbers:
         likes.insert(0, best_of([find_material(each, misses, is_even) for each in apart], misses))
     return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
 
@@ -135,7 +140,7 @@ def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
     """The best cell of each wall, and of solids."""
     best: dict[float | None, Cell] = {}
     for cell in sorted(cells, key=lambda cell: cell.loss):
-        best.setdefault(getattr(cell.glass, "wall", None), cell)
+        best.setdefault(cell.glass.numbers.get("wall"), cell)
     return list(best.values())
 
 
@@ -156,31 +161,32 @@ def guesses(outside: Glass) -> tuple[Glass, ...]:
     """The outside as solid glass, and as a usual vessel where it may be one."""
     if not isinstance(outside, Revolution) or outside.is_closed:
         return (outside,)
-    return outside if outside.wall is None else _cells(outside)[0], outside.hollowed(*USUAL)
+    return _cells(outside)[0] if outside.hollow else outside, outside.hollowed(*USUAL)
 
 
 def _as_dark_as(glass: Glass, other: Glass) -> Glass:
     """With the roughness of another glass, and its tint so that as much light gets through walls of this thickness."""
     absorption = np.array(other.absorption) * (_thickness(other) / _thickness(glass))
-    return dataclasses.replace(glass, absorption=as_vector(absorption), roughness=other.roughness)
+    frost = {name: value for name, value in other.numbers.items() if name == "roughness"}
+    return dataclasses.replace(glass.without("roughness").having(**frost), absorption=as_vector(absorption))
 
 
 def _thickness(glass: Glass) -> float:
     """Thickness of a vessel's wall, or half the width of a solid; 1 for shapes that are always solid."""
     if not isinstance(glass, Revolution):
         return 1.0
-    return float(glass.outside[:, 0].max()) if glass.wall is None else glass.wall
+    return glass.hollow[0] if glass.hollow else float(glass.outside[:, 0].max())
 
 
 def _cells(outside: Glass) -> list[Glass]:
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
-    dishes = (None,) if outside.dish is None else DISHES
-    solids = [dataclasses.replace(outside, ior=ior, dish=dish) for ior in INDICES for dish in dishes]
+    dishes = [{"dish": dish} for dish in DISHES] if "dish" in outside.numbers else [{}]
+    solids = [outside.having(ior=ior, **dish) for ior in INDICES for dish in dishes]
     grid = itertools.product(WALLS, FLOORS, PANE_CORNERS if outside.is_of_panes else CORNERS)
     vessels: list[Glass] = [outside.hollowed(*cell) for cell in grid]
     # A vessel with handles has other faces than a solid.
-    return [*solids, *vessels] if outside.wall is None else vessels
+    return vessels if outside.hollow else [*solids, *vessels]
 
 
 def refine(
@@ -195,7 +201,7 @@ def refine(
     Yields:
         The glass after each search, the name of the number, and what was found.
     """
-    if glass.roughness is not None:
+    if "roughness" in glass.numbers:
         glass = smoothed(glass, misses)
     for name in _absorptions(glass):
         glass, channels = find_absorption(glass, name, misses, is_even)
@@ -212,12 +218,12 @@ def count_searches(glass: Glass, number: int) -> int:
 
 
 def _absorptions(glass: Glass) -> tuple[str, ...]:
-    return ("absorption",) if getattr(glass, "drink_ior", None) is None else ("absorption", "drink_absorption")
+    return ("absorption",) if "drink_ior" not in glass.numbers else ("absorption", "drink_absorption")
 
 
 def _searched(glass: Glass, number: int) -> list[str]:
-    held = {"ior"} if number < INDEX_HELD and hollow_of(glass) is not None else set()
-    return [name for name in NUMBERS if getattr(glass, name, None) is not None and name not in held]
+    held = {"ior"} if number < INDEX_HELD and glass.hollow else set()
+    return [name for name in NUMBERS if name in glass.numbers and name not in held]
 
 
 def reach_of(name: str, number: int) -> float:
@@ -231,10 +237,10 @@ def find_number(
     """Searches one of `NUMBERS` in a bracket of half this width."""
     how = NUMBERS[name]
     steps = reach * np.linspace(-1, 1, STEPS)
-    now = getattr(glass, name)
+    now = glass.numbers[name]
     high = getattr(glass, f"most_{name}", None) or how.high
     values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, high)
-    losses = np.stack([misses(dataclasses.replace(glass, **{name: float(value)})).mean(axis=1) for value in values])
+    losses = np.stack([misses(glass.having(**{name: float(value)})).mean(axis=1) for value in values])
     places = np.log(values) if how.is_factor else values
 
     def lowest(pixels: Bool[np.ndarray, " pixel"] | slice, *, by_parabola: bool) -> float:
@@ -245,16 +251,11 @@ def find_number(
     value = lowest(slice(None), by_parabola=how.by_parabola)
     halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
     found = Found(value=value, even=halves[0], odd=halves[1], curve=curve_of(values, losses.mean(axis=1)))
-    return dataclasses.replace(glass, **{name: value}), found
-
-
-def grid_row(cell: Cell) -> tuple[float, ...]:
-    """Wall, floor, corner and loss of a cell; 0 where it is solid."""
-    return (*(float(getattr(cell.glass, name, None) or 0) for name in ("wall", "floor", "corner")), cell.loss)
+    return glass.having(**{name: value}), found
 
 
 def alternatives(cells: Sequence[Cell]) -> tuple[Cell, Cell]:
     """The best cell and the second best: the best of those with another wall or floor."""
     ordered = sorted(cells, key=lambda cell: cell.loss)
-    others = [cell for cell in ordered[1:] if hollow_of(cell.glass) != hollow_of(ordered[0].glass)]
+    others = [cell for cell in ordered[1:] if cell.glass.hollow != ordered[0].glass.hollow]
     return ordered[0], (others or ordered)[0]

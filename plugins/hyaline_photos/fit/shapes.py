@@ -2,8 +2,9 @@
 be updated in place."""
 
 import dataclasses
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from jaxtyping import Float64
@@ -51,13 +52,14 @@ Body = tuple[Mesh, Material]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Glass:
-    """A fitted object: its material; derived records add the shape."""
+    """A fitted object: its numbers and tints; derived records add the shape."""
 
-    ior: float = 1.5
+    numbers: Mapping[str, float] = field(default_factory=lambda: {"ior": 1.5})
+    """What a search changes, as far as it applies: roughness of frosted glass, wall of vessels, ... (`NUMBERS`)."""
     absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """1/m, by colour channel."""
-    roughness: float | None = None
-    """None: smooth."""
+    drink_absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """The same of what a vessel holds."""
 
     @property
     def kind(self) -> str:
@@ -75,10 +77,26 @@ class Glass:
         """The shape that it is with these numbers."""
         return self
 
+    def having(self, **numbers: float) -> Self:
+        """The same with some other numbers."""
+        return dataclasses.replace(self, numbers={**self.numbers, **numbers})
+
+    def without(self, *names: str) -> Self:
+        """The same where some numbers don't apply."""
+        return dataclasses.replace(
+            self, numbers={name: each for name, each in self.numbers.items() if name not in names}
+        )
+
+    @property
+    def hollow(self) -> tuple[float, float] | None:
+        """Wall and floor in metres; None: solid."""
+        return (self.numbers["wall"], self.numbers["floor"]) if "wall" in self.numbers else None
+
     def material(self) -> Material:
-        if self.roughness is None:
-            return Dielectric(ior=self.ior, absorption=self.absorption)
-        return RoughDielectric(ior=self.ior, absorption=self.absorption, roughness=self.roughness)
+        ior, roughness = self.numbers["ior"], self.numbers.get("roughness")
+        if roughness is None:
+            return Dielectric(ior=ior, absorption=self.absorption)
+        return RoughDielectric(ior=ior, absorption=self.absorption, roughness=roughness)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -92,31 +110,10 @@ class Revolution(Glass):
     """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
     as_solid: Glass | None = None
     """What it is if it is found solid; None: this."""
-    dish: float | None = None
-    """How far the flat ends of solid glass are sunk in their middle, as spheres, in parts of their radius: masks do not
-    show that. None: they are flat, or stand on something."""
     section: Section | None = None
     """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
-    wall: float | None = None
-    """Thickness of a vessel's wall above the floor, in metres; None: solid."""
-    taper: float | None = None
-    """Thickness at the rim over that above the floor."""
-    floor: float | None = None
-    """Height of the hollow's lowest point above the outside's lowest, in metres."""
     most_floor: float | None = None
-    """Its limit, which things that are known to be in the hollow set; None: there are none."""
-    corner: float | None = None
-    """How far the rounding between floor and wall reaches, in parts of the floor's radius."""
-    foot: float | None = None
-    """How far the rounding between the flat bottom and the side reaches, in metres."""
-    sag: float | None = None
-    """Exponent of the heights of a foot's upper side, from 0 at its edge to 1 at the stem; 1: as in `outside`. Masks do
-    not show this side where it is flatter than the lowest view. None: it has no foot."""
-    level: float | None = None
-    """Height of a drink's surface above the outside's lowest point, in metres; None: the vessel is empty."""
-    drink_ior: float | None = None
-    drink_absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """1/m, by colour channel."""
+    """Highest floor of its hollow, which things that are known to be in the hollow set; None: there are none."""
 
     @property
     def kind(self) -> str:
@@ -158,19 +155,21 @@ class Revolution(Glass):
         height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
         return dataclasses.replace(
             self,
-            dish=None,
-            wall=wall * radius,
-            taper=1.0,
-            floor=height,
-            corner=corner,
-            foot=(PANE_FOOT if self.is_of_panes else FOOT) * radius,
-            sag=None if find_shelf(self.outside) is None else SAG,
+            numbers={
+                **self.without("dish").numbers,
+                "wall": wall * radius,
+                "taper": 1.0,
+                "floor": height,
+                "corner": corner,
+                "foot": (PANE_FOOT if self.is_of_panes else FOOT) * radius,
+                **({} if find_shelf(self.outside) is None else {"sag": SAG}),
+            },
         )
 
     def settled(self) -> Glass:
-        if self.as_solid is None or self.wall is not None:
+        if self.as_solid is None or self.hollow is not None:
             return self
-        return dataclasses.replace(self.as_solid, ior=self.ior, absorption=self.absorption, roughness=self.roughness)
+        return dataclasses.replace(self.as_solid, numbers=self.without("dish").numbers, absorption=self.absorption)
 
     def around(self, things: Sequence[Mesh]) -> "Revolution":
         """The same outside, where the things that lie inside it leave no room for a higher floor."""
@@ -187,48 +186,46 @@ class Revolution(Glass):
 
     def outline(self) -> Outline:
         """The whole section."""
-        if self.wall is None and self.solid is not None:
-            return self.solid if self.dish is None else _dished(self.solid, self.dish)
-        if self.wall is None:
+        numbers = self.numbers
+        if self.hollow is None:
+            if self.solid is not None:
+                return _dished(self.solid, numbers["dish"]) if "dish" in numbers else self.solid
             if self.is_closed:
                 return evenly(self.outside, POINTS)
             top = np.linspace(self.outside[-1], (0.0, self.outside[-1, 1]), POINTS - OUTSIDE + 1)[1:]
             return np.concatenate([self.outside, top])
-        assert self.taper is not None
-        assert self.floor is not None
-        assert self.corner is not None
-        assert self.foot is not None
-        at_rim = self.wall * self.taper
-        outside = self.outside if self.sag is None else _sagged(self.outside, self.sag)
+        wall, floor = self.hollow
+        at_rim = wall * numbers["taper"]
+        outside = _sagged(self.outside, numbers["sag"]) if "sag" in numbers else self.outside
         # The rim is a half circle, below which the outside ends; that of panes is flat.
-        side = _with_foot(outside if self.is_of_panes else _cut(outside, outside[-1, 1] - at_rim / 2), self.foot)
-        inside = _hollow(side, self.wall, at_rim, self.floor, self.corner, has_flat_rim=self.is_of_panes)
+        side = _with_foot(outside if self.is_of_panes else _cut(outside, outside[-1, 1] - at_rim / 2), numbers["foot"])
+        inside = _hollow(side, wall, at_rim, floor, numbers["corner"], has_flat_rim=self.is_of_panes)
         return np.concatenate([side, inside])
 
     def mesh(self) -> Mesh:
         return revolved(self.axis, self.outline(), self.section)
 
     def bodies(self) -> tuple[Body, ...]:
-        if self.drink_ior is None:
+        if "drink_ior" not in self.numbers:
             return super().bodies()
         # Where the drink reaches into the wall, its lower priority lets the glass win.
-        drink = Dielectric(ior=self.drink_ior, absorption=self.drink_absorption, priority=-1)
+        drink = Dielectric(ior=self.numbers["drink_ior"], absorption=self.drink_absorption, priority=-1)
         return (*super().bodies(), (revolved(self.axis, self.drink_outline(), self.section), drink))
 
     def drink_outline(self) -> Outline:
         """The section of the drink; it extends slightly into floor and wall."""
-        assert self.wall is not None
-        assert self.taper is not None
-        assert self.floor is not None
-        assert self.level is not None
+        assert self.hollow is not None, "a drink is in a vessel"
         inside = self.outline()[OUTSIDE + RIM - 1 :][::-1]
         low, high = inside[0, 1], inside[-1, 1]
-        surface = float(np.clip(self.outside[:, 1].min() + self.level, low + 0.02 * (high - low), high - 1e-6))
+        surface = float(
+            np.clip(self.outside[:, 1].min() + self.numbers["level"], low + 0.02 * (high - low), high - 1e-6)
+        )
         inside = _cut(inside, surface)
         tangents = np.gradient(inside, axis=0)
         tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
         outward = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
-        line = inside + DRINK_REACH * min(self.wall, self.wall * self.taper, self.floor) * outward
+        wall, floor = self.hollow
+        line = inside + DRINK_REACH * min(wall, wall * self.numbers["taper"], floor) * outward
         line[0, 0], line[-1, 1] = 0.0, surface
         line[:, 1] = np.minimum(line[:, 1], surface)
         return np.concatenate([line, [(0.0, surface)]])
@@ -349,10 +346,3 @@ def _cut(line: Outline, height: float) -> Outline:
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
     return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
-
-
-def hollow_of(glass: Glass) -> tuple[float, float] | None:
-    """Wall and floor in metres; None: solid."""
-    if not isinstance(glass, Revolution) or glass.wall is None or glass.floor is None:
-        return None
-    return glass.wall, glass.floor

@@ -1,6 +1,6 @@
 """How well a shape agrees with masks: each ray at a mask's edge is one sample of a logistic regression."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -60,6 +60,28 @@ def pull(
     trust = (1 - WRONG) * (1 - wrong) / (WRONG + (1 - 2 * WRONG) * (1 - wrong))
     bound = np.where(error > 1e-3, (wrong - 0.5) / np.maximum(error, 1e-3), wrong * (1 - wrong))
     return Pull(slope=np.where(hits, 1, -1) * trust * wrong / width, curvature=trust * bound / width**2)
+
+
+def closest(
+    distance: Callable[[Float64[np.ndarray, "ray place"]], Float64[np.ndarray, "ray place"]],
+    low: Float64[np.ndarray, " ray"],
+    high: Float64[np.ndarray, " ray"],
+    counts: Sequence[int],
+) -> Float64[np.ndarray, " ray"]:
+    """Metres along rays at which a distance is least.
+
+    Args:
+        distance: at places along each ray, by these metres.
+        low: where the search begins.
+        high: where it ends.
+        counts: places at which each ray is looked at, first between both ends, then around the best place.
+    """
+    found, row = low, np.arange(len(low))
+    for count in counts:
+        t = np.linspace(low, high, count, axis=1)
+        best = distance(t).argmin(axis=1)
+        low, found, high = (t[row, np.clip(best + side, 0, count - 1)] for side in (-1, 0, 1))
+    return found
 
 
 Shape = TypeVar("Shape")

@@ -244,6 +244,11 @@ class NearRays:
     pixel_angle: float
     """Radians between the rays of neighbouring pixels."""
 
+    def at(self, t: Float64[np.ndarray, "ray *place"]) -> Float64[np.ndarray, "ray *place 3"]:
+        """Points this many metres along the rays."""
+        origins, directions = (each.reshape(-1, *(1,) * (t.ndim - 1), 3) for each in (self.origins, self.directions))
+        return origins + t[..., None] * directions
+
     def only(self, kept: slice | Bool[np.ndarray, " ray"] | Int[np.ndarray, " kept"]) -> "NearRays":
         """Some of the rays."""
         rays = {name: value[kept] for name, value in vars(self).items() if isinstance(value, np.ndarray)}

@@ -129,6 +129,6 @@ def test_normals_are_those_of_the_sides_but_on_rounded_edges() -> None:
 
 def test_other_numbers_move_vertices_and_leave_the_faces() -> None:
     box = Box(center=np.array(CENTER), axes=TURN.T, half_sizes=np.array(SIZES), rounding=0.002)
-    other = dataclasses.replace(box, half_sizes=np.array([0.05, 0.001, 0.02]), rounding=0.0005, ior=1.6)
+    other = dataclasses.replace(box, half_sizes=np.array([0.05, 0.001, 0.02]), rounding=0.0005).having(ior=1.6)
     assert np.array_equal(box.mesh().faces, other.mesh().faces)
     assert other.material() == Dielectric(ior=1.6)

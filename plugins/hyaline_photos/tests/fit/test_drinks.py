@@ -19,8 +19,8 @@ AXIS = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
 RADIUS, HEIGHT, LEVEL = 0.035, 0.09, 0.06
 SIDE = evenly(np.array([(0, 0), (RADIUS, 0), (1.1 * RADIUS, HEIGHT)]), OUTSIDE)
 OUTER = Revolution(axis=AXIS, outside=SIDE)
-FULL = dataclasses.replace(
-    OUTER.hollowed(0.08, 0.15, 0.3), level=LEVEL, drink_ior=1.36, drink_absorption=(1.0, 2.0, 30.0)
+FULL = dataclasses.replace(OUTER.hollowed(0.08, 0.15, 0.3), drink_absorption=(1.0, 2.0, 30.0)).having(
+    level=LEVEL, drink_ior=1.36
 )
 VESSEL, DRINK = 1, 2
 
@@ -72,7 +72,7 @@ def test_a_drink_is_closed_fills_the_hollow_and_gives_way_to_the_glass() -> None
     assert drink.vertices[:, 2].min() == pytest.approx(floor - 0.3 * wall, abs=2e-4)
     assert vessel.vertices.shape == OUTER.mesh().vertices.shape
     for level in (0.0, 0.02, 0.2):
-        other = dataclasses.replace(FULL, level=level).bodies()[1][0]
+        other = FULL.having(level=level).bodies()[1][0]
         assert other.vertices.shape == drink.vertices.shape
         assert open_edges(other) == 0
 
@@ -86,7 +86,7 @@ def test_masks_show_which_object_is_a_drink_and_its_level() -> None:
     assert np.array_equal(both.first > 0, sightings.first > 0)
     found = with_drink(OUTER, sightings, DRINK, VESSEL)
     assert found is not None
-    assert found.level == pytest.approx(LEVEL, abs=0.0015)
+    assert found.numbers["level"] == pytest.approx(LEVEL, abs=0.0015)
 
 
 def test_ice_in_a_drink_is_none_and_its_drink_is_seen_around_it() -> None:

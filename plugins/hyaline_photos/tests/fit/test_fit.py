@@ -1,7 +1,6 @@
 """Tests `model fit` as a command, and what others make of the geometry that it writes."""
 
 import dataclasses
-import json
 import shutil
 from pathlib import Path
 
@@ -20,9 +19,9 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Dielectric, Diffuse
-from hyaline_photos.fit.found import FoundGlass, write_geometry
+from hyaline_photos.fit.found import FoundGlass, from_state, write_geometry
 from hyaline_photos.fit.hull import HullShape
-from hyaline_photos.fit.pictures import SKY_HEIGHT
+from model.run.checkpoint import load_state
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
 
@@ -64,12 +63,8 @@ def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
     ior = item["numbers"]["ior"]
     assert ior["low"] < ior["value"] < ior["high"]
     assert item["unexplained"] < 0.05
-    assert len(item["outline"]) > 100
-    assert [row["stage"] for row in item["history"]] == ["search"] * 4
     for name in ("room", "outside", "search"):
         assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
-    sky = np.asarray(Image.open(fitted / "sky.png"))
-    assert sky.shape[1] >= 2 * SKY_HEIGHT and len(np.unique(sky.reshape(-1, 3), axis=0)) > 20
 
 
 def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
@@ -300,8 +295,8 @@ def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitt
     words = f"{FIT} --name fitted-png --masks {tmp_path / 'masks'} --mask-errors 0 --skip search"
     answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'fit'}")
     assert answer.status == 0, answer.err
-    first, second = (json.loads((place / "fit.json").read_text())["objects"][0] for place in (fitted, tmp_path / "fit"))
-    assert first["hull_outline"] == second["hull_outline"]
+    first, second = (from_state(load_state(place / "outside.pt")["2"]).glass for place in (fitted, tmp_path / "fit"))
+    assert np.array_equal(first.outline(), second.outline())
     for path in masks.iterdir():
         Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
     answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'inverted'}")
@@ -312,5 +307,5 @@ def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:
     truth = read_meshes(dataset, "truth")
     flat = dataclasses.replace(truth[1], faces=np.concatenate([truth[1].faces, truth[1].faces[:1, [0, 0, 1]]]))
     glass = HullShape(surface=flat)
-    write_geometry(dataset, "fitted-flat", truth, {}, {2: FoundGlass(glass=glass, hull=glass, unexplained=0.0)})
+    write_geometry(dataset, "fitted-flat", truth, {}, {2: FoundGlass(glass=glass, unexplained=0.0)})
     assert len(read_meshes(dataset, "fitted-flat")[1].faces) == len(truth[1].faces)

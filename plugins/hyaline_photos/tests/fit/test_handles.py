@@ -1,7 +1,5 @@
 """Vessels are joined with what their hulls have beside them."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from support.silhouettes import block, cylinder, either, sightings_of
@@ -54,7 +52,7 @@ def test_the_union_is_closed_and_solid_and_has_the_handle_s_volume_more() -> Non
 
 def test_other_numbers_move_the_vessel_and_leave_the_faces_and_the_handle() -> None:
     mug = handled()
-    thin = dataclasses.replace(mug, wall=0.001, ior=1.6)
+    thin = mug.having(wall=0.001, ior=1.6)
     mesh, other = mug.mesh(), thin.mesh()
     check_closed(other, where="mug")
     check_solid(other, where="mug")

@@ -65,5 +65,5 @@ def test_a_known_thing_that_is_placed_in_front_of_what_the_masks_show_does_not_c
     assert (tank.kind, tank.settled().kind) == ("oblong", "box")
     assert tank.hollowed(0.1, 0.1, 0.1).settled().kind == "oblong"
     assert signed_volume(tank.mesh()) == pytest.approx(signed_volume(tank.settled().mesh()), rel=0.01)
-    again = from_state(to_state(dataclasses.replace(tank, ior=1.6))).settled()
-    assert (again.kind, again.ior) == ("box", 1.6)
+    again = from_state(to_state(tank.having(ior=1.6))).settled()
+    assert (again.kind, again.numbers) == ("box", {"ior": 1.6})

@@ -1,7 +1,5 @@
 """Tests what fits draw with the textures of a room."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from support.traced_dataset import write_traced_dataset
@@ -31,7 +29,7 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Room:
 
 
 def test_frosted_glass_is_drawn_by_more_rays_which_it_needs(drawn: Room, monkeypatch: pytest.MonkeyPatch) -> None:
-    frosted = dataclasses.replace(SHAPE, roughness=0.2)
+    frosted = SHAPE.having(roughness=0.2)
     drawn.put((BALL,), frosted)
     rows = np.arange(0, len(drawn.pixels.rgb), 3)
     best, few, many = (drawn.draw(rows, samples) for samples in (16 * FROSTED_RAYS, RAYS, FROSTED_RAYS))
