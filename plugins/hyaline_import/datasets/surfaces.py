@@ -1,6 +1,6 @@
 """The scene of an imported dataset: its meshes, with materials as far as they are known, and its cameras."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 
 import numpy as np
@@ -85,21 +85,41 @@ def _make_scene(
         objects += parted(_thin_where_open(item, remarks), remarks)
         if part.uv is None:
             without_uv.add(object_name)
+    scene = assemble(name, objects, cameras, remarks, without_uv=without_uv, images=mapper.images)
+    for item in scene.objects:
+        if item.material.is_glass and not any(any(seeing(cameras[split], item.mesh)) for split in SPLITS):
+            remarks.approximate(item.name, "no camera sees it")
+    return scene
+
+
+def assemble(
+    name: str,
+    objects: list[SceneObject],
+    cameras: dict[Split, Cameras],
+    remarks: Remarks,
+    *,
+    how: str = "Imported",
+    without_uv: Set[str],
+    images: Mapping[str, bytes],
+) -> Scene:
+    """The scene of some objects whose light is unknown, mended and checked.
+
+    Args:
+        without_uv: names of objects that get an atlas.
+        images: that materials may use, by their paths.
+    """
     objects = nested(apart(objects, remarks), remarks)
     used = {image.path for item in objects for image in item.material.images().values()}
     scene = Scene(
         name=name,
-        description=f"Imported from {name}; its light is unknown",
+        description=f"{how} from {name}; its light is unknown",
         objects=tuple(objects),
         environment=even_sky(UNKNOWN_LIGHT),
         cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
-        baked={image: data for image, data in mapper.images.items() if image in used},
+        baked={image: data for image, data in images.items() if image in used},
     )
     scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
     check_scene(scene)
-    for item in scene.objects:
-        if item.material.is_glass and not any(any(seeing(cameras[split], item.mesh)) for split in SPLITS):
-            remarks.approximate(item.name, "no camera sees it")
     return scene
 
 

@@ -15,26 +15,21 @@ from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import Scene, SceneObject
+from datagen.scene.description import SceneObject
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
-from datagen.scene.mending import mend_scene
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.scene.remarks import Remarks
-from datagen.scene.soundness import check_scene
-from datagen.scene.staging import even_sky
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
 from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
 from hyaline_import.datasets.pictures import on_background, opened
-from hyaline_import.datasets.surfaces import UNKNOWN_LIGHT, read_surface
+from hyaline_import.datasets.surfaces import assemble, read_surface
 from hyaline_import.foreign import z_up_from
 from hyaline_import.foreign_files import scene_name
 from hyaline_import.importing import scene_object, unique_names
 from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
 from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
@@ -103,7 +98,8 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
             outlines = tuple(outline.standing_on(room.support) for outline in outlines)
     about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
     name = scene_name(root.resolve())
-    scene, about_scene = _find_scene(name, outlines, parts, cameras, world, choices)
+    where = ", ".join(map(str, choices.room)) or name
+    scene, about_scene = scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
@@ -286,18 +282,6 @@ def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
 # The scene
 
 
-def _find_scene(
-    name: str,
-    outlines: tuple[Outline, ...],
-    parts: tuple[Part, ...],
-    cameras: dict[Split, Cameras],
-    world: World,
-    choices: CaptureChoices,
-) -> tuple[Scene, list[str]]:
-    where = ", ".join(map(str, choices.room)) or name
-    return scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
-
-
 def _save_scene(
     folder: Path,
     name: str,
@@ -323,15 +307,7 @@ def _save_scene(
     others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
     names = unique_names([*(item.name for item in glass), *others])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
-    scene = Scene(
-        name=name,
-        description=f"Captured from {name}; its light is unknown",
-        objects=tuple(nested(apart(objects, remarks), remarks)),
-        environment=even_sky(UNKNOWN_LIGHT),
-        cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
-    )
-    scene = mend_scene(scene, without_uv=set(names))
-    check_scene(scene)
+    scene = assemble(name, objects, cameras, remarks, how="Captured", without_uv=set(names), images={})
     save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
-from hyaline_photos.fit.section import Section
+from hyaline_photos.fit.section import Columns, Section
 
 SEGMENTS = 96
 """Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
@@ -60,7 +60,7 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Me
     ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
     rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
     ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    around = _around(section)
+    around = _columns(section)
     swept, turned = _swept(axis, rings, ring_normals, around)
     index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
     low, high = index[0::2], index[1::2]
@@ -80,36 +80,18 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Me
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Around:
-    """A surface around an axis: by how much an outline's radii change."""
-
-    angles: Float64[np.ndarray, " column"]
-    factors: Float64[np.ndarray, " column"]
-    slopes: Float64[np.ndarray, " column"]
-    """Derivatives of the factors, per radian."""
-    moved: Float64[np.ndarray, "column 2"]
-    """As those of `Columns`."""
-
-
-def _around(section: Section | None) -> _Around:
-    # The last column repeats the first, at u = 1.
+def _columns(section: Section | None) -> Columns:
+    """Points around the axis; the last repeats the first, at u = 1."""
     place = np.arange(SEGMENTS + 1) % SEGMENTS
     if section is None:
         ones = np.ones(SEGMENTS + 1)
         angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros((SEGMENTS + 1, 2))
-        return _Around(angles=angles, factors=ones, slopes=0 * ones, moved=moved)
-    columns = section.columns(SEGMENTS)
-    return _Around(
-        angles=columns.angles[place],
-        factors=columns.factors[place],
-        slopes=columns.slopes[place],
-        moved=columns.moved[place],
-    )
+        return Columns(angles=angles, factors=ones, slopes=0 * ones, moved=moved)
+    return Columns(**{name: values[place] for name, values in vars(section.columns(SEGMENTS)).items()})
 
 
 def _swept(
-    axis: Axis, rings: Float64[np.ndarray, "ring 2"], normals: Float64[np.ndarray, "ring 2"], around: _Around
+    axis: Axis, rings: Float64[np.ndarray, "ring 2"], normals: Float64[np.ndarray, "ring 2"], around: Columns
 ) -> tuple[Float64[np.ndarray, "vertex 3"], Float64[np.ndarray, "vertex 3"]]:
     """Vertices and normals, ring by ring.
 

@@ -240,7 +240,7 @@ def crossings(
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
     if around is not None:
-        rho = around.outline_radii(*_places(across_o[:, None], across_d[:, None], t, axis), heights)
+        rho = around.outline_radii(*_places(across_o[:, None], across_d[:, None], t, axis))
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
@@ -293,7 +293,7 @@ def _closest(
         if around is None:
             rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
         else:
-            rho = around.outline_radii(*_places(across_o, across_d, t, axis), height)
+            rho = around.outline_radii(*_places(across_o, across_d, t, axis))
         is_closer = is_on & (rho < least)
         place, least = np.where(is_closer, at, place), np.where(is_closer, rho, least)
     return place, least

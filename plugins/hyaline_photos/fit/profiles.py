@@ -206,7 +206,7 @@ def _at(rays: NearRays, t: Float64[np.ndarray, "ray *place"], profile: _Profile)
     place = np.clip(at.astype(int), 0, len(heights) - 2)
     share, rise = at - place, squares[place + 1] - squares[place]
     square = squares[place] + share * rise
-    far = x**2 + y**2 if around is None else around.outline_radii(x, y, height) ** 2
+    far = x**2 + y**2 if around is None else around.outline_radii(x, y) ** 2
     steepness = np.sqrt(4 * np.maximum(square, 0) + (rise / step) ** 2 + 1e-12)
     is_on = (share >= 0) & (share <= 1)
     distance = np.where(is_on, (far - square) / steepness, np.inf)

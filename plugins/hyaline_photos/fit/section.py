@@ -33,7 +33,7 @@ _UNIT = 2 * np.pi * np.arange(TABLE + 1) / TABLE
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Columns:
-    """Points around a section; an edge has two."""
+    """Points around a section; an edge of a polygon has two."""
 
     angles: Float64[np.ndarray, " column"]
     """In radians."""
@@ -73,12 +73,9 @@ class Section:
         return (self._sum(angles) / at_side) ** (-1 / self.sharpness)
 
     def outline_radii(
-        self,
-        x: Float[np.ndarray, "*place"],
-        y: Float[np.ndarray, "*place"],
-        heights: Float64[np.ndarray, "*#place"],  # noqa: ARG002
+        self, x: Float[np.ndarray, "*place"], y: Float[np.ndarray, "*place"]
     ) -> Float64[np.ndarray, "*place"]:
-        """Radii of the outlines whose surfaces go through places beside the axis; at all heights alike."""
+        """Radii of the outlines whose surfaces go through places beside the axis."""
         if self.is_oblong:
             cos, sin = np.cos(self.turn), np.sin(self.turn)
             inner = np.clip(x * cos + y * sin, -self.stretch, self.stretch)

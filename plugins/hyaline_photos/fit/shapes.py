@@ -179,7 +179,7 @@ class Revolution(Glass):
             from_axis = mesh.vertices - self.axis.point
             height = from_axis @ self.axis.direction
             x, y = perpendicular(self.axis.direction) @ from_axis.T
-            distance = np.hypot(x, y) if self.section is None else self.section.outline_radii(x, y, height)
+            distance = np.hypot(x, y) if self.section is None else self.section.outline_radii(x, y)
             if (distance < np.interp(height, self.outside[:, 1], self.outside[:, 0])).mean() > MOSTLY_INSIDE:
                 floors.append(float(height.min()) - lowest + DRINK_REACH * USUAL_WALL * radius)
         return dataclasses.replace(self, most_floor=min(floors)) if floors and min(floors) > 0 else self

@@ -41,7 +41,7 @@ def test_slopes_are_derivatives_and_places_on_the_surface_have_its_outlines_radi
     differences = (section.factors(ANGLES + step) - section.factors(ANGLES - step)) / (2 * step)
     assert section.slopes(ANGLES) == pytest.approx(differences, abs=1e-7)
     radii = 0.03 * section.factors(ANGLES)
-    found = section.outline_radii(radii * np.cos(ANGLES), radii * np.sin(ANGLES), np.zeros(()))
+    found = section.outline_radii(radii * np.cos(ANGLES), radii * np.sin(ANGLES))
     assert found == pytest.approx(0.03, rel=1e-3)
     assert section.middles().tolist() == [[0, 0]]
 
@@ -50,8 +50,8 @@ def test_oblong_sections_of_all_radii_are_as_far_apart_on_all_sides() -> None:
     section = Section(sides=4, sharpness=MOST_SHARPNESS, turn=0.3, stretch=0.02)
     along, across = np.array([np.cos(0.3), np.sin(0.3)]), np.array([-np.sin(0.3), np.cos(0.3)])
     for place in (0.05 * along, -0.05 * along, 0.03 * across, 0.015 * along - 0.03 * across):
-        assert section.outline_radii(*place[:, None], np.zeros(())) == pytest.approx(0.03, rel=1e-3)
-    assert section.outline_radii(*(0.01 * along)[:, None], np.zeros(())) == pytest.approx(0, abs=1e-9)
+        assert section.outline_radii(*place[:, None]) == pytest.approx(0.03, rel=1e-3)
+    assert section.outline_radii(*(0.01 * along)[:, None]) == pytest.approx(0, abs=1e-9)
     assert section.middles()[1:] == pytest.approx(np.stack([-0.02 * along, 0.02 * along]))
 
 
