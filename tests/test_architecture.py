@@ -15,6 +15,7 @@ from support.soon import soon
 from datagen.scene.sources import SOURCES
 from datagen.terminal.plugins import COMMANDS
 from eval.tables.named import TABLES
+from eval.tables.parts import REPORT_PARTS
 from model.methods.table import METHODS
 
 ROOT = Path(__file__).parent.parent
@@ -80,7 +81,7 @@ sys.argv = sys.argv[1:]
 main()
 """
 """Prints the files that a command of `datagen` has imported at its end."""
-GROUPS = (METHODS, TABLES, COMMANDS, SOURCES)
+GROUPS = (METHODS, TABLES, COMMANDS, SOURCES, REPORT_PARTS)
 
 
 @functools.cache

@@ -220,24 +220,6 @@ def test_layers_of_a_fit_follow_those_of_the_dataset(dataset: Dataset, fitted: P
     assert open_dataset(copy).layer_store("fitted").head.num_layers == 4
 
 
-def test_an_object_that_few_pictures_show_all_of_them_even_is_fitted(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    masks = tmp_path / "masks" / "ball"
-    masks.mkdir(parents=True)
-    for view in dataset.views("train"):
-        Image.fromarray((view.object_ids()[0] == 2) & (view.index in (2, 4, 6, 8))).save(
-            masks / f"{view.index:04d}.png"
-        )
-    monkeypatch.setattr("hyaline_photos.fit.fit.MOST_WRONG", -1.0)
-    words = f"--unknown ball --masks {tmp_path / 'masks'} --mask-errors 0 --steps 1 --skip grid --skip again"
-    answer = call(f"model fit {dataset.root} {words} --name fitted-few --out {tmp_path / 'fit'}")
-    assert answer.status == 0, answer.err
-    (item,) = load_sealed(tmp_path / "fit" / "fit.json")["objects"]
-    assert item["numbers"]["ior"]["low"] < item["numbers"]["ior"]["high"]
-    assert "ball: its masks contradict the cameras; check the order of the masks" in answer.err
-
-
 def test_masks_that_are_too_dark_are_named(dataset: Dataset, tmp_path: Path) -> None:
     masks = tmp_path / "masks" / "ball"
     masks.mkdir(parents=True)
