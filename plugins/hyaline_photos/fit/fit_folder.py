@@ -26,7 +26,7 @@ from model.settings.state import State
 
 FIT = FolderKind(what="fit", head="fit.json")
 
-FIT_VERSION = 1
+FIT_VERSION = 2
 
 STAGES = ("room", "outside", "grid", "search", "textures", "again")
 
