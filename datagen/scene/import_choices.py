@@ -26,8 +26,6 @@ class ImportChoices:
     cameras: str = "around"
     """Cameras all around the glass (around), those in the file (file), or those of a transforms.json or a COLMAP
     folder, in the file's own axes and units."""
-    lights: Literal["soft", "file"] = "soft"
-    """soft: softboxes and dark flags all around; file: the lamps of a glTF file, plus a little soft light."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False

@@ -85,27 +85,17 @@ def listed_cameras(
 
 # COLMAP
 
-
-@dataclass(frozen=True, kw_only=True)
-class ColmapModel:
-    """A camera model: its name, and how many numbers it has; the focal lengths come first, then the middle."""
-
-    name: str
-    numbers: int
-    focals: int = 1
-
-
 MODELS = {
-    0: ColmapModel(name="SIMPLE_PINHOLE", numbers=3),
-    1: ColmapModel(name="PINHOLE", numbers=4, focals=2),
-    2: ColmapModel(name="SIMPLE_RADIAL", numbers=4),
-    3: ColmapModel(name="RADIAL", numbers=5),
-    4: ColmapModel(name="OPENCV", numbers=8, focals=2),
-    6: ColmapModel(name="FULL_OPENCV", numbers=12, focals=2),
+    "SIMPLE_PINHOLE": (0, 1, 3),
+    "PINHOLE": (1, 2, 4),
+    "SIMPLE_RADIAL": (2, 1, 4),
+    "RADIAL": (3, 1, 5),
+    "OPENCV": (4, 2, 8),
+    "FULL_OPENCV": (6, 2, 12),
 }
-"""By COLMAP's number. The others are of lenses that see wider than a plane shows."""
-IMAGE, POINT = struct.Struct("<I7dI"), 24
-CAMERA = struct.Struct("<IiQQ")
+"""COLMAP's number of a camera model, its focal lengths, and all its numbers: then come the middle, and distortion. The
+others are of lenses that see wider than a plane shows."""
+CAMERA, IMAGE, POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), 24
 TRACED = struct.Struct("<Q3d3BdQ")
 """A point: number, place, colour, error, and how many images show it."""
 FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
@@ -118,16 +108,17 @@ class ColmapCamera:
 
     width: int
     height: int
-    model: ColmapModel
+    model: str
     values: tuple[float, ...]
 
+    @property
+    def focals(self) -> int:
+        """How many of the values are focal lengths."""
+        return MODELS[self.model][1]
 
-@dataclass(frozen=True, kw_only=True)
-class _Image:
-    name: str
-    camera: int
-    pose: tuple[float, ...]
-    """Quaternion (w, x, y, z) and translation: from the world to the camera, which looks along +z, +y down."""
+
+Image = tuple[str, int, tuple[float, ...]]
+"""Name, camera, and pose: a quaternion (w, x, y, z) and a translation, from the world to the camera."""
 
 
 def has_colmap(root: Path) -> bool:
@@ -146,21 +137,24 @@ def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray,
     assert found is not None, "called only if has_colmap is true"
     folder, ending = found
     paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
-    lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
+    try:
+        lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
+    except (struct.error, ValueError, IndexError) as error:
+        raise HyalineError(f"{folder}: its cameras or images are damaged ({error}); export them again") from None
     if not 1 <= len(images) <= MAX_VIEWS:
         raise HyalineError(f"{paths[1]}: has {len(images):,} images; expected 1 to {MAX_VIEWS:,}")
     read = {}
-    for image in sorted(images, key=lambda image: image.name):
-        where = f"{paths[1]}: {shown(image.name)}"
-        if image.camera not in lenses:
-            raise HyalineError(f"{where}: was taken by camera {image.camera}; expected one that {paths[0].name} has")
-        row = lenses[image.camera]
+    for name, camera, pose in sorted(images):
+        where = f"{paths[1]}: {shown(name)}"
+        if camera not in lenses:
+            raise HyalineError(f"{where}: was taken by camera {camera}; expected one that {paths[0].name} has")
+        row = lenses[camera]
         if not (row.values[0] > 0 and row.width > 0 and row.height > 0 and np.isfinite(row.values).all()):
             raise HyalineError(
                 f"{where}: has a focal length of {row.values[0]:g} in pictures {row.width} pixels wide; expected more "
                 "than 0"
             )
-        read[image.name] = row, _world_from_camera(image, where=where), where
+        read[name] = row, _world_from_camera(np.array(pose), where=where), where
     return read
 
 
@@ -195,7 +189,7 @@ def _place(root: Path) -> tuple[Path, str] | None:
 
 
 def _lens(row: ColmapCamera, remarks: Remarks, *, where: str) -> Lens:
-    numbers, focals = row.values, row.model.focals
+    numbers, focals = row.values, row.focals
     if any(abs(value) > 1e-9 for value in numbers[focals + 2 :]):
         remarks.approximate("cameras", DISTORTED)
     if abs(numbers[focals - 1] / numbers[0] - 1) > TOLERANCE:
@@ -204,102 +198,65 @@ def _lens(row: ColmapCamera, remarks: Remarks, *, where: str) -> Lens:
     return lens_of(numbers[0], row.width, row.height, center, where=where)
 
 
-def _world_from_camera(image: _Image, *, where: str) -> np.ndarray:
-    quaternion, place = np.array(image.pose[:4]), np.array(image.pose[4:])
-    length = float(np.linalg.norm(quaternion))
-    if not (0.5 < length < 2 and np.abs(place).max() < 1e12):
+def _world_from_camera(pose: Float[np.ndarray, "7"], *, where: str) -> Float[np.ndarray, "4 4"]:
+    length = float(np.linalg.norm(pose[:4]))
+    if not (0.5 < length < 2 and np.abs(pose[4:]).max() < 1e12):
         raise HyalineError(f"{where}: has a rotation of length {length:g}; expected a quaternion of length 1")
-    rotation = rotation_of(np.roll(quaternion / length, -1))
+    rotation = rotation_of(np.roll(pose[:4] / length, -1))
     matrix = np.eye(4)
     # COLMAP's cameras look along +z with +y down; OpenGL's look along -z with +y up.
     matrix[:3, :3] = rotation.T * [1, -1, -1]
-    matrix[:3, 3] = -rotation.T @ place
+    matrix[:3, 3] = -rotation.T @ pose[4:]
     return matrix
 
 
-# Binary
-
-
-def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
-    try:
-        return _binary_lenses(cameras), _binary_images(images)
-    except (struct.error, ValueError) as error:
-        raise HyalineError(
-            f"{cameras.parent}: its cameras or images are cut off ({error}); export them again"
-        ) from None
-
-
-def _binary_lenses(path: Path) -> dict[int, ColmapCamera]:
-    data = read_foreign(path)
-    lenses, at = {}, 8
-    for _ in range(_count(data, path)):
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[Image]]:
+    lenses, listed = {}, []
+    data, at = read_foreign(cameras), 8
+    names = {number: name for name, (number, _, _) in MODELS.items()}
+    for _ in range(_count(data)):
         camera, number, width, height = CAMERA.unpack_from(data, at)
-        model = _model(MODELS.get(number), number, where=str(path))
-        values = struct.unpack_from(f"<{model.numbers}d", data, at + CAMERA.size)
+        model = _known(names.get(number, str(number)), where=str(cameras))
+        values = struct.unpack_from(f"<{MODELS[model][2]}d", data, at + CAMERA.size)
         lenses[camera] = ColmapCamera(width=width, height=height, model=model, values=values)
-        at += CAMERA.size + 8 * model.numbers
-    return lenses
-
-
-def _binary_images(path: Path) -> list[_Image]:
-    data = read_foreign(path)
-    images, at = [], 8
-    for _ in range(_count(data, path)):
+        at += CAMERA.size + 8 * len(values)
+    data, at = read_foreign(images), 8
+    for _ in range(_count(data)):
         _, *pose, camera = IMAGE.unpack_from(data, at)
         end = data.index(b"\0", at + IMAGE.size)
-        name = data[at + IMAGE.size : end].decode(errors="replace")
-        (points,) = struct.unpack_from("<Q", data, end + 1)
-        at = end + 9 + POINT * points
+        listed.append((data[at + IMAGE.size : end].decode(errors="replace"), camera, tuple(pose)))
+        at = end + 9 + POINT * struct.unpack_from("<Q", data, end + 1)[0]
         if at > len(data):
-            raise ValueError(f"{points:,} points of {shown(name)}")
-        images.append(_Image(name=name, camera=camera, pose=tuple(pose)))
-    return images
-
-
-def _count(data: bytes, path: Path) -> int:
-    (count,) = struct.unpack_from("<Q", data)
-    if count > MAX_VIEWS:
-        raise HyalineError(f"{path}: has {count:,} entries; expected at most {MAX_VIEWS:,}")
-    return count
-
-
-# Text
-
-
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[_Image]]:
-    by_name = {model.name: model for model in MODELS.values()}
-    lenses: dict[int, ColmapCamera] = {}
-    listed: list[_Image] = []
-    where = str(cameras)
-    try:
-        for words in map(str.split, _lines(cameras)):
-            if words:
-                model = _model(by_name.get(words[1]), words[1], where=where)
-                values = tuple(map(float, words[4:]))
-                if len(values) != model.numbers:
-                    raise ValueError(f"{len(values)} numbers of a {model.name}")
-                lens = ColmapCamera(width=int(words[2]), height=int(words[3]), model=model, values=values)
-                lenses[int(words[0])] = lens
-        where = str(images)
-        for line in _image_lines(images):
-            if line.strip():
-                *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
-                pose = tuple(map(float, numbers[1:8]))
-                listed.append(_Image(name=name.rstrip(), camera=int(numbers[8]), pose=pose))
-    except (ValueError, IndexError) as error:
-        raise HyalineError(f"{where}: has a line that cannot be read ({error}); export it again") from None
+            raise ValueError("its points are cut off")
     return lenses, listed
 
 
-def _image_lines(path: Path) -> list[str]:
-    """The first line of each image. The second lists its points, and some tools leave it out if there are none."""
+def _count(data: bytes) -> int:
+    (count,) = struct.unpack_from("<Q", data)
+    if count > MAX_VIEWS:
+        raise ValueError(f"{count:,} entries; expected at most {MAX_VIEWS:,}")
+    return count
 
-    def lists_points(line: str) -> bool:
-        words = line.split()
-        return not words or words[-1].lstrip("-").isdigit()
 
-    lines = _lines(path)
-    return lines[::2] if all(map(lists_points, lines[1::2])) else [line for line in lines if not lists_points(line)]
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[Image]]:
+    lenses, listed = {}, []
+    for camera, model, width, height, *words in filter(None, map(str.split, _lines(cameras))):
+        values = tuple(map(float, words))
+        if len(values) != MODELS[_known(model, where=str(cameras))][2]:
+            raise ValueError(f"{len(values)} numbers of a {model}")
+        lenses[int(camera)] = ColmapCamera(width=int(width), height=int(height), model=model, values=values)
+    lines = _lines(images)
+    # The second line of each image lists its points; some tools leave it out if there are none.
+    first = lines[::2] if all(map(_lists_points, lines[1::2])) else [line for line in lines if not _lists_points(line)]
+    for line in filter(str.strip, first):
+        *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
+        listed.append((name.rstrip(), int(numbers[8]), tuple(map(float, numbers[1:8]))))
+    return lenses, listed
+
+
+def _lists_points(line: str) -> bool:
+    words = line.split()
+    return not words or words[-1].lstrip("-").isdigit()
 
 
 def _lines(path: Path) -> list[str]:
@@ -308,11 +265,10 @@ def _lines(path: Path) -> list[str]:
     return [line for line in text.splitlines() if not line.startswith("#")]
 
 
-def _model(model: ColmapModel | None, given: object, *, where: str) -> ColmapModel:
-    if model is None:
-        known = ", ".join(model.name for model in MODELS.values())
+def _known(model: str, *, where: str) -> str:
+    if model not in MODELS:
         raise HyalineError(
-            f"{where}: has a camera of model {shown(str(given))}; expected one of {known}; undistort the pictures "
-            "first (`colmap image_undistorter`)"
+            f"{where}: has a camera of model {shown(model)}; expected one of {', '.join(MODELS)}; undistort the "
+            "pictures first (`colmap image_undistorter`)"
         )
     return model

@@ -34,14 +34,14 @@ def import_file(
         resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.
     """
     from datagen.data.config import parse_resolution
-    from hyaline_import.confined_import import check_free, import_files, write_imported
+    from hyaline_import.confined_import import check_free, imported_scene, write_imported
     from hyaline_import.foreign_files import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)
-    imported = import_files(file, choices, resolution=parse_resolution(resolution))
-    write_imported(imported.files, imported.record, root, overwrite=overwrite)
-    say_all(imported.told)
+    scene, told, record = imported_scene(file, choices, resolution=parse_resolution(resolution))
+    write_imported(scene, record, root, overwrite=overwrite)
+    say_all(told)
     tell(str(root))
     next_command(shlex.join(["datagen", "build", str(root)]))
 

@@ -3,8 +3,8 @@ import.json makes ours.
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import cast
 
@@ -16,7 +16,7 @@ from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
 from datagen.machine.confined import confined
 from datagen.scene.description import EnvironmentMap, Scene
-from datagen.scene.folder import load_scene, save_scene
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from hyaline_import.importing import import_scene
 
@@ -24,33 +24,25 @@ RECORD = "import.json"
 IMPORTED = FolderKind(what="imported scene", head=RECORD, folders=("meshes", "textures", "baked"))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ImportedFiles:
-    """The files of an imported scene's folder by their path, the content of import.json, and the lines to report."""
-
-    files: Mapping[str, bytes]
-    record: Mapping[str, Json]
-    told: list[str]
-
-
-def import_files(path: Path, choices: ImportChoices, *, resolution: Resolution) -> ImportedFiles:
-    """The folder of the scene in a foreign file."""
-    with confined(_import, path, choices, resolution, where=str(path)) as folder:
-        scene = folder / "scene"
-        files = {file.relative_to(scene).as_posix(): file.read_bytes() for file in scene.rglob("*") if file.is_file()}
-        answer = load_json(folder / "told.json")
-    record, told = cast(dict[str, Json], answer["record"]), cast(list[str], answer["told"])
-    return ImportedFiles(files=files, record=record, told=told)
-
-
-def imported_scene(path: Path, choices: ImportChoices, *, resolution: Resolution) -> tuple[Scene, list[str]]:
-    """The scene in a foreign file, and the lines to report."""
-    return scene_from(_import, path, choices, resolution, where=str(path))
+def imported_scene(
+    path: Path, choices: ImportChoices, *, resolution: Resolution
+) -> tuple[Scene, list[str], dict[str, Json]]:
+    """The scene in a foreign file, the lines to report, and the content of import.json."""
+    with _answer(_import, path, choices, resolution, where=str(path)) as (scene, answer):
+        return scene, cast(list[str], answer["told"]), cast(dict[str, Json], answer["record"])
 
 
 def scene_from(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, list[str]]:
     """The scene, with its images, and the lines to report that a function saves in a process of its own
     (`save_answer`)."""
+    with _answer(function, *arguments, where=where) as (scene, answer):
+        return scene, cast(list[str], answer["told"])
+
+
+@contextmanager
+def _answer(
+    function: Callable[..., None], *arguments: object, where: str
+) -> Iterator[tuple[Scene, Mapping[str, Json]]]:
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_checked=True)
@@ -58,8 +50,7 @@ def scene_from(function: Callable[..., None], *arguments: object, where: str) ->
         if isinstance(scene.environment, EnvironmentMap):
             images.add(scene.environment.path)
         baked = {image: (folder / "scene" / image).read_bytes() for image in images}
-        told = cast(list[str], load_json(folder / "told.json")["told"])
-        return dataclasses.replace(scene, folder=None, baked=baked), told
+        yield dataclasses.replace(scene, folder=None, baked=baked), load_json(folder / "told.json")
 
 
 def save_answer(folder: Path, scene: Scene, told: Sequence[str], **more: Json) -> None:
@@ -82,8 +73,9 @@ def check_free(root: Path, *, overwrite: bool) -> None:
     refuse_others(root, IMPORTED)
 
 
-def write_imported(files: Mapping[str, bytes], record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
+def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
     """Writes a scene's files and the record of its import; what an earlier import wrote there is removed."""
+    files = scene_files(scene)
     content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
         check_free(root, overwrite=overwrite)

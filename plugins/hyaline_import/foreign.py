@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -148,21 +149,6 @@ class ForeignMap:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ForeignLamp:
-    """A lamp without a size."""
-
-    name: str
-    kind: Literal["directional", "point", "spot"]
-    position: Float[np.ndarray, "3"]
-    direction: Float[np.ndarray, "3"]
-    """Unit direction in which it shines; unused for a point lamp."""
-    intensity: Color
-    """Irradiance of a directional lamp; else its irradiance at a distance of 1."""
-    cone: float = 2 * math.pi
-    """Radians between its direction and the edge of its light."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignScene:
     """All surfaces of a file."""
 
@@ -172,7 +158,6 @@ class ForeignScene:
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
     lights: tuple[ForeignLight, ...] = ()
-    lamps: tuple[ForeignLamp, ...] = ()
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None if the file has none."""
     cameras: tuple[Camera, ...] = ()
@@ -221,6 +206,17 @@ def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> n
     return np.stack([x * row[0] + y * row[1] + z * row[2] + at for row, at in zip(linear, offset)], axis=-1)
 
 
+def clipped(value: float) -> float:
+    """A number in [0, 1]."""
+    return min(max(value, 0.0), 1.0)
+
+
+def clipped_color(color: Iterable[float]) -> Color:
+    """Three numbers in [0, 1]."""
+    red, green, blue = map(clipped, color)
+    return red, green, blue
+
+
 def substance_of(name: str) -> str | None:
     """The substance that a material's name is, word for word, but for numbers and `material`: `Diamond.001` is diamond.
 
@@ -238,7 +234,7 @@ def merged_by_material(parts: tuple[ForeignObject, ...], remarks: Remarks, *, wh
         key = part.material, part.normals is None, part.crease_deg, part.uv is None
         groups.setdefault(key, []).append(part)
     remarks.note(where, f"its {len(parts):,} objects became {len(groups)}, one a material")
-    return tuple(_merged(group) for group in groups.values())
+    return tuple(joined(group) for group in groups.values())
 
 
 def with_cavities(parts: tuple[ForeignObject, ...], remarks: Remarks) -> tuple[ForeignObject, ...]:
@@ -259,11 +255,11 @@ def with_cavities(parts: tuple[ForeignObject, ...], remarks: Remarks) -> tuple[F
     for outer, inside in cavities.items():
         names = ", ".join(parts[inner].name for inner in inside)
         remarks.note(parts[outer].name, f"is hollow: {names} faces inwards inside it")
-    joined = {index for inside in cavities.values() for index in inside}
+    within = {index for inside in cavities.values() for index in inside}
     return tuple(
-        dataclasses.replace(_merged([part, *(parts[inner] for inner in cavities.get(index, ()))]), name=part.name)
+        dataclasses.replace(joined([part, *(parts[inner] for inner in cavities.get(index, ()))]), name=part.name)
         for index, part in enumerate(parts)
-        if index not in joined
+        if index not in within
     )
 
 
@@ -272,22 +268,21 @@ def _is_closed(part: ForeignObject) -> bool:
     return open_edges(mesh) == 0 or open_edges(seams_joined(mesh)[0]) == 0
 
 
-def _merged(group: list[ForeignObject]) -> ForeignObject:
+def joined(group: Sequence[ForeignObject]) -> ForeignObject:
+    """Surfaces as one of the first one's material."""
     first = group[0]
     if len(group) == 1:
         return first
     starts = np.cumsum([0, *(len(part.positions) for part in group)])
     normals = [part.normals for part in group if part.normals is not None]
     uv = [part.uv for part in group if part.uv is not None]
-    name = first.material.name if isinstance(first.material, ForeignMaterial) else first.name
-    return ForeignObject(
-        name=name,
+    return dataclasses.replace(
+        first,
+        name=first.material.name if isinstance(first.material, ForeignMaterial) else first.name,
         positions=np.concatenate([part.positions for part in group]),
         faces=np.concatenate([part.faces + start for part, start in zip(group, starts)]),
         normals=np.concatenate(normals) if len(normals) == len(group) else None,
         uv=np.concatenate(uv) if len(uv) == len(group) else None,
-        material=first.material,
-        crease_deg=first.crease_deg,
     )
 
 

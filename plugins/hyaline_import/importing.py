@@ -3,10 +3,11 @@
 import dataclasses
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from datagen.data.config import Resolution
 from datagen.data.meshes import Mesh, is_there, open_edges
@@ -22,19 +23,18 @@ from datagen.scene.description import (
     CameraList,
     CameraRig,
     Environment,
-    EnvironmentMap,
     RectangleLight,
     Scene,
     SceneObject,
 )
 from datagen.scene.finding import DEFAULT_RESOLUTION
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Material
+from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene, mend_surface
 from datagen.scene.remarks import Remark, Remarks
 from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
-from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig, subject_box
+from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig
 from datagen.scene.surfaces import closed, made_sound, mesh_of, shape_of
 from hyaline_import.cameras import listed_cameras, read_camera_file
 from hyaline_import.foreign import (
@@ -58,7 +58,7 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, lit, placed_light, placed_map
+from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import cut_of, veiled
@@ -89,14 +89,69 @@ class Imported:
             f"{places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}: {what}"
             for what, places in wheres.items()
         ]
-        shown = lines if len(lines) <= MAX_TOLD else [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
-        count = f"scene {self.scene.name}: {len(self.scene.objects)} objects"
-        if not glass:
-            return [
-                *shown,
-                f"{count}, none of them glass; mark it with --material glass, or --material 'OBJECT=glass'",
-            ]
-        return [*shown, f"{count}, {glass} of them glass"]
+        if len(lines) > MAX_TOLD:
+            lines = [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
+        what = (
+            f"{glass} of them glass"
+            if glass
+            else ("none of them glass; mark it with --material glass, or --material 'OBJECT=glass'")
+        )
+        return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class World:
+    """How surfaces of a file become objects of ours."""
+
+    linear: Float[np.ndarray, "3 3"]
+    """With `offset`, from the file's world to ours."""
+    offset: Float[np.ndarray, "3"]
+    mapper: Mapper
+    choices: ImportChoices
+    thins_open: bool = False
+    """Glass on an open mesh, which light could never leave, becomes thin; otherwise it is an error."""
+
+    @property
+    def remarks(self) -> Remarks:
+        return self.mapper.remarks
+
+    def mesh(self, name: str, part: ForeignObject) -> Mesh:
+        """The mesh of a surface in our world."""
+        normals = None if part.normals is None else elementwise(part.normals, self.linear, np.zeros(3))
+        positions = elementwise(part.positions, self.linear, self.offset)
+        return mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Made:
+    """The objects so far, and what is to be done to them when all are there."""
+
+    objects: list[SceneObject] = field(default_factory=list)
+    without_uv: set[str] = field(default_factory=set)
+    cuts: dict[str, Cut] = field(default_factory=dict)
+
+    def add(self, name: str, part: ForeignObject, world: World, chosen: Material | None) -> None:
+        """Adds the objects of a surface: one, or one for each of its parts that overlap."""
+        item = scene_object(name, part, world, chosen)
+        self.objects.extend(parted(item, world.remarks, repairs=world.choices.repair))
+        has_uv = _has_uv(part)
+        if not has_uv:
+            self.without_uv.add(name)
+        if isinstance(part.material, ForeignMaterial):
+            material = veiled(part.material, item.mesh, has_uv=has_uv)
+            is_solid = item.material.medium is not None
+            if cut := cut_of(material, item.mesh, world.remarks, has_uv=has_uv, is_solid=is_solid, where=name):
+                self.cuts[name] = cut
+
+    def finished(self, scene: Scene, world: World, *, where: str) -> Scene:
+        """The scene of these objects with its images, mended, cut and checked."""
+        used = {image.path for item in scene.objects for image in item.material.images().values()}
+        baked = {image: data for image, data in world.mapper.images.items() if image in used}
+        without_uv = self.without_uv & {item.name for item in scene.objects}
+        scene = mend_scene(dataclasses.replace(scene, baked={**baked, **scene.baked}), without_uv=without_uv)
+        scene = _without_gone(with_cuts(scene, self.cuts), world.remarks, where=where)
+        check_scene(scene)
+        return scene
 
 
 def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution = DEFAULT_RESOLUTION) -> Imported:
@@ -110,65 +165,64 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
-    parts = _few_enough(with_cavities(foreign.objects, remarks), choices, remarks, path)
+    parts = with_cavities(foreign.objects, remarks)
+    if len(parts) > MAX_OBJECTS - 1 and not choices.merge:
+        raise HyalineError(
+            f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
+            "pass --merge to make one of those of a material"
+        )
+    if len(parts) > MAX_OBJECTS - 1:
+        parts = merged_by_material(parts, remarks, where=path.name)
     scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
-    mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
-    linear, offset = _world(parts, scale, up)
-    if foreign.is_complete:
-        offset = np.zeros(3)
-    objects: list[SceneObject] = []
-    cuts: dict[str, Cut] = {}
-    without_uv: set[str] = set()
+    linear = scale * z_up_from(up)
+    world = World(
+        linear=linear,
+        offset=np.zeros(3) if foreign.is_complete else _offset(parts, linear),
+        mapper=Mapper(metres=scale, thin=choices.thin, remarks=remarks),
+        choices=choices,
+    )
+    made = Made()
     lamps: list[RectangleLight] = []
     unmended: dict[str, HyalineError] = {}
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        if chosen is None and (shining := _lamps(name, part, linear, offset, remarks)):
+        if chosen is None and (shining := _lamps(name, part, world)):
             lamps += shining
             continue
         try:
-            item = scene_object(name, part, linear, offset, mapper, chosen, remarks, choices)
-            objects += parted(item, remarks, repairs=choices.repair)
+            made.add(name, part, world, chosen)
         except HyalineError as error:
             if not choices.repair:
                 raise
             unmended[name] = error
-            continue
-        if not (has_uv := _has_uv(part)):
-            without_uv.add(name)
-        if isinstance(part.material, ForeignMaterial):
-            material = veiled(part.material, item.mesh, has_uv=has_uv)
-            is_solid = item.material.medium is not None
-            cut = cut_of(material, item.mesh, remarks, has_uv=has_uv, is_solid=is_solid, where=name)
-            cuts |= {} if cut is None else {name: cut}
-    _leave_out(unmended, objects, remarks)
-    objects = nested(apart(objects, remarks), remarks)
-    rig = _cameras(foreign, choices, objects, linear, offset, remarks)
+    _leave_out(unmended, made.objects, remarks)
+    objects = nested(apart(made.objects, remarks), remarks)
+    rig = _cameras(foreign, objects, world)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
-        without_uv.add(ground.name)
+        made.without_uv.add(ground.name)
         objects.append(ground)
-    used = {image.path for item in objects for image in item.material.images().values()}
-    baked = {image: data for image, data in mapper.images.items() if image in used}
-    environment, lights = _light(foreign, choices, objects, linear, offset, lamps, remarks)
-    if isinstance(environment, EnvironmentMap) and isinstance(foreign.sky, ForeignMap):
+    environment: Environment = LIGHT
+    baked: dict[str, bytes] = {}
+    if isinstance(foreign.sky, ForeignMap):
+        environment = placed_map(foreign.sky, linear, remarks)
         baked[environment.path] = foreign.sky.data
+    elif foreign.sky is not None:
+        environment = even_sky(foreign.sky)
+    lights = (*(placed_light(light, linear, world.offset) for light in foreign.lights), *lamps)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
         environment=environment,
-        lights=lights,
+        lights=exposed(lights, objects, remarks),
         cameras=rig,
         baked=baked,
     )
-    scene = mend_scene(scene, without_uv={item.name for item in objects if item.name in without_uv})
-    scene = _without_gone(with_cuts(scene, cuts), remarks, where=path.name)
-    check_scene(scene)
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
         "source": path.name,
@@ -176,9 +230,9 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         "scale": scale,
         "up": up,
         "materials": list(choices.material),
-        **remarks.to_json(),
     }
-    return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
+    scene = made.finished(scene, world, where=path.name)
+    return Imported(scene=scene, record={**record, **remarks.to_json()}, remarks=tuple(remarks.lines))
 
 
 def _check_asked(path: Path, resolution: Resolution) -> None:
@@ -198,20 +252,6 @@ def _leave_out(unmended: Mapping[str, HyalineError], objects: list[SceneObject],
         remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
 
 
-def _few_enough(
-    parts: tuple[ForeignObject, ...], choices: ImportChoices, remarks: Remarks, path: Path
-) -> tuple[ForeignObject, ...]:
-    """The objects of a file, made fewer where that is asked for and needed."""
-    if len(parts) <= MAX_OBJECTS - 1:
-        return parts
-    if not choices.merge:
-        raise HyalineError(
-            f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-            "pass --merge to make one of those of a material"
-        )
-    return merged_by_material(parts, remarks, where=path.name)
-
-
 def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
     """The scene without objects that their opacity removes entirely."""
     there = tuple(item for item in scene.objects if is_there(item.mesh))
@@ -223,77 +263,41 @@ def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
     return dataclasses.replace(scene, objects=there)
 
 
-def _cameras(
-    foreign: ForeignScene,
-    choices: ImportChoices,
-    objects: list[SceneObject],
-    linear: np.ndarray,
-    offset: np.ndarray,
-    remarks: Remarks,
-) -> CameraRig | CameraList:
+def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) -> CameraRig | CameraList:
     """Cameras all around, or those that are listed."""
-    if choices.cameras == "around":
+    asked, remarks = world.choices.cameras, world.remarks
+    if asked == "around":
         if foreign.cameras:
             remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
         return make_rig(objects, remarks)
-    given = foreign.cameras if choices.cameras == "file" else read_camera_file(Path(choices.cameras), remarks)
-    return listed_cameras(given, linear, offset, remarks)
+    given = foreign.cameras if asked == "file" else read_camera_file(Path(asked), remarks)
+    return listed_cameras(given, world.linear, world.offset, remarks)
 
 
-def _light(
-    foreign: ForeignScene,
-    choices: ImportChoices,
-    objects: list[SceneObject],
-    linear: np.ndarray,
-    offset: np.ndarray,
-    lamps: list[RectangleLight],
-    remarks: Remarks,
-) -> tuple[Environment, tuple[RectangleLight, ...]]:
-    """What shines on the scene: from infinitely far, and from near."""
-    environment: Environment = LIGHT
-    if isinstance(foreign.sky, ForeignMap):
-        environment = placed_map(foreign.sky, linear, remarks)
-    elif foreign.sky is not None:
-        environment = even_sky(foreign.sky)
-    lights = tuple(placed_light(light, linear, offset) for light in foreign.lights)
-    if choices.lights == "file":
-        environment, squares = lit(foreign.lamps, LIGHT, linear, offset, subject_box(objects).mean(axis=0), remarks)
-        lights = (*lights, *squares)
-    elif foreign.lamps:
-        remarks.approximate("lamps", f"{len(foreign.lamps)} are left out for soft light; --lights file takes them")
-    return environment, exposed((*lights, *lamps), objects, remarks)
-
-
-def scene_object(
-    name: str,
-    part: ForeignObject,
-    linear: np.ndarray,
-    offset: np.ndarray,
-    mapper: Mapper,
-    chosen: Material | None,
-    remarks: Remarks,
-    choices: ImportChoices,
-) -> SceneObject:
+def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh."""
-    mesh = made_sound(_mesh(name, part, linear, offset), remarks, where=name)
-    mesh, mended = mend_surface(mesh, is_solid=True)
+    remarks, choices, has_uv = world.remarks, world.choices, _has_uv(part)
+    mesh, mended = mend_surface(made_sound(world.mesh(name, part), remarks, where=name), is_solid=True)
     for line in mended:
         remarks.note(name, line)
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; rendered grey and matt; set another with --material")
     if isinstance(material, ForeignMaterial):
-        material = mapper.averaged(material, mesh, has_uv=_has_uv(part), where=name)
+        material = world.mapper.averaged(material, mesh, has_uv=has_uv, where=name)
     if choices.repair and _is_solid(material):
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
-        material = veiled(material, mesh, has_uv=_has_uv(part))
-        material = mapper.material(material, shape_of(mesh, has_uv=_has_uv(part)), where=name)
+        material = veiled(material, mesh, has_uv=has_uv)
+        material = world.mapper.material(material, shape_of(mesh, has_uv=has_uv), where=name)
     if material.medium is not None and (count := open_edges(mesh)):
-        raise HyalineError(
-            f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
-            f"'{name}=thin-glass' draws it as a thin pane"
-        )
+        if not world.thins_open:
+            raise HyalineError(
+                f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
+                f"'{name}=thin-glass' draws it as a thin pane"
+            )
+        remarks.approximate(name, f"is not closed ({count} open edges); taken for thin glass, close it in a modeller")
+        material = ThinDielectric(ior=material.surface().ior)
     if choices.crease is not None:
         mesh = with_new_normals(mesh, crease_deg=choices.crease)
     elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
@@ -305,23 +309,15 @@ def scene_object(
     return SceneObject(name=name, mesh=mesh, material=material)
 
 
-def _lamps(
-    name: str, part: ForeignObject, linear: np.ndarray, offset: np.ndarray, remarks: Remarks
-) -> tuple[RectangleLight, ...]:
+def _lamps(name: str, part: ForeignObject, world: World) -> tuple[RectangleLight, ...]:
     """The lights of a surface that emits light; none if it is not bright."""
     emission = part.material.emission if isinstance(part.material, ForeignMaterial) else (0.0, 0.0, 0.0)
     if max(emission) < LEAST_GLOW:
         if max(emission) > 0:
-            remarks.approximate(name, "glows a little, which is ignored")
+            world.remarks.approximate(name, "glows a little, which is ignored")
         return ()
-    remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
-    return glowing(_mesh(name, part, linear, offset), emission)
-
-
-def _mesh(name: str, part: ForeignObject, linear: np.ndarray, offset: np.ndarray) -> Mesh:
-    normals = None if part.normals is None else elementwise(part.normals, linear, np.zeros(3))
-    positions = elementwise(part.positions, linear, offset)
-    return mesh_of(positions, part.faces, normals, part.uv, crease_deg=part.crease_deg, where=name)
+    world.remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
+    return glowing(world.mesh(name, part), emission)
 
 
 def _has_uv(part: ForeignObject) -> bool:
@@ -350,12 +346,11 @@ def _find_scale(
     return find_scale(size, metres=foreign.metres, remarks=remarks, where=where)
 
 
-def _world(parts: tuple[ForeignObject, ...], scale: float, up: Axis) -> tuple[np.ndarray, np.ndarray]:
-    """From the file's world to ours: linear part and offset. The scene's box is on z = 0, over the origin."""
-    linear = scale * z_up_from(up)
+def _offset(parts: tuple[ForeignObject, ...], linear: np.ndarray) -> np.ndarray:
+    """What puts the scene's box on z = 0, over the origin."""
     points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
     low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
-    return linear, -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
+    return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
 
 
 def unique_names(names: list[str]) -> list[str]:

@@ -8,33 +8,18 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, face_corners, open_edges
-from datagen.disk.errors import HyalineError
-from datagen.scene.description import (
-    EnvironmentMap,
-    Lobe,
-    RectangleLight,
-    SceneObject,
-    SoftEnvironment,
-)
+from datagen.scene.description import EnvironmentMap, RectangleLight, SceneObject
 from datagen.scene.remarks import Remarks
 from datagen.scene.staging import is_enclosed, subject_box
 from datagen.scene.values import Color, as_vector
-from hyaline_import.foreign import ForeignLamp, ForeignLight, ForeignMap
+from hyaline_import.foreign import ForeignLight, ForeignMap
 
 DUST = 1e-9
 """Rounding error of a rotation, as a share of an edge's largest coordinate."""
 UPRIGHT = 0.9999
 """Cosine of the largest tilt of an environment map that is ignored."""
 IRRADIANCE = 2.5
-"""Irradiance of all lamps together at the scene's centre. Files have candela and lux, which viewers expose freely."""
-SIDE = 0.15
-"""Side of a lamp's square over its distance from the scene's centre: 9 degrees wide."""
-SHARPNESS = 400.0
-"""Sharpness of a sun's lobe: 7 degrees wide at half maximum."""
-FILL = 0.4
-"""Share of the soft light between the cards that stays."""
-
-
+"""Irradiance of all lamps together at the middle of a scene that they alone light; viewers expose freely."""
 LEAST_GLOW = 0.5
 """Radiance from which a surface is a lamp; below, it is a surface that glows a little."""
 LEAST_SIDE = 0.02
@@ -70,55 +55,7 @@ def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remar
     )
 
 
-# Lamps
-
-
-def lit(
-    lamps: Sequence[ForeignLamp],
-    soft: SoftEnvironment,
-    linear: Float[np.ndarray, "3 3"],
-    offset: Float[np.ndarray, "3"],
-    middle: Float[np.ndarray, "3"],
-    remarks: Remarks,
-) -> tuple[SoftEnvironment, tuple[RectangleLight, ...]]:
-    """The sky, and the squares that represent lamps.
-
-    Args:
-        soft: the light; a share of it stays, without its cards.
-        linear: with `offset`, from the file's world to ours.
-        middle: of the scene, in our world.
-    """
-    target = np.linalg.solve(linear, middle - offset)
-    given = [(lamp, _irradiance(lamp, target)) for lamp in lamps]
-    total = sum(sum(light) / 3 for _, light in given)
-    if total <= 0:
-        raise HyalineError("--lights file: the file brings no lamp that shines on the scene; leave it out")
-    remarks.approximate(
-        "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
-    )
-    lobes, squares = [], []
-    for lamp, light in given:
-        if max(light) <= 0:
-            remarks.note(lamp.name, "is a lamp that does not shine on the scene's middle; left out")
-            continue
-        scale = IRRADIANCE / total
-        remarks.approximate(lamp.name, f"is a {lamp.kind} lamp without a size; drawn some degrees wide")
-        if lamp.kind == "directional":
-            # The integral of exp(s (cos - 1)) over the sphere is 2 pi / s.
-            radiance = _times(light, scale * SHARPNESS / (2 * math.pi))
-            lobes.append(Lobe(direction=as_vector(-(linear @ lamp.direction)), radiance=radiance, sharpness=SHARPNESS))
-        else:
-            place = linear @ lamp.position + offset
-            squares.append(_square(place, middle, _times(light, scale / SIDE**2)))
-    sky = dataclasses.replace(
-        soft,
-        zenith=_times(soft.zenith, FILL),
-        horizon=_times(soft.horizon, FILL),
-        ground=_times(soft.ground, FILL),
-        lobes=tuple(lobes),
-        cards=(),
-    )
-    return sky, tuple(squares)
+# Surfaces that emit light
 
 
 def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
@@ -170,34 +107,6 @@ def exposed(
         "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
     )
     return tuple(dataclasses.replace(light, radiance=_times(light.radiance, IRRADIANCE / total)) for light in lights)
-
-
-def _irradiance(lamp: ForeignLamp, target: Float[np.ndarray, "3"]) -> Color:
-    """What a lamp gives at a place in the file's world, on what faces it."""
-    if lamp.kind == "directional":
-        return lamp.intensity
-    way = target - lamp.position
-    distance = float(np.linalg.norm(way))
-    if distance <= 0 or float(way @ lamp.direction) < math.cos(min(lamp.cone, math.pi)) * distance - 1e-9:
-        return 0.0, 0.0, 0.0
-    return _times(lamp.intensity, 1 / distance**2)
-
-
-def _square(place: Float[np.ndarray, "3"], target: Float[np.ndarray, "3"], radiance: Color) -> RectangleLight:
-    """A square around a place, which shines on a target."""
-    way = target - place
-    distance = float(np.linalg.norm(way))
-    ahead = way / distance
-    u = np.cross(ahead, np.eye(3)[np.abs(ahead).argmin()])
-    u /= np.linalg.norm(u)
-    v = np.cross(ahead, u)
-    side = SIDE * distance
-    return RectangleLight(
-        corner=as_vector(place - side * (u + v) / 2),
-        edge_u=as_vector(side * u),
-        edge_v=as_vector(side * v),
-        radiance=radiance,
-    )
 
 
 def _times(color: Color, factor: float) -> Color:

@@ -30,15 +30,35 @@ def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Sc
 
     check_ending(Path(given))
     say(f"scene {given}: importing it")
-    scene, told = imported_scene(Path(given), imports, resolution=resolution)
+    scene, told, _ = imported_scene(Path(given), imports, resolution=resolution)
     say_all(told)
     return scene
 
 
 def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
-    from hyaline_import.mesh_files import read_mesh
+    import numpy as np
 
-    return read_mesh(path)
+    from datagen.machine.confined import confined
+    from hyaline_import.foreign_files import check_ending
+
+    check_ending(path)
+    with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
+        return found["vertices"], found["faces"], found.get("uv")
+
+
+def write_arrays(folder: Path, path: Path) -> None:
+    """Reads all objects of a file as one mesh, in the process that `confined` starts."""
+    import numpy as np
+
+    from datagen.machine.confined import allow_triangles
+    from datagen.scene.remarks import Remarks
+    from hyaline_import.foreign import joined
+    from hyaline_import.foreign_files import READERS, ending_of
+
+    whole = joined(READERS.find(ending_of(path))(path, Remarks()).objects)
+    allow_triangles(len(whole.faces))
+    arrays = {"vertices": whole.positions, "faces": whole.faces}
+    np.savez(folder / "mesh.npz", allow_pickle=False, **arrays, **({} if whole.uv is None else {"uv": whole.uv}))
 
 
 FILES = SceneSource(has=_is_foreign, find=_find, is_of_files=True, read_mesh=_read_mesh)

@@ -14,10 +14,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeVar, get_args
+from typing import Annotated, Literal, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Float
+from msgspec import Meta, Struct
 from PIL import ExifTags, Image
 
 from datagen.data.cameras import Lens
@@ -28,10 +29,12 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.records import load_json, open_regular, shown
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
-from hyaline_import.fields import Fields
+from hyaline_import.fields import read
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
+
+ObjectName = Annotated[str, Meta(pattern=f"^{OBJECT_NAME}$")]
 
 Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
 """The layouts of `read_folder`."""
@@ -96,6 +99,7 @@ MILLIMETRE = 0.001
 """nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
 EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
+FORMATS = ["PNG", "JPEG", "WEBP"]
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
 MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
@@ -175,7 +179,7 @@ def picture_size(path: Path) -> tuple[int, int]:
     Raises:
         HyalineError: it is stored on its side: tools differ on whether they turn it before they find cameras.
     """
-    with _header(path) as picture:
+    with header(path) as picture:
         turn = picture.getexif().get(ExifTags.Base.Orientation, UPRIGHT)
         if turn not in (UNKNOWN, UPRIGHT):
             raise HyalineError(
@@ -187,15 +191,17 @@ def picture_size(path: Path) -> tuple[int, int]:
 
 
 @contextmanager
-def _header(path: Path) -> Iterator[Image.Image]:
+def header(path: Path) -> Iterator[Image.Image]:
     """The picture of a file, not decoded."""
     try:
-        with open_regular(path) as file, Image.open(file, formats=["PNG", "JPEG", "WEBP"]) as picture:
+        with open_regular(path) as file, Image.open(file, formats=FORMATS) as picture:
             yield picture
     except HyalineError:
         raise
+    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
-        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__})") from error
+        what = f"{type(error).__name__}: {error}".replace("\n", " ")
+        raise HyalineError(f"{path}: not a picture that can be read as {', '.join(FORMATS)} ({what})") from error
 
 
 def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
@@ -258,14 +264,23 @@ def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
     return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 
 
+class _Described(Struct):
+    """What objects.json says of an object."""
+
+    mesh: str
+    ior: Annotated[float, Meta(gt=1, lt=10)] | None = None
+    absorption_per_metre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    is_thin: bool = False
+
+
 def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
     """The meshes in the folder: those that objects.json describes, or all in meshes/."""
     if (root / "objects.json").is_file():
         path = find_file(root, "objects.json", where=str(root))
-        listed = Fields(load_json(path), str(path))
-        if len(listed.data) > MAX_OBJECTS:
-            raise HyalineError(f"{path}: has {len(listed.data):,} objects; expected at most {MAX_OBJECTS}")
-        return tuple(_described(root, name, listed.fields(name)) for name in listed)
+        listed = read(dict[ObjectName, _Described], load_json(path), where=str(path))
+        if len(listed) > MAX_OBJECTS:
+            raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
+        return tuple(_described(root, name, entry, where=f"{path}: {name}.mesh") for name, entry in listed.items())
     folder = root / "meshes"
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
     for path in files:
@@ -273,17 +288,13 @@ def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
     return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
 
 
-def _described(root: Path, name: str, fields: Fields) -> ForeignSurface:
-    if not re.fullmatch(OBJECT_NAME, name):
-        raise HyalineError(f"{fields.where}: is the name of an object; expected letters, digits, _ and -")
-    file = find_file(root, fields.text("mesh"), where=f"{fields.where}.mesh")
+def _described(root: Path, name: str, entry: _Described, *, where: str) -> ForeignSurface:
+    file = find_file(root, entry.mesh, where=where)
     if not file.is_file():
-        raise HyalineError(f"{fields.where}.mesh: names {shown(fields.text('mesh'))}, which is not in {root}")
-    ior = fields.number("ior", 0.0) if "ior" in fields else None
-    if ior is not None and not 1 < ior < 10:
-        raise HyalineError(f"{fields.where}.ior: is {ior:g}; expected more than 1, and less than 10")
-    red, green, blue = fields.numbers("absorption_per_metre", (0.0, 0.0, 0.0))
-    return ForeignSurface(name=name, file=file, ior=ior, absorption=(red, green, blue), is_thin=fields.flag("is_thin"))
+        raise HyalineError(f"{where}: names {shown(entry.mesh)}, which is not in {root}")
+    return ForeignSurface(
+        name=name, file=file, ior=entry.ior, absorption=entry.absorption_per_metre, is_thin=entry.is_thin
+    )
 
 
 def surface_name(file: Path) -> str:

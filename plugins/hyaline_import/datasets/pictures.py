@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
-from PIL import Image, ImageCms, UnidentifiedImageError
+from PIL import Image, ImageCms
 
 from datagen.data.config import Resolution
 from datagen.data.images import (
@@ -22,10 +22,8 @@ from datagen.data.images import (
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.layouts import MILLIMETRE, ForeignView
-from hyaline_import.foreign import MAX_FILE_BYTES
+from hyaline_import.datasets.layouts import MILLIMETRE, ForeignView, header
 
-FORMATS = ["PNG", "JPEG", "WEBP"]
 BACKGROUND = {"white": 255.0, "black": 0.0}
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
 PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
@@ -107,22 +105,11 @@ def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
 
 def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
     """The picture of a file; nothing is decoded of one that has not the width and height it should have."""
-    data = read_regular(path, at_most=MAX_FILE_BYTES)
-    try:
-        with Image.open(io.BytesIO(data), formats=FORMATS) as picture:
-            if size is not None and picture.size != size:
-                raise HyalineError(
-                    f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}"
-                )
-            picture.load()
-            return picture
-    except HyalineError:
-        raise
-    except UnidentifiedImageError as error:
-        raise HyalineError(f"{path}: not a picture that can be read (no PNG, JPEG or WebP)") from error
-    # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
-    except Exception as error:
-        raise HyalineError(f"{path}: not a picture that can be read ({type(error).__name__}: {error})") from error
+    with header(path) as picture:
+        if size is not None and picture.size != size:
+            raise HyalineError(f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}")
+        picture.load()
+        return picture
 
 
 def _over(rgba: UInt8[np.ndarray, "h w 4"], background: float) -> UInt8[np.ndarray, "h w 3"]:

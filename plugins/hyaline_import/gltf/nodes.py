@@ -1,24 +1,24 @@
 """Where the meshes of a glTF file are: its tree of nodes, and the instances that they make.
 
-Source: glTF 2.0 sections 3.5 and 3.10, EXT_mesh_gpu_instancing, KHR_lights_punctual.
+Source: glTF 2.0 sections 3.5 and 3.10, EXT_mesh_gpu_instancing.
 """
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import MAX_SKEW, Camera
+from datagen.data.cameras import MAX_SKEW
+from datagen.data.cameras import Camera as Taken
 from datagen.disk.errors import HyalineError
 from datagen.scene.remarks import Remarks
-from hyaline_import.fields import Fields
-from hyaline_import.foreign import MAX_SURFACES, ForeignLamp, lens_of, rotation_of
-from hyaline_import.gltf.file import GltfArrays, GltfFile
+from hyaline_import.foreign import MAX_SURFACES, lens_of, rotation_of
+from hyaline_import.gltf.file import GltfFile
+from hyaline_import.gltf.records import Camera, Instancing, Node
 
-LAMPS = "KHR_lights_punctual"
+INSTANCING, LAMPS = "EXT_mesh_gpu_instancing", "KHR_lights_punctual"
 MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
 MIN_SCALE = 1e-10
@@ -31,60 +31,48 @@ FILM = 1000.0
 class Instance:
     """A mesh at one place."""
 
-    node: Fields
+    node: Node
     mesh: int
     world_from_mesh: Float[np.ndarray, "4 4"]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Standing:
-    """The cameras and lamps in a scene."""
-
-    cameras: list[Camera] = field(default_factory=list)
-    lamps: list[ForeignLamp] = field(default_factory=list)
-
-
-def instances(arrays: GltfArrays, standing: Standing, remarks: Remarks) -> Iterator[Instance]:
+def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterator[Instance]:
     """Every mesh of the file's scene, once for each place where it is; parents come before children.
 
     Args:
-        standing: takes cameras and lamps.
+        cameras: takes those of the scene.
     """
-    file = arrays.file
-    nodes = file.lists["nodes"]
+    nodes = file.root.nodes
     if len(nodes) > MAX_NODES:
         raise HyalineError(f"{file.path}: has {len(nodes):,} nodes; expected at most {MAX_NODES:,}")
-    waiting = [(index, np.eye(4)) for index in reversed(_roots(arrays))]
+    waiting = [(index, np.eye(4)) for index in reversed(_roots(file))]
     seen: set[int] = set()
     count = 0
     while waiting:
         index, world_from_parent = waiting.pop()
-        node = nodes[index]
+        node = file.item(nodes, index, where=f"{file.path}: nodes")
         if index in seen:
             raise HyalineError(f"{node.where}: is part of a cycle or has two parents; export the file again")
         seen.add(index)
         world_from_node = world_from_parent @ _local(node)
         if not np.abs(world_from_node).max() < MAX_COORDINATE:
             raise HyalineError(f"{node.where}: is larger than can be; export the file again")
-        if "mesh" in node:
-            if "skin" in node:
+        if node.mesh is not None:
+            if node.skin is not None:
                 remarks.approximate(_name(node), "is moved by bones, which are not read; drawn in its rest pose")
-            for world_from_mesh in _copies(arrays, node, world_from_node):
+            for world_from_mesh in _copies(file, node, world_from_node):
                 if _is_hidden(world_from_mesh):
                     remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
                     continue
                 count += 1
                 if count > MAX_SURFACES:
                     raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
-                mesh = node.integer("mesh", high=len(file.lists["meshes"]) - 1)
-                yield Instance(node=node, mesh=mesh, world_from_mesh=world_from_mesh)
-        if "camera" in node:
-            camera = file.item("cameras", node.integer("camera"), where=node.where)
-            standing.cameras.extend(_camera(camera, world_from_node, remarks))
-        if (lamp := node.extension(LAMPS)) is not None:
-            standing.lamps.append(_lamp(file, lamp, _name(node), world_from_node))
-        children = node.indices("children", count=len(nodes))
-        waiting += [(child, world_from_node) for child in reversed(children)]
+                yield Instance(node=node, mesh=node.mesh, world_from_mesh=world_from_mesh)
+        if node.camera is not None:
+            cameras += _camera(file.item(file.root.cameras, node.camera, where=node.where), world_from_node, remarks)
+        if LAMPS in node.extensions:
+            remarks.approximate(_name(node), "is a lamp without a size, which is left out")
+        waiting += [(child, world_from_node) for child in reversed(node.children)]
 
 
 def _is_hidden(world: Float[np.ndarray, "4 4"]) -> bool:
@@ -92,81 +80,39 @@ def _is_hidden(world: Float[np.ndarray, "4 4"]) -> bool:
     return bool(np.linalg.svd(world[:3, :3], compute_uv=False)[1] < MIN_SCALE)
 
 
-def _name(node: Fields) -> str:
-    return node.text("name") or node.where.rsplit(".", 1)[-1]
+def _name(entry: Node | Camera) -> str:
+    return entry.name or entry.where.rsplit(" ", 1)[-1]
 
 
-def _lamp(file: GltfFile, lamp: Fields, name: str, world: Float[np.ndarray, "4 4"]) -> ForeignLamp:
-    """A lamp in the world; it shines along its -z."""
-    listed = file.root.extension(LAMPS)
-    lights = [] if listed is None else listed.listed("lights")
-    index = lamp.integer("light")
-    if index >= len(lights):
-        raise HyalineError(f"{lamp.where}: names lights[{index}]; the file has {len(lights)}")
-    light = lights[index]
-    kinds: dict[str, Literal["directional", "point", "spot"]] = {
-        "directional": "directional", "point": "point", "spot": "spot"
-    }  # fmt: skip
-    if (kind := light.text("type")) not in kinds:
-        raise HyalineError(f"{light.where}.type: is {kind[:40]!r}; expected one of {', '.join(kinds)}")
-    strength, cone = light.number("intensity", 1.0), 2 * math.pi
-    if kind == "spot":
-        cone = light.fields("spot").number("outerConeAngle", math.pi / 4)
-    if not 0 <= strength < 1e12 or cone <= 0:
-        raise HyalineError(f"{light.where}: has an intensity of {strength:g} and a cone of {cone:g}; expected above 0")
-    red, green, blue = (strength * c for c in light.color("color", (1.0, 1.0, 1.0)))
-    ahead = -world[:3, 2]
-    return ForeignLamp(
-        name=name,
-        kind=kinds[kind],
-        position=world[:3, 3],
-        direction=ahead / max(float(np.linalg.norm(ahead)), 1e-30),
-        intensity=(red, green, blue),
-        cone=cone,
-    )
-
-
-def _camera(camera: Fields, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Camera]:
+def _camera(camera: Camera, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Taken]:
     """A camera in the world; none if it is orthographic. glTF's cameras are OpenGL's."""
-    if camera.text("type", "perspective") != "perspective":
+    if (lens := camera.perspective) is None:
         remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
         return []
-    lens = camera.fields("perspective")
-    high, aspect = lens.number("yfov", 0.0), lens.number("aspectRatio", 1.0)
-    if not (0 < high < math.pi and 0 < aspect < 1e3):
-        raise HyalineError(f"{lens.where}: sees {high:g} radians at an aspect of {aspect:g}; expected 0 to pi, above 0")
-    lengths = np.maximum(np.linalg.norm(world[:3, :3], axis=0), MIN_SCALE)
     matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = world[:3, :3] / lengths, world[:3, 3]
+    matrix[:3, :3] = world[:3, :3] / np.maximum(np.linalg.norm(world[:3, :3], axis=0), MIN_SCALE)
+    matrix[:3, 3] = world[:3, 3]
     axes = matrix[:3, :3]
     if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
         remarks.approximate(_name(camera), "is a camera that its node skews, mirrors or flattens, which is left out")
         return []
-    width, height = aspect * FILM, FILM
-    found = lens_of(0.5 * height / math.tan(high / 2), width, height, where=camera.where)
-    return [found.camera(matrix)]
+    focal = 0.5 * FILM / math.tan(lens.yfov / 2)
+    return [lens_of(focal, lens.aspect_ratio * FILM, FILM, where=camera.where).camera(matrix)]
 
 
-def _roots(arrays: GltfArrays) -> list[int]:
+def _roots(file: GltfFile) -> list[int]:
     """The top nodes of the file's scene; in a file without scenes, those without a parent."""
-    file = arrays.file
-    nodes = file.lists["nodes"]
-    if file.lists["scenes"]:
-        scene = file.item("scenes", file.root.integer("scene", 0), where=file.root.where)
-        return scene.indices("nodes", count=len(nodes))
-    below = {child for node in nodes for child in node.indices("children", count=len(nodes))}
-    return [index for index in range(len(nodes)) if index not in below]
+    if file.root.scenes:
+        return file.item(file.root.scenes, file.root.scene, where=f"{file.path}: scene").nodes
+    below = {child for node in file.root.nodes for child in node.children}
+    return [index for index in range(len(file.root.nodes)) if index not in below]
 
 
-def _local(node: Fields) -> Float[np.ndarray, "4 4"]:
-    if "matrix" in node:
-        return np.array(node.numbers("matrix", (0.0,) * 16)).reshape(4, 4).T
-    if not any(key in node for key in ("rotation", "translation", "scale")):
-        return np.eye(4)
-    rotation = np.array([node.numbers("rotation", (0.0, 0.0, 0.0, 1.0))])
-    translation = np.array([node.numbers("translation", (0.0, 0.0, 0.0))])
-    scale = np.array([node.numbers("scale", (1.0, 1.0, 1.0))])
-    return _matrices(translation, rotation, scale, where=node.where)[0]
+def _local(node: Node) -> Float[np.ndarray, "4 4"]:
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T
+    parts = (np.array([part], np.float64) for part in (node.translation, node.rotation, node.scale))
+    return _matrices(*parts, where=node.where)[0]
 
 
 def _matrices(
@@ -186,27 +132,22 @@ def _matrices(
     return matrices
 
 
-def _copies(arrays: GltfArrays, node: Fields, world_from_node: Float[np.ndarray, "4 4"]) -> list[np.ndarray]:
+def _copies(file: GltfFile, node: Node, world_from_node: Float[np.ndarray, "4 4"]) -> list[np.ndarray]:
     """One place, or those of EXT_mesh_gpu_instancing."""
-    instancing = node.extension("EXT_mesh_gpu_instancing")
-    if instancing is None:
+    if INSTANCING not in node.extensions:
         return [world_from_node]
-    attributes = instancing.fields("attributes")
-    given = {name: attributes.integer(name) for name in ("TRANSLATION", "ROTATION", "SCALE") if name in attributes}
-    counts = {arrays.count(index, where=attributes.where) for index in given.values()}
+    instancing = node.extension(INSTANCING, Instancing)
+    kinds = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
+    given = {name: index for name, index in instancing.attributes.items() if name in kinds}
+    counts = {file.count(index, where=node.where) for index in given.values()}
     if len(counts) != 1 or max(counts) > MAX_SURFACES:
-        raise HyalineError(
-            f"{attributes.where}: places {sorted(counts)} instances; expected one number up to {MAX_SURFACES}"
-        )
+        raise HyalineError(f"{node.where}: places {sorted(counts)} instances; expected one number up to {MAX_SURFACES}")
     count = counts.pop()
-    values = {
-        name: arrays.array(index, "VEC4" if name == "ROTATION" else "VEC3", where=attributes.where)
-        for name, index in given.items()
-    }
+    values = {name: file.array(index, kinds[name], where=node.where) for name, index in given.items()}
     placed = _matrices(
         values.get("TRANSLATION", np.zeros((count, 3))),
         values.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
         values.get("SCALE", np.ones((count, 3))),
-        where=attributes.where,
+        where=node.where,
     )
     return [world_from_node @ local for local in placed]

@@ -2,16 +2,18 @@
 
 import dataclasses
 import re
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from datagen.data.cameras import Camera
 from datagen.data.metadata import license_line
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, shown
+from datagen.disk.records import shown
 from datagen.scene.remarks import Remarks
-from hyaline_import.fields import Fields
+from datagen.terminal.distribution import install_command
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -20,158 +22,95 @@ from hyaline_import.foreign import (
     ForeignScene,
     elementwise,
 )
-from hyaline_import.gltf.file import GltfArrays, GltfFile, read_draco, unread_extensions
+from hyaline_import.gltf.file import READ_EXTENSIONS, WIDTHS, GltfFile
 from hyaline_import.gltf.materials import TextureUse, clamped, read_material
-from hyaline_import.gltf.nodes import Instance, Standing, instances
+from hyaline_import.gltf.nodes import instances
+from hyaline_import.gltf.records import Draco, Gltf, Primitive
 
-TRIANGLES, FAN = 4, 6
-"""Modes of a primitive; 5 is a strip."""
-XMP_RIGHTS = ("dc:rights", "xmpRights:UsageTerms", "xmpRights:WebStatement")
-XMP_PLACES = ((), ("@value",), ("@id",), ("rdf:_1",), ("rdf:_1", "@value"))
-"""Where the text of an XMP property may be: plain, in a node, or in the first of several languages."""
+DRACO = "KHR_draco_mesh_compression"
+TRIANGLES = 4
+"""Mode of a primitive whose corners make triangles, three by three."""
+Materials = dict[int | None, tuple[ForeignMaterial, TextureUse | None]]
 Attributes = dict[str, np.ndarray]
 
 
 def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     """The surfaces of a glTF or GLB file."""
     file = GltfFile(path)
-    arrays = GltfArrays(file)
-    _check_lists(file)
-    standing = Standing()
-    placed = list(instances(arrays, standing, remarks))
-    for extension in unread_extensions(file.root, "extensionsUsed"):
+    cameras: list[Camera] = []
+    placed = list(instances(file, cameras, remarks))
+    for extension in sorted({*file.root.extensions_used} - READ_EXTENSIONS):
         remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
-    if "animations" in file.root:
+    if file.root.animations is not None:
         remarks.note(path.name, "has animations, which are not read; drawn as the nodes place it")
-    uses: dict[int, int] = {}
-    for instance in placed:
-        _remark_on_morphs(file, instance, remarks)
-        uses[instance.mesh] = uses.get(instance.mesh, 0) + 1
-    _check_size(arrays, uses)
-    materials: dict[int | None, tuple[ForeignMaterial, TextureUse | None]] = {}
-    surfaces: dict[int, list[ForeignObject]] = {}
-    for mesh in uses:
-        surfaces[mesh] = list(_surfaces(arrays, mesh, materials, remarks))
+    uses = Counter(instance.mesh for instance in placed)
+    _check_size(file, uses)
+    materials: Materials = {}
+    surfaces = {mesh: list(_surfaces(file, mesh, materials, remarks)) for mesh in uses}
     objects = []
     for instance in placed:
         parts = surfaces[instance.mesh]
-        name = instance.node.text("name") or file.lists["meshes"][instance.mesh].text("name")
+        name = instance.node.name or file.root.meshes[instance.mesh].name
         for index, part in enumerate(parts):
             own = name or part.name or "object"
             own = f"{own}_{index}" if len(parts) > 1 else own
             objects.append(_placed(part, own, instance.world_from_mesh))
     if not objects:
         raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
-    return ForeignScene(
-        objects=tuple(objects),
-        up="y",
-        cameras=tuple(standing.cameras),
-        lamps=tuple(standing.lamps),
-        license=_license_of(file.root),
-    )
+    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras), license=_license_of(file.root))
 
 
-def _license_of(root: Fields) -> str | None:
-    """The rights in the metadata, as glTF, its XMP extensions and Sketchfab write them; bad metadata is ignored.
-
-    Source: glTF 2.0 section 5.9, KHR_xmp_json_ld.
-    """
-    asset = root.fields("asset").data
+def _license_of(root: Gltf) -> str | None:
+    """The rights in the metadata, as glTF and Sketchfab write them; bad metadata is ignored."""
     said = []
-    for data in (asset, root.data):
-        stated, author = (_within(data, "extras", key) for key in ("license", "author"))
+    for extras in (root.asset.extras, root.extras):
+        stated, author = (extras.get(key) if isinstance(extras, dict) else None for key in ("license", "author"))
         said += [stated, f"by {author}" if stated and isinstance(author, str) else None]
-    said.append(asset.get("copyright"))
-    for extension in ("KHR_xmp_json_ld", "KHR_xmp"):
-        used = _within(asset, "extensions", extension, "packet")
-        for key in XMP_RIGHTS:
-            value = _within(root.data, "extensions", extension, "packets", used, key)
-            said += [_within(value, *path) for path in XMP_PLACES]
-    return license_line(*said)
+    return license_line(*said, root.asset.copyright)
 
 
-def _within(data: Json, *path: Json) -> Json:
-    """What lies at a path of keys and places; None where nothing does."""
-    for step in path:
-        if isinstance(data, dict) and isinstance(step, str):
-            data = data.get(step)
-        elif isinstance(data, list) and isinstance(step, int) and 0 <= step < len(data):
-            data = data[step]
-        else:
-            return None
-    return data
-
-
-def _check_lists(file: GltfFile) -> None:
-    for mesh in file.lists["meshes"]:
-        if not mesh.listed("primitives"):
-            raise HyalineError(f"{mesh.where}.primitives: is empty; expected at least one")
-
-
-def _check_size(arrays: GltfArrays, uses: dict[int, int]) -> None:
+def _check_size(file: GltfFile, uses: Counter[int]) -> None:
     """Refuses a scene that is too large before any of it is decoded."""
     triangles = surfaces = 0
     for index, times in uses.items():
-        for primitive in arrays.file.lists["meshes"][index].listed("primitives"):
-            attributes = primitive.fields("attributes")
-            source = primitive if "indices" in primitive else attributes
-            count = source.integer("indices" if "indices" in primitive else "POSITION")
-            is_list = primitive.integer("mode", TRIANGLES) == TRIANGLES
-            triangles += times * arrays.count(count, where=source.where) // (3 if is_list else 1)
+        mesh = file.item(file.root.meshes, index, where=f"{file.path}: nodes")
+        for primitive in mesh.primitives:
+            if "POSITION" not in primitive.attributes:
+                raise HyalineError(f"{mesh.where}: has a primitive without POSITION; export the file again")
+            corners = primitive.attributes["POSITION"] if primitive.indices is None else primitive.indices
+            triangles += times * file.count(corners, where=mesh.where) // 3
             surfaces += times
     if triangles > MAX_TRIANGLES or surfaces > MAX_SURFACES:
         raise HyalineError(
-            f"{arrays.file.path}: has {triangles:,} triangles in {surfaces:,} surfaces; "
+            f"{file.path}: has {triangles:,} triangles in {surfaces:,} surfaces; "
             f"expected at most {MAX_TRIANGLES:,} in {MAX_SURFACES:,}"
         )
 
 
-def _remark_on_morphs(file: GltfFile, instance: Instance, remarks: Remarks) -> None:
-    """A line for a mesh with morph targets: its own shape is what is read. Weights of its node count before its own."""
-    mesh = file.lists["meshes"][instance.mesh]
-    if not any("targets" in primitive for primitive in mesh.listed("primitives")):
-        return
-    where = instance.node.text("name") or mesh.text("name") or mesh.where
-    weights = instance.node.data.get("weights", mesh.data.get("weights"))
-    if isinstance(weights, list) and any(weights):
-        remarks.approximate(
-            where, "is in part one of its morph targets, which are not read; it keeps the shape without"
-        )
-    else:
-        remarks.note(where, "has morph targets; it keeps the shape without them")
-
-
-def _surfaces(
-    arrays: GltfArrays,
-    mesh: int,
-    materials: dict[int | None, tuple[ForeignMaterial, TextureUse | None]],
-    remarks: Remarks,
-) -> Iterator[ForeignObject]:
+def _surfaces(file: GltfFile, mesh: int, materials: Materials, remarks: Remarks) -> Iterator[ForeignObject]:
     """The triangles of a mesh, one surface a primitive, where the mesh itself is."""
-    described = arrays.file.lists["meshes"][mesh]
-    name = described.text("name")
-    for primitive in described.listed("primitives"):
-        mode = primitive.integer("mode", TRIANGLES, high=6)
-        if mode < TRIANGLES:
-            remarks.approximate(name or described.where, "has points or lines, which are left out")
+    described = file.root.meshes[mesh]
+    for primitive in described.primitives:
+        where = described.name or described.where
+        if primitive.mode != TRIANGLES:
+            remarks.approximate(where, "has points, lines, strips or fans, which are left out")
             continue
-        chosen = primitive.integer("material") if "material" in primitive else None
-        if chosen not in materials:
-            materials[chosen] = read_material(arrays.file, chosen, remarks)
-        material, use = materials[chosen]
-        attributes, corners = _attributes(arrays, primitive)
-        if "COLOR_0" in primitive.fields("attributes"):
-            remarks.approximate(name or described.where, "has colours at its vertices, which are left out")
-        faces = _triangles(corners, mode)
+        if primitive.targets:
+            remarks.approximate(where, "has morph targets, which are not read; it keeps the shape without them")
+        if "COLOR_0" in primitive.attributes:
+            remarks.approximate(where, "has colours at its vertices, which are left out")
+        if primitive.material not in materials:
+            materials[primitive.material] = read_material(file, primitive.material, remarks)
+        material, use = materials[primitive.material]
+        attributes, corners = _attributes(file, primitive, where=described.where)
+        faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
         if not len(faces):
             continue
-        if "EXT_mesh_features" in primitive.extensions():
-            remarks.note(name or described.where, "has feature ids, which are left out")
         uv = None
         if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
-            uv = clamped(use.uv_from_file(raw), faces, use.clamps, remarks, where=name or material.name)
+            uv = clamped(use.uv_from_file(raw), faces, use.clamps, remarks, where=described.name or material.name)
         yield ForeignObject(
-            name=name or material.name,
+            name=described.name or material.name,
             positions=attributes["POSITION"],
             faces=faces,
             normals=attributes.get("NORMAL"),
@@ -181,45 +120,49 @@ def _surfaces(
         )
 
 
-def _attributes(arrays: GltfArrays, primitive: Fields) -> tuple[Attributes, np.ndarray]:
+def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[Attributes, np.ndarray]:
     """Positions, normals and uv of a primitive's vertices, and the vertices of its corners in order."""
-    listed = primitive.fields("attributes")
-    wanted = {"POSITION": "VEC3", "NORMAL": "VEC3"}
-    wanted |= {name: "VEC2" for name in listed if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
-    draco = primitive.extension("KHR_draco_mesh_compression")
-    if draco is not None:
-        found, corners = read_draco(arrays, draco, {name: kind for name, kind in wanted.items() if name in listed})
+    wanted = {name: "VEC3" for name in ("POSITION", "NORMAL") if name in primitive.attributes}
+    wanted |= {name: "VEC2" for name in primitive.attributes if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
+    if DRACO in primitive.extensions:
+        found, corners = _decompressed(file, primitive.extension(DRACO, Draco), wanted, where=where)
     else:
-        listed.integer("POSITION")
-        found = {
-            name: arrays.array(listed.integer(name), kind, where=listed.where)
-            for name, kind in wanted.items()
-            if name in listed
-        }
+        found = {name: file.array(primitive.attributes[name], kind, where=where) for name, kind in wanted.items()}
         corners = np.arange(len(found["POSITION"]))
-        if "indices" in primitive:
-            corners = arrays.array(primitive.integer("indices"), "SCALAR", where=primitive.where)
+        if primitive.indices is not None:
+            corners = file.array(primitive.indices, "SCALAR", where=where)
     count = len(found["POSITION"])
     if any(len(values) != count for values in found.values()):
-        raise HyalineError(f"{primitive.where}: its attributes differ in length; export the file again")
+        raise HyalineError(f"{where}: its attributes differ in length; export the file again")
     if corners.ndim != 1 or corners.dtype.kind != "i":
-        raise HyalineError(f"{primitive.where}.indices: are not whole numbers; export the file again")
+        raise HyalineError(f"{where}: its indices are not whole numbers; export the file again")
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
-        raise HyalineError(f"{primitive.where}: names vertex {corners.max()} of {count}; export the file again")
+        raise HyalineError(f"{where}: names vertex {corners.max()} of {count}; export the file again")
     return found, corners
 
 
-def _triangles(corners: np.ndarray, mode: int) -> np.ndarray:
-    """Faces (n, 3) of corners in the order of a list, a strip or a fan."""
-    if mode == TRIANGLES:
-        return corners[: len(corners) // 3 * 3].reshape(-1, 3)
-    if len(corners) < 3:
-        return np.zeros((0, 3), np.int64)
-    if mode == FAN:
-        return np.stack([np.broadcast_to(corners[0], len(corners) - 2), corners[1:-1], corners[2:]], axis=-1)
-    faces = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=-1)
-    faces[1::2] = faces[1::2, [1, 0, 2]]
-    return faces
+def _decompressed(file: GltfFile, draco: Draco, wanted: dict[str, str], *, where: str) -> tuple[Attributes, np.ndarray]:
+    """What `_attributes` finds, of a mesh that Draco has compressed. Source: KHR_draco_mesh_compression."""
+    try:
+        import DracoPy  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise HyalineError(
+            f"{where}: is compressed by Draco; `{install_command('generate')}` brings what reads it, "
+            "or export the file without compression"
+        ) from None
+    view, _ = file.buffer_view(draco.buffer_view, where=where)
+    try:
+        mesh = DracoPy.decode(bytes(view))
+        arrays = {attribute["unique_id"]: np.asarray(attribute["data"], np.float64) for attribute in mesh.attributes}
+        corners = np.asarray(mesh.faces, np.int64).reshape(-1)
+    except Exception as error:  # DracoPy has no class of its own for files that it cannot read.
+        raise HyalineError(f"{where}: Draco cannot read it ({error}); export the file again") from None
+    found = {name: arrays[index] for name, index in draco.attributes.items() if name in wanted and index in arrays}
+    for name, kind in wanted.items():
+        values = found.get(name)
+        if values is None or values.shape[1:] != (WIDTHS[kind],) or not np.isfinite(values).all():
+            raise HyalineError(f"{where}: its {name} are not {kind} of finite numbers; export the file again")
+    return found, corners
 
 
 def _placed(part: ForeignObject, name: str, world: np.ndarray) -> ForeignObject:

@@ -29,6 +29,8 @@ from hyaline_import.foreign import (
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
+    clipped,
+    clipped_color,
     read_foreign,
     substance_of,
 )
@@ -47,19 +49,9 @@ MAX_OPAQUE = 0.9
 """Dissolve from which on a surface is opaque."""
 USUAL_IOR = 1.5
 DEFAULTS: dict[str, tuple[float | str, ...]] = {
-    "-blendu": ("on",),
-    "-blendv": ("on",),
-    "-boost": (0,),
-    "-mm": (0, 1),
-    "-o": (0, 0, 0),
-    "-s": (1, 1, 1),
-    "-t": (0, 0, 0),
-    "-texres": ("",),
-    "-clamp": ("off",),
-    "-bm": (1,),
-    "-imfchan": ("",),
-    "-cc": ("off",),
-}
+    "-blendu": ("on",), "-blendv": ("on",), "-boost": (0,), "-mm": (0, 1), "-o": (0, 0, 0), "-s": (1, 1, 1),
+    "-t": (0, 0, 0), "-texres": ("",), "-clamp": ("off",), "-bm": (1,), "-imfchan": ("",), "-cc": ("off",),
+}  # fmt: skip
 """The words that follow each option of an image if it changes nothing."""
 VECTORS = ("-o", "-s", "-t")
 """Options whose second and third number may be left out."""
@@ -247,9 +239,6 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     for key, what in COATS.items():
         if number(key, 0.0) > 0:
             remarks.approximate(name, f"has {what}, which is left out")
-    if entry.get("d", [])[:1] == ["-halo"]:
-        remarks.approximate(name, "is more opaque at its outline (d -halo), which is left out")
-        entry = {**entry, "d": entry["d"][1:]}
     model, named = int(number("illum", 2.0)), substance_of(name)
     transparency, ior = number("tr", 0.0), number("ni", SUBSTANCES.get(named or "", USUAL_IOR))
     # A lone Tr 1 says nothing: MeshLab and OpenMVS write it for opaque scans.
@@ -300,8 +289,8 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         image=image,
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
-        metallic=min(max(numbers["metallic"], 0.0), 1.0),
-        roughness=1.0 if is_matt else min(max(numbers["roughness"], 0.0), 1.0),
+        metallic=clipped(numbers["metallic"]),
+        roughness=1.0 if is_matt else clipped(numbers["roughness"]),
         transmission=transmission,
         factor_images=factor_images,
         ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
@@ -325,11 +314,8 @@ def _is_glass(dissolve: float, model: int, *, is_hinted: bool, is_denied: bool) 
 def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:
     if key not in entry:
         return default
-    if entry[key][:1] in (["spectral"], ["xyz"]):
-        raise HyalineError(f"{where}: {key} is {entry[key][0]}; expected three numbers, export it with RGB colours")
     words = entry[key] if len(entry[key]) > 1 else entry[key] * 3
-    red, green, blue = (min(max(value, 0.0), 1.0) for value in floats(words, 3, where=f"{where}: {key}"))
-    return red, green, blue
+    return clipped_color(floats(words, 3, where=f"{where}: {key}"))
 
 
 def file_named(words: list[str]) -> str:

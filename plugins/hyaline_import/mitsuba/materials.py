@@ -10,7 +10,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
-from hyaline_import.foreign import ForeignImage, ForeignMaterial, read_foreign
+from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.gltf.materials import mirrored
 from hyaline_import.mitsuba.nodes import Node
 from hyaline_import.pictures import stored
@@ -34,6 +34,8 @@ METALS: dict[str, Color] = {
 }
 """Reflectance at normal incidence."""
 
+WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
+"""BSDFs around another one."""
 MAX_DEPTH = 8
 """BSDFs within BSDFs."""
 CELLS = 256
@@ -52,40 +54,17 @@ class FoundMaterial:
 
 def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
     """The material of a BSDF."""
-    if node.plugin in ("twosided", "mask", "bumpmap", "normalmap"):
+    if node.plugin in WRAPPERS:
         inner = node.inner("BSDF")
-        if inner is None:
-            raise HyalineError(f"{node.where}: holds no BSDF; expected one")
-        if depth > MAX_DEPTH:
-            raise HyalineError(f"{node.where}: holds itself, or more than {MAX_DEPTH} others; expected a BSDF")
-        inside = read_bsdf(inner, remarks, depth=depth + 1)
-        if node.plugin == "mask":
-            return _masked(node, inside, remarks)
+        if inner is None or depth > MAX_DEPTH:
+            raise HyalineError(f"{node.where}: holds no BSDF, itself, or more than {MAX_DEPTH} others; expected a BSDF")
         if node.plugin != "twosided":
             remarks.approximate(node.name, f"is a {node.plugin}; only the material inside it is drawn")
-        return inside
+        return read_bsdf(inner, remarks, depth=depth + 1)
     if node.plugin not in READERS:
-        known = ", ".join(sorted([*READERS, "twosided"]))
+        known = ", ".join(sorted([*READERS, *WRAPPERS]))
         raise HyalineError(f"{node.where}: is of a kind that is not read; known are {known}")
     return READERS[node.plugin](node, remarks)
-
-
-def _masked(node: Node, found: FoundMaterial, remarks: Remarks) -> FoundMaterial:
-    """The material with the opacity of a `mask` around it."""
-    texture = node.child("opacity")
-    if texture is None:
-        opacity = sum(node.color("opacity", 0.5)) / 3
-        return replace(found, material=replace(found.material, alpha=min(max(opacity, 0.0), 1.0), alpha_mode="blend"))
-    if texture.plugin != "bitmap":
-        raise HyalineError(f"{texture.where}: is opacity of a kind that is not read; known is bitmap")
-    opacity, image_from_uv, clamps = _bitmap(texture, node.name)
-    if found.material.image is not None and not np.allclose(image_from_uv, found.image_from_uv):
-        remarks.approximate(
-            node.name, "is cut out by an image that lies otherwise than that of its colour; drawn whole"
-        )
-        return found
-    material = replace(found.material, alpha_mode="blend", opacity=opacity)
-    return FoundMaterial(material=material, image_from_uv=image_from_uv, clamps=clamps or found.clamps)
 
 
 def _plain(material: ForeignMaterial) -> FoundMaterial:
@@ -132,7 +111,7 @@ def _facets(node: Node, remarks: Remarks) -> float:
         remarks.approximate(node.name, f"has facets of the distribution {name}; drawn with GGX of the same alpha")
     if "alpha_u" in node:
         remarks.approximate(node.name, "has a grain (alpha_u, alpha_v); drawn without one")
-    return math.sqrt(min(max(_alpha(node, 0.1, remarks), 0.0), 1.0))
+    return math.sqrt(clipped(_alpha(node, 0.1, remarks)))
 
 
 def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
@@ -143,12 +122,11 @@ def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
 
 def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
     _remark_on_scale(node, "specular_reflectance", remarks)
-    if node.child("specular_transmittance") is not None:
-        _remark_on_scale(node, "specular_transmittance", remarks)
-    rough = node.plugin == "roughdielectric"
-    is_thin = node.plugin == "thindielectric"
-    key = "specular_transmittance"
-    red, green, blue = _clipped(node.color(key, 1.0)) if node.child(key) is None else (1.0, 1.0, 1.0)
+    key, is_thin = "specular_transmittance", node.plugin == "thindielectric"
+    has_image = node.child(key) is not None
+    if has_image:
+        _remark_on_scale(node, key, remarks)
+    red, green, blue = (1.0, 1.0, 1.0) if has_image else clipped_color(node.color(key, 1.0))
     material = ForeignMaterial(
         name=node.name,
         # What passes both surfaces of a solid is its colour.
@@ -157,7 +135,7 @@ def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
         ior=_ratio(node),
         is_volume=not is_thin,
         is_thin=is_thin,
-        roughness=_facets(node, remarks) if rough else 0.0,
+        roughness=_facets(node, remarks) if node.plugin == "roughdielectric" else 0.0,
     )
     return _plain(material)
 
@@ -192,7 +170,9 @@ def _conductor(node: Node, remarks: Remarks) -> FoundMaterial:
     scale = node.color("specular_reflectance", 1.0) if node.child("specular_reflectance") is None else (1.0, 1.0, 1.0)
     red, green, blue = (a * b for a, b in zip(color, scale, strict=True))
     roughness = _facets(node, remarks) if node.plugin == "roughconductor" else 0.0
-    metal = ForeignMaterial(name=node.name, base_color=_clipped((red, green, blue)), metallic=1.0, roughness=roughness)
+    metal = ForeignMaterial(
+        name=node.name, base_color=clipped_color((red, green, blue)), metallic=1.0, roughness=roughness
+    )
     if node.child("specular_reflectance") is None:
         return _plain(metal)
     found = _colored(metal, node, "specular_reflectance", 1.0, remarks)
@@ -207,9 +187,9 @@ def _principled(node: Node, remarks: Remarks) -> FoundMaterial:
     eta = node.number("eta", 2 / (1 - math.sqrt(0.08 * specular)) - 1)
     material = ForeignMaterial(
         name=node.name,
-        metallic=min(max(node.number("metallic", 0.0), 0.0), 1.0),
-        roughness=min(max(node.number("roughness", 0.5), 0.0), 1.0),
-        transmission=min(max(node.number("spec_trans", 0.0), 0.0), 1.0),
+        metallic=clipped(node.number("metallic", 0.0)),
+        roughness=clipped(node.number("roughness", 0.5)),
+        transmission=clipped(node.number("spec_trans", 0.0)),
         is_volume=True,
         ior=min(max(eta, 1.0), 9.0),
     )
@@ -236,16 +216,11 @@ def absorption_of(medium: Node | None) -> Color:
     return red, green, blue
 
 
-def _clipped(color: Color) -> Color:
-    red, green, blue = (min(max(c, 0.0), 1.0) for c in color)
-    return red, green, blue
-
-
 def _colored(material: ForeignMaterial, node: Node, key: str, default: float, remarks: Remarks) -> FoundMaterial:
     """The material with a colour, or the image of a texture."""
     texture = node.child(key)
     if texture is None:
-        return _plain(replace(material, base_color=_clipped(node.color(key, default))))
+        return _plain(replace(material, base_color=clipped_color(node.color(key, default))))
     image_from_uv, clamps = texture.matrix("to_uv"), False
     if texture.plugin == "bitmap":
         if texture.flag("raw"):

@@ -1,7 +1,7 @@
 """The nodes of a Mitsuba scene, parsed and not made: values by type, children, and files of the scene's folder.
 
 Mitsuba's own parser follows includes to any file, and a nesting of 200,000 tags ends its process (3.9). So the XML is
-looked at first: it must be XML, not be deep, declare no document type, and include files of its own folder alone.
+looked at first: it must be XML, not be deep, declare no document type, and include no other file.
 """
 
 import xml.parsers.expat
@@ -15,17 +15,15 @@ from datagen.disk.records import shown
 from datagen.scene.values import Color
 from hyaline_import.foreign import read_foreign
 
-Value = object
-
 MAX_VALUE = 1e9
 MAX_BYTES = 1 << 25
 MAX_DEPTH = 32
 MAX_TAGS = 200_000
-MAX_INCLUDES = 32
 REFUSED = {
     "path": "names folders in which plugins are looked for",
     "resources": "names folders in which plugins are looked for",
     "alias": "gives a second name to an object",
+    "include": "reads another file",
 }
 """Tags that no scene needs which is complete in its folder."""
 EQUAL_ENERGY = (1.20479, 0.948291, 0.908916)
@@ -41,7 +39,7 @@ class Node:
         self.plugin: str = props.plugin_name()
         self.name: str = props.id() or self.plugin
         self.where = f"{scene.path}: {self.plugin} {shown(self.name)}"
-        self.props: dict[str, Value] = {key: props[key] for key in props.keys()}  # noqa: SIM118
+        self.props: dict[str, object] = {key: props[key] for key in props.keys()}  # noqa: SIM118
         self.kind: str = str(scene.nodes[index].type).rpartition(".")[2]
 
     def __contains__(self, key: str) -> bool:
@@ -118,7 +116,7 @@ class Node:
         return next((node for node in self.children() if node.kind == kind), None)
 
     @staticmethod
-    def _listed(value: Value) -> list[float] | None:
+    def _listed(value: object) -> list[float] | None:
         try:
             return [float(item) for item in value]  # pyright: ignore[reportGeneralTypeIssues]
         except (TypeError, ValueError):
@@ -150,7 +148,7 @@ class NodeList:
         if self.root.kind != "Scene":
             raise HyalineError(f"{path}: holds a {self.root.kind}; expected a scene")
 
-    def index_of(self, value: Value) -> int | None:
+    def index_of(self, value: object) -> int | None:
         """The node that a property refers to, if it does."""
         import mitsuba as mi
 
@@ -164,42 +162,17 @@ class NodeList:
         return None
 
 
-# The XML, before Mitsuba's parser gets it
-
-
 def check_text(path: Path) -> None:
-    """Refuses an XML file, and what it includes, that Mitsuba's parser must not see."""
-    waiting, seen = [path], {path.resolve()}
-    while waiting:
-        for included in _includes(waiting.pop(), path.parent):
-            if included.resolve() in seen or len(seen) > MAX_INCLUDES:
-                raise HyalineError(
-                    f"{path}: includes {included.name} again; expected at most {MAX_INCLUDES} files, once"
-                )
-            seen.add(included.resolve())
-            waiting.append(included)
-
-
-def _includes(path: Path, root: Path) -> list[Path]:
-    """The files that one file includes, after all of it was looked at."""
-    included: list[Path] = []
+    """Refuses an XML file that Mitsuba's parser must not see."""
     depth = count = 0
 
-    def begin(tag: str, attributes: dict[str, str]) -> None:
+    def begin(tag: str, _: dict[str, str]) -> None:
         nonlocal depth, count
         depth, count = depth + 1, count + 1
         if depth > MAX_DEPTH or count > MAX_TAGS:
-            raise HyalineError(
-                f"{path}: has more than {MAX_DEPTH} levels or {MAX_TAGS:,} tags; expected a smaller scene"
-            )
+            raise HyalineError(f"{path}: has more than {MAX_DEPTH} levels or {MAX_TAGS:,} tags; expected fewer")
         if tag in REFUSED:
             raise HyalineError(f"{path}: has a tag <{tag}>, which {REFUSED[tag]}; remove it")
-        if tag == "include":
-            name = attributes.get("filename", "")
-            found = find_file(root, name.removeprefix("./"), where=f"{path}: include")
-            if "$" in name or not found.exists():
-                raise HyalineError(f"{path}: includes {shown(name)}, which is not in its folder")
-            included.append(found)
 
     def end(_: str) -> None:
         nonlocal depth
@@ -214,4 +187,3 @@ def _includes(path: Path, root: Path) -> list[Path]:
         parser.Parse(read_foreign(path, at_most=MAX_BYTES), True)
     except (xml.parsers.expat.ExpatError, ValueError, LookupError) as error:
         raise HyalineError(f"{path}: not XML that can be read ({error})") from None
-    return included

@@ -44,8 +44,6 @@ QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
 """Top-level nodes that do not change the scene, or that shapes refer to."""
 FOV_DEG = math.degrees(2 * math.atan(math.hypot(36, 24) / 100))
 """Diagonal angle of a sensor without one: that of a lens of 50 mm on film of 36 x 24 mm."""
-SEGMENTS = 96
-"""Sides of a disk or a cylinder."""
 MAGIC = 0x041C
 NORMALS, UV, COLORS, DOUBLE = 0x0001, 0x0002, 0x0008, 0x2000
 MAX_NAME = 4096
@@ -287,38 +285,9 @@ def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: AR
     return [_from_mesh(node, mesh, np.stack([(mesh.vertices[:, 0] + 1) / 2, (1 - mesh.vertices[:, 1]) / 2], axis=-1))]
 
 
-def _circle() -> np.ndarray:
-    angles = np.arange(SEGMENTS) * (2 * np.pi / SEGMENTS)
-    return np.stack([np.cos(angles), np.sin(angles), np.zeros(SEGMENTS)], axis=-1)
-
-
-def _disk(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
-    ring = np.arange(SEGMENTS)
-    faces = np.stack([np.full(SEGMENTS, SEGMENTS), ring, np.roll(ring, -1)], axis=-1)
-    positions = np.concatenate([_circle(), np.zeros((1, 3))])
-    return [ForeignObject(name=node.name, positions=positions, faces=faces, normals=None, uv=None, material=PLAIN)]
-
-
-def _cylinder(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
-    start, end = node.point("p0", (0.0, 0.0, 0.0)), node.point("p1", (0.0, 0.0, 1.0))
-    axis = (end - start) / max(float(np.linalg.norm(end - start)), 1e-12)
-    side = np.cross(axis, np.eye(3)[np.abs(axis).argmin()])
-    side /= np.linalg.norm(side)
-    circle = _circle()
-    around = node.number("radius", 1.0) * (circle[:, :1] * side + circle[:, 1:2] * np.cross(axis, side))
-    ring = np.arange(SEGMENTS)
-    following = np.roll(ring, -1)
-    faces = np.concatenate([
-        np.stack([ring, following, following + SEGMENTS], axis=-1),
-        np.stack([ring, following + SEGMENTS, ring + SEGMENTS], axis=-1),
-    ])  # fmt: skip
-    positions = np.concatenate([start + around, end + around])
-    return [ForeignObject(name=node.name, positions=positions, faces=faces, normals=None, uv=None, material=PLAIN)]
-
-
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
-    "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle, "disk": _disk,
-    "cylinder": _cylinder, "serialized": _serialized,
+    "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle,
+    "serialized": _serialized,
 }  # fmt: skip
 
 

@@ -25,10 +25,11 @@ from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
 from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
 from hyaline_import.datasets.pictures import on_background, opened
-from hyaline_import.datasets.surfaces import assemble, read_surface
+from hyaline_import.datasets.surfaces import read_surface, unlit_scene
 from hyaline_import.foreign import z_up_from
 from hyaline_import.foreign_files import scene_name
-from hyaline_import.importing import scene_object, unique_names
+from hyaline_import.importing import Made, scene_object, unique_names
+from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
@@ -307,18 +308,22 @@ def _save_scene(
     others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
     names = unique_names([*(item.name for item in glass), *others])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
-    scene = assemble(name, objects, cameras, remarks, how="Captured", without_uv=set(names), images={})
+    placed = _placed(world, remarks)
+    scene = unlit_scene(name, Made(objects=objects, without_uv=set(names)), placed, cameras, how="Captured")
     save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
 
 
 def _given_room(choices: CaptureChoices, world: World, remarks: Remarks) -> list[SceneObject]:
     """The meshes of --room, all of them diffuse."""
-    mapper = Mapper(metres=world.scale, thin="open", remarks=remarks)
-    linear = world.scale * world.rotation
+    placed = _placed(world, remarks)
     return [
-        scene_object(
-            surface_name(file), part, linear, world.offset, mapper, Diffuse(color=GREY), remarks, ImportChoices()
-        )
+        scene_object(surface_name(file), part, placed, Diffuse(color=GREY))
         for file in choices.room
         for part in read_surface(ForeignSurface(name=surface_name(file), file=file), remarks)
     ]
+
+
+def _placed(world: World, remarks: Remarks) -> Placed:
+    """How meshes of the photographs' world become objects of the scene."""
+    mapper = Mapper(metres=world.scale, thin="open", remarks=remarks)
+    return Placed(linear=world.scale * world.rotation, offset=world.offset, mapper=mapper, choices=ImportChoices())

@@ -66,10 +66,10 @@ class TakenLens:
 
 def lens_of_colmap(row: ColmapCamera, size: tuple[int, int], *, where: str) -> TakenLens:
     """The lens of a camera of COLMAP, for its pictures as large as they are now."""
-    focals, values = row.model.focals, row.values
+    focals, values = row.focals, row.values
     bends = values[focals + 2 :]
     radial, tangential = bends, (0.0, 0.0)
-    if row.model.name in ("OPENCV", "FULL_OPENCV"):
+    if row.model in ("OPENCV", "FULL_OPENCV"):
         radial, tangential = (*bends[:2], *bends[4:]), (bends[2], bends[3])
     lens = TakenLens(
         width=row.width,
