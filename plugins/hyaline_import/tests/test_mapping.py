@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from support.gltf import GltfBuilder, clear, glass
+from support.foreign import add, glass_entry, use_of
+from support.gltf import BOX, GltfBuilder, clear, glass
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.import_choices import ImportChoices, Thin
@@ -27,8 +28,7 @@ OPEN = Shape(is_closed=False, has_uv=True)
 
 def foreign(folder: Path, **entry: object) -> ForeignMaterial:
     """A material as it is read from a file."""
-    builder = GltfBuilder()
-    builder.node(mesh=builder.mesh(material=builder.material(**entry)))
+    builder = add(GltfBuilder(), "stuff", BOX, entry)
     material = read_gltf(builder.written(folder), Remarks()).objects[0].material
     assert isinstance(material, ForeignMaterial)
     return material
@@ -64,15 +64,23 @@ def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(t
     np.testing.assert_allclose(material.absorption, [-math.log(1e-4) / 0.5, 0, 0])
 
 
-def test_the_index_of_refraction_and_a_priority_are_kept(tmp_path: Path) -> None:
-    extensions = {**glass(), "KHR_materials_ior": {"ior": 1.33}}
-    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions, extras={"priority": 3})
-    assert mapped(entry)[0] == Dielectric(ior=1.33, priority=3)
-
-
-def test_glass_without_an_index_has_that_of_the_substance_that_its_name_is(tmp_path: Path) -> None:
-    entry = foreign(tmp_path, name="Water.001", pbrMetallicRoughness=clear(), extensions=glass())
-    assert mapped(entry)[0] == Dielectric(ior=1.333)
+@pytest.mark.parametrize(
+    ("entry", "expected"),
+    [
+        (
+            {"extensions": {"KHR_materials_ior": {"ior": 1.33}}, "extras": {"priority": 3}},
+            Dielectric(ior=1.33, priority=3),
+        ),
+        ({"name": "Water.001"}, Dielectric(ior=1.333)),
+        ({"pbrMetallicRoughness": clear(roughnessFactor=0.5)}, RoughDielectric(ior=1.5, roughness=0.25)),
+    ],
+)
+def test_index_substance_priority_and_roughness_are_those_of_the_file(
+    entry: dict, expected: Material, tmp_path: Path
+) -> None:
+    extensions = {**glass(), **entry.get("extensions", {})}
+    given = {"pbrMetallicRoughness": clear(), **entry, "extensions": extensions}
+    assert mapped(foreign(tmp_path, **given)) == (expected, [])
 
 
 THIN = {**glass()}
@@ -190,9 +198,8 @@ def test_blended_metal_mirrors_where_it_is_and_lets_through_the_rest(
     assert len(lines) == 1 and "is metal and blended" in lines[0]
 
 
-def test_rough_glass_has_facets_of_its_roughness_squared_and_a_rough_pane_is_drawn_smooth(tmp_path: Path) -> None:
+def test_a_rough_pane_is_drawn_smooth(tmp_path: Path) -> None:
     entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.5), extensions=glass())
-    assert mapped(entry) == (RoughDielectric(ior=1.5, roughness=0.25), [])
     pane, lines = mapped(entry, OPEN)
     assert pane == ThinDielectric(ior=1.5)
     assert any("rough pane (GGX alpha 0.25)" in line for line in lines)
@@ -211,44 +218,28 @@ def test_dispersion_is_kept_and_left_out_of_a_pane_that_bends_nothing(tmp_path: 
 
 
 def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    extensions = {**glass(), "KHR_materials_sheen": {}}
     texture = {"index": 0}
-    material = builder.material(
-        pbrMetallicRoughness=clear(roughnessFactor=0.5),
-        extensions=extensions,
-        normalTexture=texture,
-        emissiveFactor=[1, 0, 0],
-        occlusionTexture=texture,
-    )
-    builder.node(mesh=builder.mesh(material=material))
-    remarks = Remarks()
-    entry = read_gltf(builder.written(tmp_path), remarks).objects[0].material
-    assert isinstance(entry, ForeignMaterial)
-    Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
-    lines = " | ".join(line.what for line in remarks.lines if line.is_approximation)
-    for word in (
-        "sheen",
-        "normal map",
-        "occlusion",
-    ):
-        assert word in lines
+    lamp = {"normalTexture": texture, "occlusionTexture": texture, "emissiveTexture": texture}
+    entry = {**glass_entry(), **lamp, "emissiveFactor": [1, 0, 0]}
+    entry["extensions"]["KHR_materials_sheen"] = {}
+    path, remarks = add(GltfBuilder(), "thing", BOX, entry).written(tmp_path), Remarks()
+    read_gltf(path, remarks)
+    assert [line.what for line in remarks.lines if line.is_approximation] == [
+        "has sheen, which is left out",
+        "has a normal map, which is left out",
+        "has an occlusion map, which is left out",
+        "emits light by an image, which is ignored",
+    ]
     with pytest.raises(HyalineError, match="leave out --strict"):
-        read_gltf(builder.written(tmp_path), Remarks(is_strict=True))
+        read_gltf(path, Remarks(is_strict=True))
 
 
 def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_gets_its_mean(tmp_path: Path) -> None:
-    picture = Image.new("RGB", (4, 4), (255, 255, 255))
-    picture.paste((0, 0, 0), (0, 0, 4, 2))
-    buffer = io.BytesIO()
-    picture.save(buffer, format="PNG")
     builder = GltfBuilder()
-    image = builder.add("images", {"bufferView": builder.view(buffer.getvalue()), "mimeType": "image/png"})
-    use = {"index": builder.add("textures", {"source": image})}
+    use = use_of(builder, np.repeat([[[0] * 3] * 4, [[255] * 3] * 4], 2, axis=0))
     for metallic, extensions in ((0.0, {}), (1.0, {}), (0.0, THIN)):
-        pbr = clear(metallicFactor=metallic, baseColorTexture=use, baseColorFactor=[1.0, 0.5, 0.0, 1.0])
-        material = builder.material(pbrMetallicRoughness=pbr, extensions=extensions)
-        builder.node(mesh=builder.mesh(material=material, has_uv=True))
+        pbr = {**clear(metallicFactor=metallic), "baseColorTexture": use, "baseColorFactor": [1.0, 0.5, 0.0, 1.0]}
+        add(builder, "thing", BOX, {"pbrMetallicRoughness": pbr, "extensions": extensions})
     mapper = Mapper(metres=1.0, thin="open", remarks=Remarks())
     matt, metal, pane = (
         mapper.material(item.material, OPEN, where="thing")
