@@ -79,7 +79,9 @@ def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, over
     content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
         check_free(root, overwrite=overwrite)
-        before = _listed(root) if is_ours(root, IMPORTED) else []
+        listed = load_sealed(root / RECORD).get("files") if is_ours(root, IMPORTED) else []
+        paths = [path for path in listed if isinstance(path, str)] if isinstance(listed, list) else []
+        before = [check_relative(path, where=str(root / RECORD)) for path in paths]
         refuse_taken(root, IMPORTED, files, before)
         # A killed command leaves files of ours but not a scene, since scene.json is written last.
         remove_files(root, [path for path in before if path not in files or path == "scene.json"])
@@ -87,9 +89,3 @@ def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, over
         commit_sealed(root / RECORD, content)
         for path in sorted(files, key=lambda path: (path == "scene.json", path)):
             commit(root / path, files[path])
-
-
-def _listed(root: Path) -> list[str]:
-    listed = load_sealed(root / RECORD).get("files")
-    paths = listed if isinstance(listed, list) else []
-    return [check_relative(path, where=str(root / RECORD)) for path in paths if isinstance(path, str)]

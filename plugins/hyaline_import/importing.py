@@ -160,7 +160,12 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
     """
-    _check_asked(path, resolution)
+    check_ending(path)
+    if not path.exists():
+        start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
+        raise HyalineError(f"{path}: no such file; check the path{start}")
+    if resolution.mean_side < MIN_SIDE:
+        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
@@ -233,15 +238,6 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     }
     scene = made.finished(scene, world, where=path.name)
     return Imported(scene=scene, record={**record, **remarks.to_json()}, remarks=tuple(remarks.lines))
-
-
-def _check_asked(path: Path, resolution: Resolution) -> None:
-    check_ending(path)
-    if not path.exists():
-        start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
-        raise HyalineError(f"{path}: no such file; check the path{start}")
-    if resolution.mean_side < MIN_SIDE:
-        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
 
 
 def _leave_out(unmended: Mapping[str, HyalineError], objects: list[SceneObject], remarks: Remarks) -> None:

@@ -107,8 +107,9 @@ class Mapper:
             self.remarks.approximate(
                 where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
             )
-            tint = _mixed(self._flat_color(foreign, where=where), 1 - foreign.alpha)
-            return ThinDielectric(ior=foreign.ior, tint=tint)
+            color = self._flat_color(foreign, where=where)
+            red, green, blue = (1 - foreign.alpha + foreign.alpha * c for c in color)  # White where it is not there.
+            return ThinDielectric(ior=foreign.ior, tint=(red, green, blue))
         if foreign.transmission > 0:
             what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
             self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
@@ -243,12 +244,6 @@ def _metal_veil(color: Color, alpha: float) -> ThinDielectric:
     root = math.sqrt(mirrored / (2 - mirrored))
     share = (1 - alpha) / (1 - mirrored)
     return ThinDielectric(ior=(1 + root) / (1 - root), tint=(share, share, share))
-
-
-def _mixed(color: Color, share: float) -> Color:
-    """White, as far as a blended surface is not there, and else its colour."""
-    red, green, blue = (share + (1 - share) * c for c in color)
-    return red, green, blue
 
 
 # Clear coats

@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -12,7 +12,7 @@ import numpy as np
 from datagen.builder.build import open_or_start
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig
-from datagen.data.dataset import Dataset, View
+from datagen.data.dataset import Dataset
 from datagen.data.depth_range import with_depth_range
 from datagen.data.metadata import Imported, unknown_license
 from datagen.data.writing import commit_imported_view
@@ -138,16 +138,11 @@ def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
             imported=plan.imported,
             stated_license=plan.stated_license or unknown_license(plan.imported.source),
         )
-        missing = [view for view in _views(dataset) if not view.is_built]
+        missing = [view for split in dataset.splits for view in dataset.views(split) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)
         for view in track(missing, label="import", total=total, done=total - len(missing)):
             commit_imported_view(dataset, view.split, view.index, plan.files(view.split, view.index))
     return dataset
-
-
-def _views(dataset: Dataset) -> Iterator[View]:
-    for split in dataset.splits:
-        yield from dataset.views(split)
 
 
 def _placed(pose: np.ndarray, linear: np.ndarray) -> np.ndarray:

@@ -61,10 +61,12 @@ def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoice
 def on_background(
     picture: Image.Image, path: Path, background: Literal["white", "black"]
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """An 8-bit picture over its background, in sRGB whatever its colour profile."""
+    """An 8-bit picture over its background, in sRGB whatever its profile; mixed in sRGB as NeRF's tools do it."""
     if picture.mode not in EIGHT_BITS:
         raise HyalineError(f"{path}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
-    return _over(np.asarray(_in_srgb(picture, path)), BACKGROUND[background])
+    rgba = np.asarray(_in_srgb(picture, path))
+    alpha = rgba[..., 3:].astype(np.float64) / 255
+    return np.rint(rgba[..., :3] * alpha + BACKGROUND[background] * (1 - alpha)).astype(np.uint8)
 
 
 def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
@@ -110,12 +112,6 @@ def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
             raise HyalineError(f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}")
         picture.load()
         return picture
-
-
-def _over(rgba: UInt8[np.ndarray, "h w 4"], background: float) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture over a grey, mixed in sRGB as NeRF's tools do it."""
-    alpha = rgba[..., 3:].astype(np.float64) / 255
-    return np.rint(rgba[..., :3] * alpha + background * (1 - alpha)).astype(np.uint8)
 
 
 def _blocks(values: Float[np.ndarray, "h w *c"], side: int) -> Float[np.ndarray, "row i column j *c"]:

@@ -123,7 +123,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
     volume = entry.extension(VOLUME, records.Volume)
-    dispersion = entry.extension("KHR_materials_dispersion", records.Dispersion).dispersion
+    dispersion = entry.extension("KHR_materials_dispersion", records.Numbers).dispersion
     extras = entry.extras if isinstance(entry.extras, dict) else {}
     material = ForeignMaterial(
         name=name,
@@ -155,7 +155,7 @@ def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
     if not is_given and named is not None:
         remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {SUBSTANCES[named]:g}")
         return SUBSTANCES[named]
-    ior = entry.extension("KHR_materials_ior", records.Refraction).ior
+    ior = entry.extension("KHR_materials_ior", records.Numbers).ior
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
         remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
         return 1.5
@@ -180,7 +180,7 @@ def _emission(entry: records.Material, name: str, remarks: Remarks) -> Color:
     if entry.emissive_texture is not None and max(color) > 0:
         remarks.approximate(name, "emits light by an image, which is ignored")
         return 0.0, 0.0, 0.0
-    strength = entry.extension("KHR_materials_emissive_strength", records.Strength).emissive_strength
+    strength = entry.extension("KHR_materials_emissive_strength", records.Numbers).emissive_strength
     red, green, blue = (max(strength, 0.0) * c for c in color)
     return red, green, blue
 

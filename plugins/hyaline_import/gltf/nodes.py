@@ -61,7 +61,8 @@ def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterato
             if node.skin is not None:
                 remarks.approximate(_name(node), "is moved by bones, which are not read; drawn in its rest pose")
             for world_from_mesh in _copies(file, node, world_from_node):
-                if _is_hidden(world_from_mesh):
+                # Scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3.
+                if np.linalg.svd(world_from_mesh[:3, :3], compute_uv=False)[1] < MIN_SCALE:
                     remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
                     continue
                 count += 1
@@ -73,11 +74,6 @@ def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterato
         if LAMPS in node.extensions:
             remarks.approximate(_name(node), "is a lamp without a size, which is left out")
         waiting += [(child, world_from_node) for child in reversed(node.children)]
-
-
-def _is_hidden(world: Float[np.ndarray, "4 4"]) -> bool:
-    """True if a mesh is scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3."""
-    return bool(np.linalg.svd(world[:3, :3], compute_uv=False)[1] < MIN_SCALE)
 
 
 def _name(entry: Node | Camera) -> str:

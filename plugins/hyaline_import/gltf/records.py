@@ -141,19 +141,11 @@ class Volume(Struct, rename="camel"):
     attenuation_distance: Positive | None = None
 
 
-class Refraction(Struct):
-    """KHR_materials_ior; 0 stands for a surface that mirrors everything."""
+class Numbers(Struct, rename="camel"):
+    """The extensions of one number: KHR_materials_ior (0 mirrors everything), _dispersion and _emissive_strength."""
 
     ior: float = 1.5
-
-
-class Dispersion(Struct):
     dispersion: float = 0.0
-
-
-class Strength(Struct, rename="camel"):
-    """KHR_materials_emissive_strength"""
-
     emissive_strength: float = 1.0
 
 
