@@ -439,67 +439,48 @@ def turned(root: Path) -> None:
     Image.new("RGB", (SIDE, SIDE)).save(root / "train" / "r_1.png", exif=exif)
 
 
-HOSTILE: dict[str, tuple[Callable[[Path], None], str]] = {
+def written(name: str, data: bytes | str | Image.Image) -> Callable[[Path], object]:
+    def spoil(root: Path) -> None:
+        if isinstance(data, Image.Image):
+            data.save(root / name)
+        else:
+            (root / name).write_bytes(data.encode() if isinstance(data, str) else data)
+
+    return spoil
+
+
+def removed(*patterns: str) -> Callable[[Path], object]:
+    return lambda root: [path.unlink() for pattern in patterns for path in root.glob(pattern)]
+
+
+def second(**values: object) -> Callable[[Path], None]:
+    return edit_json(lambda data: data["frames"][1].update(values))
+
+
+MIRRORED = np.diag([-1.0, 1, 1, 1]).tolist()
+HALF_LIST, DEEP = '{"frames": [', Image.fromarray(np.full((SIDE, SIDE), 300, np.uint16))
+HOSTILE: dict[str, tuple[Callable[[Path], object], str]] = {
     "no folder": (shutil.rmtree, "is not a folder; expected one with transforms_train.json"),
-    "nothing known": (
-        lambda root: [path.unlink() for path in root.glob("*.json")],
-        "has neither transforms_train.json nor transforms.json",
-    ),
-    "one of ours": (
-        lambda root: (root / "dataset.json").write_text("{}"),
-        "is a hyaline dataset already",
-    ),
-    "truncated list": (
-        lambda root: (root / "transforms_train.json").write_text('{"frames": ['),
-        "transforms_train.json: not a JSON file",
-    ),
+    "nothing known": (removed("*.json"), "has neither transforms_train.json nor transforms.json"),
+    "one of ours": (written("dataset.json", "{}"), "is a hyaline dataset already"),
+    "truncated list": (written("transforms_train.json", HALF_LIST), "transforms_train.json: not a JSON file"),
     "no frames": (edit_json(lambda data: data.update(frames=[])), "has 0 frames; expected 1 to"),
     "a path out": (set_first(file_path="../../secret"), "expected a file inside the folder"),
     "a link out": (outside, "is a link out of its folder"),
     "a missing picture": (set_first(file_path="./train/r_99"), "names 'train/r_99', which is not in"),
     "a test picture to train on": (set_first(file_path="./test/r_0"), "r_0.png: is listed to train on and to test"),
-    "a mirrored camera": (
-        set_first(transform_matrix=np.diag([-1.0, 1, 1, 1]).tolist()),
-        "transform_matrix: camera: .* expected a rotation and a place",
-    ),
+    "a mirrored camera": (set_first(transform_matrix=MIRRORED), "transform_matrix: camera: .* expected a rotation"),
     "a distorted lens": (set_first(k1=0.2), "its lens is distorted .k1.; expected straight lines"),
-    "a panorama": (
-        edit_json(lambda data: data["frames"][1].update(camera_model="EQUIRECTANGULAR")),
-        "frames.1.: its camera is not a pinhole camera .'EQUIRECTANGULAR'.; expected straight lines",
-    ),
-    "two lenses": (
-        edit_json(lambda data: data["frames"][1].update(camera_angle_x=0.3)),
-        "expected one lens for all",
-    ),
+    "a panorama": (second(camera_model="EQUIRECTANGULAR"), "frames.1.: its camera is not a pinhole camera"),
+    "two lenses": (second(camera_angle_x=0.3), "expected one lens for all"),
     "no lens": (edit_json(lambda data: data.pop("camera_angle_x")), "has no lens; expected camera_angle_x"),
-    "pixels that are not square": (
-        set_first(fl_x=9.0, fl_y=9.5),
-        "has focal lengths 9 and 9.5; expected square pixels",
-    ),
-    "another size": (
-        lambda root: Image.new("RGB", (4, 4)).save(root / "train" / "r_2.png"),
-        "r_2.png: is 4 x 4 pixels; expected 8 x 8",
-    ),
-    "another shape than w and h": (
-        edit_json(lambda data: data.update(w=2 * SIDE, h=SIDE)),
-        "transforms_train.json: w and h are 16 x 8; expected 8 x 8, as the pictures",
-    ),
-    "a picture on its side": (
-        turned,
-        r"r_1\.png: is stored turned or mirrored .EXIF orientation 6.*mogrify -auto-orient",
-    ),
-    "16 bits": (
-        lambda root: Image.fromarray(np.full((SIDE, SIDE), 300, np.uint16)).save(root / "train" / "r_1.png"),
-        "expected 8 bits a channel",
-    ),
-    "a truncated picture": (
-        lambda root: (root / "test" / "r_1.png").write_bytes((root / "test" / "r_1.png").read_bytes()[:60]),
-        "r_1.png: not a picture that can be read",
-    ),
-    "no tests": (
-        lambda root: [(root / f"transforms_{role}.json").unlink() for role in ("val", "test")],
-        "has 6 pictures to train on and 0 to test",
-    ),
+    "pixels that are not square": (set_first(fl_x=9.0, fl_y=9.5), "has focal lengths 9 and 9.5; expected square"),
+    "another size": (written("train/r_2.png", Image.new("RGB", (4, 4))), "r_2.png: is 4 x 4 pixels; expected 8 x 8"),
+    "another shape": (edit_json(lambda data: data.update(w=16, h=8)), "w and h are 16 x 8; expected 8 x 8"),
+    "a picture on its side": (turned, r"r_1\.png: is stored turned or mirrored .EXIF orientation 6.*mogrify"),
+    "16 bits": (written("train/r_1.png", DEEP), "expected 8 bits a channel"),
+    "a truncated picture": (written("test/r_1.png", b"\x89PNG\r\n\x1a\n"), "r_1.png: not a picture that can be read"),
+    "no tests": (removed("transforms_val.json", "transforms_test.json"), "has 6 pictures to train on and 0 to test"),
 }
 
 
