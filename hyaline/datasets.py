@@ -16,8 +16,9 @@ from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.disk.checked import checked
 from datagen.terminal.command import choose, say_all
 from datagen.terminal.distribution import naming_parts
+from datagen.terminal.parsing import flags_of
 from hyaline.scenes import Hemisphere, Scene
-from model.settings.flags import settings_of, with_settings
+from model.settings.flags import with_settings
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
@@ -126,7 +127,7 @@ def build(
     from datagen.scene.finding import find_scene
 
     for key in size:
-        choose("datagen build: setting", key, settings_of(SizeChoices()))
+        choose("datagen build: setting", key, [flag.replace("-", "_") for flag in flags_of(SizeChoices)])
     chosen = SizeChoices()
     if isinstance(scene, Scene) and isinstance(scene.cameras, Hemisphere):
         chosen = SizeChoices(views=scene.cameras.views, test_views=scene.cameras.test_views)

@@ -19,12 +19,13 @@ from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.names import real_path
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
+from datagen.terminal.parsing import flags_of
 from datagen.terminal.signals import Stopped
 from hyaline.datasets import open_dataset
 from model.methods.protocol import Inputs, MethodConfig
 from model.run import run_folder
 from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_metrics, read_run
-from model.settings.flags import settings_of, with_settings
+from model.settings.flags import with_settings
 from model.settings.run_flags import RUNS, Device, RunFlags
 
 if TYPE_CHECKING:
@@ -180,7 +181,7 @@ def train(
         KeyboardInterrupt: training was interrupted; a checkpoint is saved.
     """
     from model.methods.table import METHODS, name_of
-    from model.run.train_flags import Asked, configure, folder_name
+    from model.run.train_flags import Asked, configure, flags_asked, folder_name
 
     if isinstance(dataset, (str, Path)):
         dataset = open_dataset(dataset)
@@ -189,7 +190,7 @@ def train(
         optimisation = net.optimisation()
     else:
         method, net, optimisation = name_of(method), method, method.optimisation()
-    known = {**settings_of(net), **settings_of(optimisation)}
+    known = [flag.replace("-", "_") for kind in (type(net), type(optimisation)) for flag in flags_of(kind)]
     for key in settings:
         choose(f"method {method}: setting", key, known)
     run = RunFlags(geometry=geometry, label=label, seed=seed, device=device, overwrite=overwrite)
@@ -212,6 +213,7 @@ def train(
                 place,
                 label=label or place.name,
                 device=choose_device(device),
+                flags=flags_asked(asked),
                 overwrite=overwrite,
             )
     except Stopped as stopped:

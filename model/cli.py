@@ -67,7 +67,7 @@ def _train_command(method: str, words: Sequence[str]) -> Command:
 def _train_method(method: str, asked: "Asked") -> None:
     from model.run.logs import LogChoices, Meter, require_tensorboard
     from model.run.run_folder import told_finished
-    from model.run.train_flags import configure, find_finished, folder_name
+    from model.run.train_flags import configure, find_finished, flags_asked, folder_name
 
     if asked.run.tensorboard:
         require_tensorboard()
@@ -84,6 +84,7 @@ def _train_method(method: str, asked: "Asked") -> None:
         out,
         label=asked.run.label or out.name,
         device=choose_device(asked.run.device),
+        flags=flags_asked(asked),
         overwrite=asked.run.overwrite,
         logs=LogChoices(
             snapshots=asked.run.snapshots,

@@ -22,7 +22,7 @@ from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign, numbered_scenes
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import say, say_all
-from datagen.terminal.parsing import flag_words
+from datagen.terminal.parsing import changed_flags, flag_words
 from datagen.terminal.preview import preview
 
 
@@ -152,7 +152,7 @@ def _build_in_jobs(
 
 def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: ImportChoices) -> list[str]:
     kinds = ((choices, BuildChoices()), (size, SizeChoices()), (imports, ImportChoices()))
-    return ["build", scene, *(word for record, usual in kinds for word in flag_words(record, usual))]
+    return ["build", scene, *flag_words(flag for kind in kinds for flag in changed_flags(*kind))]
 
 
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:

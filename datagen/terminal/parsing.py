@@ -14,7 +14,7 @@ import io
 import re
 import sys
 import textwrap
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
@@ -185,21 +185,32 @@ def flags_of(documented: type | Command) -> dict[str, str]:
     return flags
 
 
-def flag_words(record: object, usual: object) -> list[str]:
-    """The words on a command line that ask for a record: a flag for each field of `usual` that differs from it."""
-    words: list[str] = []
+def changed_fields(record: object, usual: object) -> Iterator[tuple[dataclasses.Field[Any], Any]]:
+    """The fields of `usual`, those of nested records included, in which a record differs, with the record's values."""
     for item in dataclasses.fields(usual):  # pyright: ignore[reportArgumentType]
         value, expected = getattr(record, item.name), getattr(usual, item.name)
         if dataclasses.is_dataclass(expected):
-            words += flag_words(value, expected)
+            yield from changed_fields(value, expected)
         elif value != expected and not item.metadata.get("is_hidden"):
-            flag = item.metadata.get("flag") or item.name.replace("_", "-")
-            if isinstance(value, bool):
-                words.append(f"--{flag}" if value else f"--no-{flag}")
-            else:
-                for one in value if isinstance(value, tuple) else (value,):
-                    words += [f"--{flag}", str(one)]
-    return words
+            yield item, value
+
+
+def changed_flags(record: object, usual: object) -> list[tuple[str, str]]:
+    """The flags, without dashes in front, and their values on a command line that ask for a record where `usual` is
+    the default; a switch has no value, and a list gives its flag several times."""
+    flags: list[tuple[str, str]] = []
+    for item, value in changed_fields(record, usual):
+        flag = item.metadata.get("flag") or item.name.replace("_", "-")
+        if isinstance(value, bool):
+            flags.append((flag if value else f"no-{flag}", ""))
+        else:
+            flags += [(flag, str(one)) for one in (value if isinstance(value, tuple) else (value,))]
+    return flags
+
+
+def flag_words(flags: Iterable[tuple[str, str]]) -> list[str]:
+    """The words on a command line that give these flags."""
+    return [word for flag, value in flags for word in (f"--{flag}", value) if word]
 
 
 @functools.cache

@@ -15,6 +15,7 @@ from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
+from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
 from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores
 from eval.tables.grids import Column, Grid, format_number, psnr_text
@@ -258,7 +259,7 @@ def _how_to_make(run: Run) -> Markup:
     dataset = Path("data") / run.dataset.name if run.dataset.root.is_absolute() else run.dataset.root
     words = ["model", "train", run.method, str(dataset)]
     if run.flags is not None:
-        return join([command(shlex.join([*words, *run.flags])), *details])
+        return join([command(shlex.join([*words, *flag_words(run.flags.items())])), *details])
     words += [] if run.geometry in (None, "truth") else ["--geometry", run.geometry]
     words += [] if not run.seed else ["--seed", str(run.seed)]
     note = tag("p", "With the parameters below, where they are not the method's defaults.", class_="note")

@@ -4,7 +4,7 @@
     RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)
     RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
                                                      seed, num_parameters, num_layers, label, config (an object of
-                                                     choices), flags (a list of words), layers_seal; other keys
+                                                     choices), flags (text by name), layers_seal; other keys
                                                      of `model train` are ignored, and unknown keys are errors
 
     .../predictions.json                             next to each folder `predictions`, with checksum: SHA-256 of each
@@ -39,6 +39,7 @@ from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
 from eval.score.png import check_png
 
+Kind = TypeVar("Kind")
 Value = TypeVar("Value", int, str)
 
 RUN_KEYS = frozenset({
@@ -72,8 +73,8 @@ class Run:
     """Straight layers that it uses."""
     config: dict[str, Json] | None
     """All settings; runs with equal settings and different seeds are averaged."""
-    flags: tuple[str, ...] | None
-    """The words after `model train METHOD` that train it again."""
+    flags: dict[str, str] | None
+    """The flags of `model train METHOD` that train it again, without dashes; a switch has no value."""
     layers_seal: str | None
     """Digest of the layers that it was trained on."""
     seal: str | None
@@ -144,13 +145,13 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
         geometry=_optional(record, "geometry", str, path),
         knowledge=_optional(record, "knowledge", str, path),
         uses_materials=_uses_materials(record, path),
-        told=_words(record, "told", path),
+        told=_as(tuple[str, ...], record, "told", path),
         num_parameters=_optional(record, "num_parameters", int, path),
         seed=_optional(record, "seed", int, path),
         label=_optional(record, "label", str, path),
         num_layers=_optional(record, "num_layers", int, path),
         config=_config(record, path),
-        flags=_words(record, "flags", path),
+        flags=_as(dict[str, str], record, "flags", path),
         layers_seal=_optional(record, "layers_seal", str, path),
         seal=seal,
         promised=_read_promised(folder, dataset, seal),
@@ -289,10 +290,8 @@ def _uses_materials(record: dict[str, Json], path: Path) -> bool:
     return from_json(bool, record["uses_materials"], where=f"{path}: uses_materials")
 
 
-def _words(record: dict[str, Json], key: str, path: Path) -> tuple[str, ...] | None:
-    if key not in record:
-        return None
-    return from_json(tuple[str, ...], record[key], where=f"{path}: {key}")
+def _as(kind: type[Kind], record: dict[str, Json], key: str, path: Path) -> Kind | None:
+    return from_json(kind, record[key], where=f"{path}: {key}") if key in record else None
 
 
 def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:

@@ -1,7 +1,9 @@
 """A whole run: trains what is left to train, then renders what is left to render."""
 
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import torch
 
@@ -34,6 +36,7 @@ def complete_run(
     *,
     label: str,
     device: torch.device,
+    flags: Mapping[str, str] = MappingProxyType({}),
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
@@ -41,6 +44,7 @@ def complete_run(
 
     Args:
         label: what tables call the run.
+        flags: those that asked for it (`flags_asked`), which its record keeps.
         overwrite: delete the run in `out` and start over.
         logs: what to leave for people to watch.
     """
@@ -52,7 +56,7 @@ def complete_run(
         if not overwrite and _is_finished(config, dataset, out):
             return
         if overwrite or not (out / WEIGHTS).is_file():
-            train(config, dataset, out, label=label, device=device, overwrite=overwrite, logs=logs)
+            train(config, dataset, out, label=label, device=device, flags=flags, overwrite=overwrite, logs=logs)
         else:
             (out / CHECKPOINT).unlink(missing_ok=True)
             say(f"{out}: is trained; continuing with its predictions")

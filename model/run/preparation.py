@@ -1,19 +1,17 @@
 """What a run needs before its first step: settings of the process, its renderer, its record."""
 
-import contextlib
-import dataclasses
+from collections.abc import Mapping
 
 import torch
 
 from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY, read_materials
-from datagen.data.paths import TRUTH, is_fitted
+from datagen.data.paths import is_fitted
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Diffuse
-from datagen.terminal.parsing import flag_words
-from model.methods.protocol import Inputs, MethodConfig
+from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
 from model.settings.losses import LEAST_PATCH
@@ -62,7 +60,9 @@ def count_parameters(groups: list[ParameterGroup]) -> dict[str, int]:
     }
 
 
-def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_parameters: dict[str, int]) -> RunRecord:
+def describe_run(
+    config: TrainConfig, inputs: Inputs, *, label: str, flags: Mapping[str, str], num_parameters: dict[str, int]
+) -> RunRecord:
     """The content of run.json."""
     method, dataset = config.net, inputs.dataset
     knowledge = method.knowledge
@@ -87,7 +87,7 @@ def describe_run(config: TrainConfig, inputs: Inputs, *, label: str, num_paramet
         num_layers=inputs.num_layers or None,
         label=label,
         config=config,
-        flags=words_again(config, inputs),
+        flags=dict(flags),
         torch=torch.__version__,
     )
 
@@ -102,34 +102,3 @@ def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
         for item, material in zip(dataset.objects, materials, strict=True)
         if item.name not in found and (item.is_glass or (uses_materials and not isinstance(material, Diffuse)))
     )
-
-
-def words_again(config: TrainConfig, inputs: Inputs) -> tuple[str, ...]:
-    """The words after `model train METHOD DATASET` that train it again: a flag for each unusual choice.
-
-    What follows from other choices, as a network's width from the number of its inputs, needs none.
-    """
-    usual = config.net.usual(config.geometry)
-    return (
-        *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
-        *([] if config.seed == TrainConfig.seed else ["--seed", str(config.seed)]),
-        *flag_words(config.net, _completed_beside(config.net, usual, inputs)),
-        *flag_words(config, usual.optimisation()),
-    )
-
-
-def _completed_beside(net: MethodConfig, usual: MethodConfig, inputs: Inputs) -> MethodConfig:
-    """The usual choices, and beside them what follows from a run's unusual ones."""
-    completed = usual
-    with contextlib.suppress(HyalineError):  # The defaults may not fit this dataset, although the chosen values do.
-        completed = usual.complete(inputs)
-    names = [field.name for field in dataclasses.fields(net)]
-    unusual = {name: getattr(net, name) for name in names if getattr(net, name) != getattr(completed, name)}
-    for name in tuple(unusual):
-        others = {key: value for key, value in unusual.items() if key != name}
-        with contextlib.suppress(HyalineError):
-            if dataclasses.replace(usual, **others).complete(inputs) == net:
-                unusual = others
-    with contextlib.suppress(HyalineError):
-        return dataclasses.replace(net, **{name: getattr(completed, name) for name in unusual})
-    return completed  # A usual value may not fit beside one that followed from an unusual one.

@@ -45,7 +45,7 @@ from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
 from model.settings.optimisation import PixelOptimisation
 from model.settings.run_flags import RUNS
 
-RUN_VERSION = 4
+RUN_VERSION = 5
 
 OPEN: dict[str, Json] = {}
 """Placeholder for a method's record while the rest of a configuration is read."""
@@ -114,8 +114,8 @@ class RunRecord:
     label: str
     """Label on the run's page and in the list of runs; tables of scores use the folder's name."""
     config: TrainConfig
-    flags: tuple[str, ...] = ()
-    """The words after `model train METHOD DATASET` that train it again."""
+    flags: dict[str, str] = dataclasses.field(default_factory=dict)
+    """The flags of `model train METHOD DATASET` that train it again, without dashes; a switch has no value."""
     torch: str
     """Version of torch."""
 
@@ -232,7 +232,7 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
     Labels, folder names and torch's version are not compared.
     """
     record = read_run(out)
-    before, after = _flatten(to_json(record.config)), _flatten(to_json(config))
+    before, after = _entries(record.config), _entries(config)
     for key in {**after, **before}:
         if before.get(key) != after.get(key):
             raise HyalineError(
@@ -376,11 +376,10 @@ def read_metrics(out: Path) -> list[dict[str, float | None]]:
     return found
 
 
-def _flatten(data: Json) -> dict[str, Json]:
-    flat: dict[str, Json] = {}
-    for key, value in cast(dict[str, Json], data).items():
-        flat |= _flatten(value) if isinstance(value, dict) else {key: value}
-    return flat
+def _entries(config: TrainConfig) -> dict[str, Json]:
+    """All settings by name."""
+    data = cast(dict[str, dict[str, Json]], to_json(config))
+    return data.pop("net") | data.pop("loss") | data
 
 
 def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:

@@ -3,9 +3,10 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import cast
 
 import numpy as np
@@ -51,6 +52,7 @@ def train(
     *,
     label: str,
     device: torch.device,
+    flags: Mapping[str, str] = MappingProxyType({}),
     overwrite: bool = False,
     logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
@@ -62,6 +64,7 @@ def train(
     generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
 
     Args:
+        flags: those that asked for it, to be recorded.
         overwrite: first delete the existing run in `out`.
         logs: logs to write for people to read.
 
@@ -76,7 +79,7 @@ def train(
     renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
     sizes = count_parameters(groups)
-    begin_run(out, describe_run(config, inputs, label=label, num_parameters=sizes), overwrite=overwrite)
+    begin_run(out, describe_run(config, inputs, label=label, flags=flags, num_parameters=sizes), overwrite=overwrite)
 
     views = range(dataset.config.train.views)
     held_out = choose_held_out(len(views), config.held_out_views)

@@ -4,14 +4,14 @@ import dataclasses
 import functools
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from datagen.terminal.parsing import Command, collect, flags_of
+from datagen.terminal.parsing import Command, changed_flags, collect, flags_of
 from model.methods.protocol import MethodConfig
 from model.methods.table import METHODS, about, open_inputs
 from model.settings.flags import suffixes
@@ -104,49 +104,30 @@ def folder_name(method: str, asked: Asked) -> str:
     return "-".join([method, *geometry, *(word for pair in pairs for word in suffixes(*pair))])
 
 
-def find_finished(method: str, asked: Asked) -> Path | None:
-    """The finished run that words ask for, found without torch; None leaves the answer to `complete_run`.
+def flags_asked(asked: Asked) -> dict[str, str]:
+    """The flags on which a run's result depends, without dashes, where they are not as usual; a switch has no value."""
+    usual, kept = asked.method.usual(asked.run.geometry), RunFlags(geometry=asked.run.geometry, seed=asked.run.seed)
+    pairs = ((kept, RunFlags()), (asked.method, usual), (asked.optimisation, usual.optimisation()))
+    return dict(flag for pair in pairs for flag in changed_flags(*pair))
 
-    Completing a method's record may take torch, or traced rays. So values that words leave open are not compared.
-    """
+
+def find_finished(method: str, asked: Asked) -> Path | None:
+    """The finished run that words ask for, found without torch; None leaves the answer to `complete_run`."""
     from datagen.data.dataset import open_dataset
     from model.run.run_folder import NEXT_RUN, is_all_drawn, read_run
 
-    run, net, wanted = asked.run, asked.method, asked.optimisation
+    run = asked.run
     if run.overwrite:
         return None
     try:
         opened = open_dataset(find_dataset(asked.dataset))
         out = run.out or RUNS / opened.name / folder_name(method, asked)
-        record, inputs = read_run(out), open_inputs(net, opened, run.geometry)
+        record, inputs = read_run(out), open_inputs(asked.method, opened, run.geometry)
     except HyalineError:
         return None
-    config = record.config
-    is_same = (
-        (config.method, config.geometry, config.seed) == (method, run.geometry, run.seed)
-        and (record.dataset_seal, record.layers_seal) == (opened.seal, inputs.layers_seal)
-        and all(getattr(wanted, item.name) == getattr(config, item.name) for item in fields(wanted))
-        and _completes(config.net, net, record.flags, run.geometry)
-    )
+    is_same = (record.method, record.flags) == (method, flags_asked(asked))
+    is_same &= (record.dataset_seal, record.layers_seal) == (opened.seal, inputs.layers_seal)
     return out if is_same and not (out / NEXT_RUN).exists() and is_all_drawn(out, opened) else None
-
-
-def _completes(stored: MethodConfig, asked: MethodConfig, flags: Sequence[str], geometry: str) -> bool:
-    """True if a run's record has the values that were asked for; `flags` are the words that made the run.
-
-    A value was left open both times if it is the usual zero, or the usual nothing, and no flag gave another one.
-    """
-    usual = asked.usual(geometry)
-    if type(stored) is not type(asked):
-        return False
-    for item in fields(asked):
-        value = getattr(asked, item.name)
-        if value == getattr(stored, item.name):
-            continue
-        flag = item.metadata.get("flag") or item.name.replace("_", "-")
-        if value or value != getattr(usual, item.name) or f"--{flag}" in flags:
-            return False
-    return True
 
 
 def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, from_json
+from datagen.terminal.parsing import changed_fields
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -61,18 +62,6 @@ def check_limits(record: object) -> None:
         raise HyalineError(f"{item.name}: is {value}; expected {wanted}")
 
 
-def settings_of(record: object) -> dict[str, Any]:
-    """The value behind each flag of a record, by the flag's name in Python: `texture_size` for --texture-size."""
-    values: dict[str, Any] = {}
-    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
-        value = getattr(record, item.name)
-        if dataclasses.is_dataclass(value):
-            values |= settings_of(value)
-        elif not item.metadata.get("is_hidden"):
-            values[_python_name(item)] = value
-    return values
-
-
 def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
     """The record with the values of some of its flags changed; names of flags that it does not have are left alone."""
     kinds, changed = typing.get_type_hints(type(record)), {}
@@ -92,13 +81,8 @@ def _python_name(item: dataclasses.Field[Any]) -> str:
 def suffixes(record: object, usual: object) -> list[str]:
     """What marks the folder of a run: a word for each field that is not as usual, in the fields' order."""
     words = []
-    for item in dataclasses.fields(record):  # pyright: ignore[reportArgumentType]
-        value, expected = getattr(record, item.name), getattr(usual, item.name)
-        if dataclasses.is_dataclass(expected):
-            words += suffixes(value, expected)
-            continue
+    for item, value in changed_fields(record, usual):
         suffix = item.metadata.get("suffix", f"{item.name.replace('_', '-')}{{}}")
-        if suffix and not item.metadata.get("is_hidden") and value != expected:
-            template = suffix.get(value) or suffix[""] if isinstance(suffix, dict) else suffix
-            words.append(template.format(value))
+        template = suffix.get(value) or suffix[""] if isinstance(suffix, dict) else suffix
+        words += [template.format(value)] if template else []
     return words

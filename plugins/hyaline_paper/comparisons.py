@@ -107,13 +107,7 @@ def _same(run: Run, varied: str | None) -> bytes:
 
 def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
     """The flags that a run was trained with, and their values, besides some."""
-    flags: dict[str, str] = {}
-    for word in run.flags or ():
-        if word.startswith("--"):
-            flags[word.removeprefix("--")] = ""
-        elif flags:
-            flags[list(flags)[-1]] = word
-    return {flag: value for flag, value in flags.items() if flag not in besides}
+    return {flag: value for flag, value in (run.flags or {}).items() if flag not in besides}
 
 
 def _variety(part: Sequence[Entry]) -> int:

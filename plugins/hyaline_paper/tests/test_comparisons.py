@@ -18,7 +18,6 @@ from datagen.data.metadata import Imported
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from datagen.terminal.parsing import flag_words
 from eval.page.report import make_report, make_tables
 from eval.score.runs import open_run
 from eval.score.scores import SceneScores, Truth, read_truth, score_run
@@ -31,7 +30,9 @@ from hyaline_paper.known import known_to
 from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
+from model.run.train_flags import Asked, flags_asked
 from model.settings.losses import LossConfig
+from model.settings.run_flags import RunFlags
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(
@@ -90,7 +91,7 @@ def write_run(
     (folder / "run.json").write_text(json.dumps(record))
 
 
-def flags_of(config: TrainConfig) -> list[str]:
+def flags_of(config: TrainConfig) -> dict[str, str]:
     """As `model train` records them, of choices that decide which table a run stands in."""
     net = config.net
     usual = net.usual(config.geometry)
@@ -98,13 +99,13 @@ def flags_of(config: TrainConfig) -> list[str]:
         item.name for item in dataclasses.fields(usual)
     }
     chosen = dataclasses.replace(net, **{name: getattr(usual, name) for name in fitted})
-    return [
-        *([] if config.geometry == TRUTH else ["--geometry", config.geometry]),
-        *([] if config.seed == 0 else ["--seed", str(config.seed)]),
-        *flag_words(chosen, usual),
-        *([] if config.steps == TrainConfig.steps else ["--steps", str(config.steps)]),
-        *flag_words(config.loss, usual.optimisation().loss),
-    ]
+    asked = Asked(
+        dataset=None,
+        run=RunFlags(geometry=config.geometry, seed=config.seed),
+        method=chosen,
+        optimisation=dataclasses.replace(usual.optimisation(), steps=config.steps, loss=config.loss),
+    )
+    return flags_asked(asked)
 
 
 def paper(*, seed: int = 0, geometry: str = "truth", steps: int = 2500, **net: object) -> TrainConfig:

@@ -12,7 +12,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import CommandGroup, collect, flag_words
+from datagen.terminal.parsing import CommandGroup, changed_flags, collect, flag_words
 
 PROGRAMS = {
     "datagen": "datagen.cli",
@@ -121,7 +121,7 @@ def test_the_words_of_a_record_ask_for_it(record: object) -> None:
     def command(*, choices: object = type(record)()) -> None: ...
 
     command.__annotations__["choices"] = type(record)
-    assert collect("program", command, flag_words(record, type(record)())).kwargs == {"choices": record}
+    assert collect("program", command, flag_words(changed_flags(record, type(record)()))).kwargs == {"choices": record}
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")

@@ -35,7 +35,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for view in dataset.views(split):
                 darker = view.image - np.minimum(view.image, step * (1 + view.index))
                 (run / "predictions" / split / f"{view.index:04d}.png").write_bytes(png_bytes(darker))
-        record = {"method": f"paper{HOSTILE}", "label": HOSTILE, "knowledge": HOSTILE, "flags": ["--seed", "3"]}
+        record = {"method": f"paper{HOSTILE}", "label": HOSTILE, "knowledge": HOSTILE, "flags": {"seed": "3"}}
         (run / "run.json").write_text(json.dumps(record | {"config": {HOSTILE: HOSTILE, "net": {"width": 64}}}))
     metrics = [{"step": step, "loss": 1 / step, "held_out_psnr": 20.0 + step} for step in (1, 2, 3)]
     text = "".join(f"{json.dumps(line)}\n" for line in metrics)
@@ -115,17 +115,17 @@ def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(
 ) -> None:
     shutil.copytree(root, tmp_path / "copy")
     path = tmp_path / "copy" / "runs" / "synthetic" / "plain" / "run.json"
-    record = json.loads(path.read_text()) | {"method": "paper", "flags": ["--steps", "9", "--seed", "3"]}
+    record = json.loads(path.read_text()) | {"method": "paper", "flags": {"steps": "9", "seed": "3", "zero-layer": ""}}
     path.write_text(json.dumps(record))
     codes = [code.text for code in read_page(write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)).all("code")]
-    assert "model train paper data/synthetic --steps 9 --seed 3" in codes
+    assert "model train paper data/synthetic --steps 9 --seed 3 --zero-layer" in codes
     foreign = {key: value for key, value in record.items() if key != "flags"}
     path.write_text(json.dumps(foreign))
     written = read_page(write_page(tmp_path / "copy", tmp_path / "out", monkeypatch))
     assert not any("model train paper data" in code.text for code in written.all("code"))
     assert any("does not record the command" in paragraph.text for paragraph in written.all("p"))
-    path.write_text(json.dumps(record | {"flags": "--steps 9"}))
-    with pytest.raises(HyalineError, match=r"run\.json: flags: is '--steps 9'; expected a list"):
+    path.write_text(json.dumps(record | {"flags": ["--steps"]}))
+    with pytest.raises(HyalineError, match=r"run\.json: flags: is \['--steps'\]; expected an object"):
         write_page(tmp_path / "copy", tmp_path / "out", monkeypatch)
 
 

@@ -7,10 +7,10 @@ import pytest
 from support.commands import call
 
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.parsing import flags_of
+from datagen.terminal.parsing import flag_words, flags_of
 from model.cli import main
 from model.methods.table import BUILT_IN, METHODS
-from model.run.train_flags import flags_of_method, folder_name, parse_train
+from model.run.train_flags import flags_asked, flags_of_method, folder_name, parse_train
 from model.settings.run_flags import RunFlags
 
 
@@ -51,6 +51,26 @@ from model.settings.run_flags import RunFlags
 def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geometry(words: str, name: str) -> None:
     method, *flags = words.split()
     assert folder_name(method, parse_train(method, tuple(flags))) == name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "paper",
+        "paper --geometry box --extrinsics none --hidden 256 --blocks 0 --norm none --seed 7",
+        "paper-best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
+        "paper --vgg-weights random --adversarial 0.01 --inpaint",
+        "light-path --geometry box --no-relief --straight-layers 2 --environment 1 --sky-lr 0.5 --debias 0.5",
+        "dnr-authors --crop 8",
+    ],
+)
+def test_recorded_flags_ask_for_the_same_run_and_say_nothing_usual(words: str) -> None:
+    method, *flags = words.split()
+    asked = parse_train(method, tuple(flags))
+    again = flag_words(flags_asked(asked).items())
+    assert parse_train(method, tuple(again)) == asked and sorted(again) == sorted(flags)
+    unrecorded = (*flags, "--out", "x", "--label", "y", "--costs", "--overwrite", "--device", "cpu")
+    assert flags_asked(parse_train(method, unrecorded)) == flags_asked(asked)
 
 
 @pytest.mark.parametrize("method", BUILT_IN)

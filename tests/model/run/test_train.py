@@ -15,7 +15,6 @@ from support.training import SMALL, quick, run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
-from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
@@ -23,7 +22,6 @@ from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import render_predictions
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
-from model.run.train_flags import _completes, parse_train
 from model.settings.optimisation import decay
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -123,17 +121,6 @@ def test_the_learning_rate_decays_as_named() -> None:
 
 
 # The command.
-
-
-@pytest.mark.parametrize("flags, again", [((), True), (("--branches", "5"), False), (("--stack", "0"), False)])
-def test_a_finished_run_is_known_by_what_was_asked_and_what_was_left_open(flags: tuple[str, ...], again: bool) -> None:
-    asked = parse_train("light-path", ("data", *flags)).method
-    usual = parse_train("light-path", ("data",)).method
-    stored = dataclasses.replace(usual, texture_sizes=(16, 32), refined_samples=64)  # Completed.
-    assert _completes(stored, asked, (), TRUTH) == again
-    assert _completes(dataclasses.replace(stored, **vars(asked) | {"refined_samples": 64}), asked, flags, TRUTH)
-    assert not _completes(stored, asked, ("--refined-rays", "64"), TRUTH)
-    assert not _completes(dataclasses.replace(stored, branches=1), asked, (), TRUTH)
 
 
 def quickly(dataset: Dataset, out: Path, *more: str) -> Answer:
