@@ -13,10 +13,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from benchmarks.choices import BenchChoices
-from datagen.data.config import square
+from datagen.data.cameras import Cameras
 from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
-from model.batches.rays import Pixels, RayBatch
+from model.batches.layers import Pixels
+from model.batches.rays import RayBatch
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, count_inputs
 from model.nets.pixel_mlp import LEAKY_SLOPE, LinearUnit, ResidualBlock, width_for_34k
@@ -65,8 +66,7 @@ def made_up_frame(choices: BenchChoices, *, rng: np.random.Generator) -> Pixels:
         uv=torch.from_numpy(np.rint(uv * UV_SCALE).astype(np.uint16).view(np.int16)),
         object_id=torch.from_numpy(np.where(found, order // 2 + 1, 0).astype(np.uint8)),
         rgb=torch.zeros(len(place), 3, dtype=torch.uint8),
-        p_camera=torch.zeros(1, 3),
-        resolution=square(side),
+        cameras=Cameras(width=side, height=side, fov_x=1.0, world_from_camera=np.eye(4)[None]),
     )
 
 

@@ -28,7 +28,6 @@ from datagen.scene.finding import find_scene
 from datagen.scene.rig import make_cameras
 from model.batches.ahead import Ahead
 from model.batches.rays import RayBatch
-from model.batches.traced_layers import SubpixelRays
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels
@@ -159,9 +158,8 @@ def light_path_step(seed: int = 0) -> Callable[[], None]:
         straight_tracer=None,
         num_objects=len(scene.objects),
         config=config,
-        rays=SubpixelRays(cameras=cameras),
+        cameras=cameras,
         rgb=rgb,
-        device=torch.device("cpu"),
     )
     renderer = LightPathRenderer(config)
     size = optimisation.batch // optimisation.updates

@@ -1,9 +1,11 @@
 """Training batches whose rays are traced by a second thread, a step ahead, while torch computes."""
 
+import dataclasses
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
+from dataclasses import dataclass
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 import torch
@@ -17,9 +19,12 @@ Draw = tuple[Int[Tensor, " pixel"], np.random.Generator]
 """Row numbers of a batch's pixels, and the generator of its rays, which has drawn the row numbers."""
 
 
-@runtime_checkable
-class TracedPixels(PixelSource[Batch], Protocol[Batch]):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedPixels(PixelSource[Batch]):
     """Pixels whose rays are traced for each batch, several batches at once for less."""
+
+    ahead: "Ahead[Batch] | None" = None
+    """Where the next training batch comes from; None if it is traced when it is asked for."""
 
     def take_all(self, draws: Sequence[Draw], *, beside_torch: bool = False) -> list[Batch]:
         """The batches of several draws, as `take` gives each.
@@ -27,11 +32,11 @@ class TracedPixels(PixelSource[Batch], Protocol[Batch]):
         Args:
             beside_torch: on the calling thread alone, because another one computes with torch.
         """
-        ...
+        raise NotImplementedError
 
     def taken_from(self, ahead: "Ahead[Batch]") -> Self:
         """The same pixels; `take` with a generator gives the next batch that was made ahead."""
-        ...
+        return dataclasses.replace(self, ahead=ahead)
 
 
 class Ahead(Generic[Batch]):

@@ -1,67 +1,90 @@
-"""The training data in memory: every pixel of some views with its layers, and random batches of them."""
+"""Sources of pixels: all those of some views, and the rays of random batches of them."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Generic, Self, TypeVar
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, Int16, UInt8, UInt16
+from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
-from datagen.data.layers import UV_SCALE
-from datagen.disk.errors import HyalineError
 
 Batch_co = TypeVar("Batch_co", covariant=True)
+
+CPU = torch.device("cpu")
 
 ALIGNMENT = 16
 """Bytes between the starts of arrays that are copied together: a multiple of every type's size."""
 
 
-@runtime_checkable
-class PixelSource(Protocol[Batch_co]):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelSource(Generic[Batch_co]):
     """All pixels of some views, row by row and view by view, and the renderer's inputs for any of them."""
 
-    @property
-    def rgb(self) -> UInt8[Tensor, "pixel 3"]:
-        """8-bit sRGB; black without images."""
-        ...
-
-    @property
-    def device(self) -> torch.device:
-        """The device of batches; `rgb` may be elsewhere."""
-        ...
+    cameras: Cameras
+    """Of these views only."""
+    rgb: UInt8[Tensor, "pixel 3"]
+    """8-bit sRGB; black without images."""
+    device: torch.device = CPU
+    """The device of batches."""
+    whole_views: bool = False
+    """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
 
     @property
     def resolution(self) -> Resolution:
         """Size of a view."""
-        ...
+        return self.cameras.size
 
     @property
-    def pixels_per_view(self) -> int: ...
+    def pixels_per_view(self) -> int:
+        return self.resolution.pixels
 
     @property
     def chunk(self) -> int:
-        """Pixels rendered at once."""
-        ...
+        """Pixels rendered at once: on a CPU few enough for a network layer's output to stay in the caches until the
+        next layer reads it."""
+        return self.pixels_per_view if self.whole_views else 16_384 if self.device.type == "cpu" else 65_536
 
-    @property
-    def whole_views(self) -> bool:
-        """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
-        ...
-
-    def to(self, device: torch.device) -> "PixelSource[Batch_co]": ...
+    def to(self, device: torch.device) -> Self:
+        """The same pixels on another device."""
+        parts = {item.name: getattr(self, item.name) for item in dataclasses.fields(self)}
+        moved = {name: part.to(device) for name, part in parts.items() if isinstance(part, Tensor)}
+        return dataclasses.replace(self, device=device, **moved)
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> Batch_co:
         """The renderer's input for the pixels with these row numbers; `rng` is given in training only.
 
         Row numbers with three axes are square patches (patch, row, column), in this order; see `draw_patches`.
         """
-        ...
+        raise NotImplementedError
+
+    def grid_of(self, index: Int[Tensor, "*pixel"]) -> tuple[int, int, int] | None:
+        """Number of patches, rows and columns that the pixels with these row numbers form; None if unordered."""
+        if index.ndim == 3:
+            return index.shape[0], index.shape[1], index.shape[2]
+        return (len(index) // self.pixels_per_view, *self.resolution.shape) if self.whole_views else None
+
+
+SourceT = TypeVar("SourceT", bound=PixelSource)
+
+
+def load_views_of(
+    make: Callable[[Cameras], SourceT], dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool
+) -> SourceT:
+    """The pixels of some views as `make` gives those of any cameras; with images, in their true colours."""
+    source = make(cameras_of(dataset, split, views))
+    return dataclasses.replace(source, rgb=read_colors(dataset, split, views)) if with_images else source
+
+
+def cameras_of(dataset: Dataset, split: Split, views: Sequence[int]) -> Cameras:
+    """The cameras of some views of a split."""
+    cameras = dataset.cameras(split)
+    return dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
 
 
 def draw_rows(pixels: PixelSource, number: int, rng: np.random.Generator) -> Int[np.ndarray, " pixel"]:
@@ -84,113 +107,6 @@ class RayBatch:
     """Number of patches, rows and columns that the pixels form; None if they are unordered."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Pixels:
-    """All pixels of some views, row by row and view by view, in the dataset's own small integers."""
-
-    uv: Int16[Tensor, "pixel layer 2"]
-    """The bits of uint16, because torch 2.13 has few operations on that type."""
-    object_id: UInt8[Tensor, "pixel layer"]
-    rgb: UInt8[Tensor, "pixel 3"]
-    """8-bit sRGB."""
-    p_camera: Float32[Tensor, "view 3"]
-    resolution: Resolution
-    whole_views: bool = False
-    """True if views are rendered as a whole, because the renderer needs neighbouring pixels."""
-
-    @property
-    def device(self) -> torch.device:
-        return self.rgb.device
-
-    @property
-    def pixels_per_view(self) -> int:
-        return self.resolution.pixels
-
-    @property
-    def chunk(self) -> int:
-        return self.pixels_per_view if self.whole_views else pixels_at_once(self.device)
-
-    def to(self, device: torch.device) -> "Pixels":
-        names = ("uv", "object_id", "rgb", "p_camera")
-        return dataclasses.replace(self, **{name: getattr(self, name).to(device) for name in names})
-
-    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:  # noqa: ARG002
-        """The rays of the pixels with these row numbers: always those through pixel centres."""
-        grid = grid_of(self, index, whole_views=self.whole_views)
-        index = index.flatten()
-        return RayBatch(
-            # `index_select` takes a third of the time of brackets.
-            uv=(self.uv.index_select(0, index).int() & 0xFFFF).float() / UV_SCALE,
-            object_id=self.object_id.index_select(0, index),
-            p_camera=self.p_camera.index_select(0, index // self.pixels_per_view),
-            grid=grid,
-        )
-
-
-def pixels_at_once(device: torch.device) -> int:
-    """Pixels rendered at once from stored layers: on a CPU few enough for a network layer's output to stay in the
-    caches until the next layer reads it."""
-    return 16_384 if device.type == "cpu" else 65_536
-
-
-def load_pixels(
-    dataset: Dataset,
-    geometry: str,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool = True,
-    max_layers: int | None = None,
-    whole_views: bool = False,
-) -> Pixels:
-    """Reads layers, cameras and, with `with_images`, pictures of some views, every byte verified.
-
-    Args:
-        max_layers: number of nearest layers to keep; None: all.
-        whole_views: the renderer needs neighbouring pixels.
-    """
-    p_camera = dataset.cameras(split).world_from_camera[list(views), :3, 3].astype(np.float32)
-    stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
-    return Pixels(
-        uv=torch.from_numpy(np.concatenate([uv for uv, _ in stacks]).view(np.int16)),
-        object_id=torch.from_numpy(np.concatenate([object_id for _, object_id in stacks])),
-        rgb=read_colors(dataset, split, views, with_images=with_images),
-        p_camera=torch.from_numpy(p_camera),
-        resolution=dataset.config.resolution,
-        whole_views=whole_views,
-    )
-
-
-def read_stack(
-    dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
-) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:
-    """uv and object ids of a view's pixels in its nearest layers, every byte verified."""
-    layers = dataset.layer_store(geometry).read(split, view, only=["uv", "object_id"])
-    uv, object_id = np.moveaxis(layers["uv"], 0, -1), layers["object_id"]
-    if object_id.max(initial=0) > len(dataset.objects):
-        raise HyalineError(
-            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {object_id.max()}; "
-            f"expected at most {len(dataset.objects)}, peel it again"
-        )
-    kept_id = object_id[:max_layers]
-    uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
-    # Contiguous layers per pixel: otherwise a random batch misses the cache once per layer.
-    return np.ascontiguousarray(uv), np.ascontiguousarray(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
-
-
-def grid_of(pixels: PixelSource, index: Int[Tensor, "*pixel"], *, whole_views: bool) -> tuple[int, int, int] | None:
-    """Number of patches, rows and columns that the pixels with these row numbers form; None if they are unordered.
-
-    Args:
-        whole_views: row numbers with one axis belong to whole views.
-    """
-    if index.ndim == 3:
-        return index.shape[0], index.shape[1], index.shape[2]
-    if whole_views:
-        return len(index) // pixels.pixels_per_view, *pixels.resolution.shape
-    return None
-
-
 def draw_patches(
     pixels: PixelSource, number: int, size: int, rng: np.random.Generator, *, strides: Sequence[int] = (1,)
 ) -> Int[Tensor, "patch row column"]:
@@ -211,11 +127,9 @@ def draw_patches(
     return to_device({"index": index}, pixels.rgb.device)["index"]
 
 
-def read_colors(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> UInt8[Tensor, "pixel 3"]:
-    """All pixels of the views; black without images: rendering a test view never opens its truth."""
-    black = np.zeros((*dataset.config.resolution.shape, 3), np.uint8)
-    images = [dataset.view(split, view).image if with_images else black for view in views]
-    return torch.from_numpy(np.concatenate([image.reshape(-1, 3) for image in images]))
+def read_colors(dataset: Dataset, split: Split, views: Sequence[int]) -> UInt8[Tensor, "pixel 3"]:
+    """All pixels of the views."""
+    return torch.from_numpy(np.concatenate([dataset.view(split, view).image.reshape(-1, 3) for view in views]))
 
 
 Key = TypeVar("Key")

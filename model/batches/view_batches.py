@@ -1,18 +1,18 @@
-"""Whole views as training data: cameras, pictures, and neighbouring views."""
+"""Views without layers, for methods that know only the cameras: whole ones with their neighbours, and plain rays."""
 
-import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float32, Int
 from torch import Tensor
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Resolution, Split
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from model.batches.rays import read_colors
+from model.batches.layers import rays_through
+from model.batches.rays import PixelSource, black, load_views_of, to_device
 
 NUM_NEIGHBOURS = 4
 
@@ -25,41 +25,14 @@ class ViewBatch:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Views:
+class Views(PixelSource[ViewBatch]):
     """Some views of a dataset for renderers that draw whole pictures."""
 
-    rgb: UInt8[Tensor, "pixel 3"]
-    """8-bit sRGB, row by row and view by view; black without images."""
-    cameras: Cameras
-
-    @property
-    def device(self) -> torch.device:
-        return self.rgb.device
-
-    @property
-    def resolution(self) -> Resolution:
-        """Size of a view."""
-        return self.cameras.size
-
-    @property
-    def pixels_per_view(self) -> int:
-        return self.resolution.pixels
-
-    @property
-    def chunk(self) -> int:
-        """Pixels rendered at once: one view."""
-        return self.pixels_per_view
-
-    @property
-    def whole_views(self) -> bool:
-        return True
+    whole_views: bool = True
 
     @property
     def num_views(self) -> int:
         return len(self.cameras)
-
-    def to(self, device: torch.device) -> "Views":
-        return Views(rgb=self.rgb.to(device), cameras=self.cameras)
 
     def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> ViewBatch:  # noqa: ARG002
         """The views that these pixels fill; they must be all pixels of whole views, in order."""
@@ -81,8 +54,44 @@ class Views:
         return nearest[: min(NUM_NEIGHBOURS, self.num_views - 1)].tolist()
 
 
+def views_of(cameras: Cameras) -> Views:
+    """Any cameras, with black pixels."""
+    return Views(cameras=cameras, rgb=black(cameras))
+
+
 def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
     """Cameras and, with `with_images`, pictures of some views, every byte verified."""
-    cameras = dataset.cameras(split)
-    some = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[list(views)])
-    return Views(rgb=read_colors(dataset, split, views, with_images=with_images), cameras=some)
+    return load_views_of(views_of, dataset, split, views, with_images=with_images)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainRays:
+    """The rays of some pixels."""
+
+    origins: Float32[Tensor, "ray 3"]
+    """Camera centres in world space, metres."""
+    directions: Float32[Tensor, "ray 3"]
+    """Unit vectors in world space."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainRayPixels(PixelSource[PlainRays]):
+    """Rays through the pixels' centres, jittered within the pixel while training, for methods that know only cameras.
+
+    All surfaces lie between `cameras.near` and `far`, in metres; None where that is unknown.
+    """
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> PlainRays:
+        """One ray through each of the pixels with these row numbers."""
+        origins, directions = rays_through(self.cameras, index.flatten().cpu().numpy(), 1, rng)
+        return PlainRays(**to_device({"origins": origins, "directions": directions}, self.device))
+
+
+def rays_of(cameras: Cameras) -> PlainRayPixels:
+    """The rays of any cameras, with black pixels."""
+    return PlainRayPixels(cameras=cameras, rgb=black(cameras))
+
+
+def load_rays(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:
+    """The rays and, with `with_images`, colours of some views; no layer is read."""
+    return load_views_of(rays_of, dataset, split, views, with_images=with_images)

@@ -19,8 +19,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
+from model.batches.layers import trace_layers
 from model.batches.rays import PixelSource, RayBatch
-from model.batches.traced_layers import trace_layers
 from model.nets.texture import NeuralTextures, bilinear_taps
 
 NUM_POSES = 64

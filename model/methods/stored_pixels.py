@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from model.batches.rays import Pixels, load_pixels
-from model.batches.traced_layers import peel_cameras
+from model.batches.layers import Pixels, load_pixels, peel_cameras
 from model.methods.protocol import Inputs
 
 

@@ -20,7 +20,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
 from datagen.terminal.signals import Stopped
-from model.batches.traced_layers import cameras_of
+from model.batches.rays import cameras_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.methods.table import METHODS, open_inputs

@@ -379,7 +379,7 @@ def read_metrics(out: Path) -> list[dict[str, float | None]]:
 def _entries(config: TrainConfig) -> dict[str, Json]:
     """All settings by name."""
     data = cast(dict[str, dict[str, Json]], to_json(config))
-    return data.pop("net") | data.pop("loss") | data
+    return {**data.pop("net"), **data.pop("loss"), **data}
 
 
 def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:

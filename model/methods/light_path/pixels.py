@@ -3,16 +3,16 @@
 import dataclasses
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int, UInt8
+from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Cameras, subpixel_rays
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
@@ -20,9 +20,9 @@ from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import LIMITS, Limits
-from model.batches.ahead import Ahead, Draw
-from model.batches.rays import black, read_colors, to_device
-from model.batches.traced_layers import RayPixels, SubpixelRays, cameras_of, in_pairs
+from model.batches.ahead import Draw, TracedPixels
+from model.batches.layers import Rays, rays_through
+from model.batches.rays import black, load_views_of, to_device
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
@@ -100,16 +100,14 @@ MANY_RAYS = 65_536
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LightPathPixels(RayPixels):
-    """All pixels of some views; the light paths of their rays are traced when they are asked for."""
+class LightPathPixels(TracedPixels[LightPathBatch]):
+    """Pixels whose rays' light paths are traced when they are asked for."""
 
     tracer: "LightPathTracer"
     straight_tracer: "LightPathTracer | None"
     """The same surfaces, all passed in a straight line; None if the configuration has no straight layers."""
     num_objects: int
     config: LightPathConfig
-    ahead: "Ahead[LightPathBatch] | None" = None
-    """Where the next training batch comes from; None if it is traced when it is asked for."""
     limits: Limits = LIMITS
     """Of light paths; the number of branches is the configuration's."""
 
@@ -128,23 +126,19 @@ class LightPathPixels(RayPixels):
         if rng is not None:
             return self.take_all([(index, rng)])[0] if self.ahead is None else self.ahead.next(rng)
         pixels, samples = index.flatten().cpu().numpy(), self.config.render_samples
-        origins, directions = self.rays.through(pixels, samples, None)
+        origins, directions = rays_through(self.cameras, pixels, samples, None)
         return self._trace(origins, directions, [0, len(directions)], samples)[0]
-
-    def taken_from(self, ahead: "Ahead[LightPathBatch]") -> Self:
-        """The same pixels; `take` with a generator gives the next batch that was made ahead."""
-        return dataclasses.replace(self, ahead=ahead)
 
     def take_all(self, draws: Sequence[Draw], *, beside_torch: bool = False) -> list[LightPathBatch]:
         """Training batches traced together, which takes two thirds of the time of one after the other."""
         config = self.config
         samples = config.train_samples
-        through = self.rays.through_pairs if config.paired_rays else self.rays.through
+        through = pairs_through if config.paired_rays else rays_through
         seeds, rays, facets = [], [], []
         for index, rng in draws:
             pixels = index.flatten().cpu().numpy()
             seeds.append(int(rng.integers(1 << 31)))
-            rays.append(through(pixels, samples, rng))
+            rays.append(through(self.cameras, pixels, samples, rng))
             facets.append(self._facets(len(pixels), samples, rng))
         origins, directions = (np.concatenate(part) for part in zip(*rays, strict=True))
         starts = np.cumsum([0, *(len(part) for part in facets)]).tolist()
@@ -263,6 +257,21 @@ class LightPathPixels(RayPixels):
         return {**columns, "direction": directions}
 
 
+def pairs_through(cameras: Cameras, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator) -> Rays:
+    """As `rays_through`, but rays 2k and 2k + 1 of a pixel lie opposite each other, and such pairs are independent, so
+    the spread of their means measures the noise, which it does not for rays in separate cells."""
+    pairs = -(-samples // 2)
+    offsets = in_pairs(rng.random((len(index), pairs, 2)), lambda place: 1 - place)[:, :samples]
+    return subpixel_rays(cameras, index, offsets)
+
+
+def in_pairs(
+    first: Float[np.ndarray, "pixel pair 2"], opposite: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "pixel sample 2"]:
+    """Each point, followed by its `opposite`."""
+    return np.stack([first, opposite(first)], axis=2).reshape(len(first), -1, 2)
+
+
 def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     """Widths of the objects' textures: about `size` squared texels for each, shared as the training rays need them.
 
@@ -302,8 +311,8 @@ def load_light_path_pixels(
     config: LightPathConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], with_images: bool
 ) -> LightPathPixels:
     """Reads cameras and, with `with_images`, pictures of some views, and loads the scene for tracing."""
-    pixels = trace_light_paths(config, dataset, geometry, cameras_of(dataset, split, views))
-    return dataclasses.replace(pixels, rgb=read_colors(dataset, split, views, with_images=with_images))
+    make = functools.partial(trace_light_paths, config, dataset, geometry)
+    return load_views_of(make, dataset, split, views, with_images=with_images)
 
 
 def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, cameras: Cameras) -> LightPathPixels:
@@ -312,11 +321,10 @@ def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, 
     return LightPathPixels(
         tracer=surfaces.tracer,
         straight_tracer=surfaces.straight_tracer,
-        rays=SubpixelRays(cameras=cameras),
-        num_objects=surfaces.num_objects,
+        cameras=cameras,
         rgb=black(cameras),
+        num_objects=surfaces.num_objects,
         config=config,
-        device=torch.device("cpu"),
     )
 
 

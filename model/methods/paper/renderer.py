@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 import torch
@@ -12,8 +13,8 @@ from torch.autograd.function import FunctionCtx
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.scene.description import Scene
-from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
-from model.batches.traced_layers import load_traced_layers, trace_cameras
+from model.batches.layers import trace_cameras
+from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, load_views_of, srgb_curve
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
@@ -139,16 +140,7 @@ def load(
 ) -> PixelSource[RayBatch]:
     if not config.traces_layers:
         return load_stored(inputs, split, views, with_images=with_images)
-    return load_traced_layers(
-        inputs.dataset,
-        inputs.geometry,
-        inputs.num_layers,
-        split,
-        views,
-        with_images,
-        train_samples=config.train_samples,
-        render_samples=config.render_samples,
-    )
+    return load_views_of(partial(load_cameras, config, inputs), inputs.dataset, split, views, with_images=with_images)
 
 
 def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:

@@ -20,8 +20,7 @@ from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
-from model.batches.rays import black
-from model.batches.view_batches import ViewBatch, Views, load_views
+from model.batches.view_batches import ViewBatch, Views, load_views, views_of
 from model.losses.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
@@ -224,5 +223,5 @@ def load(
 
 
 def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001
-    _check_size(config, Resolution(width=cameras.width, height=cameras.height))
-    return Views(rgb=black(cameras), cameras=cameras)
+    _check_size(config, cameras.size)
+    return views_of(cameras)

@@ -23,7 +23,6 @@ from hyaline_photos.fit.search import penalty
 from hyaline_photos.fit.shapes import Glass
 from hyaline_photos.fit.visits import Visits, count_visits
 from model.batches.rays import linear_curve, read_colors, srgb_curve
-from model.batches.traced_layers import SubpixelRays
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.method import sky_height
 from model.methods.light_path.net import LightPathRenderer
@@ -100,12 +99,11 @@ def load_pixels(
     return LightPathPixels(
         tracer=LightPathTracer(meshes, materials, tints_of(scene, own_uv=True)),
         straight_tracer=None,
-        rays=SubpixelRays(cameras=dataset.cameras("train")),
+        cameras=dataset.cameras("train"),
         num_objects=len(meshes),
-        rgb=read_colors(dataset, "train", views, with_images=True),
+        rgb=read_colors(dataset, "train", views),
         limits=limits,
         config=config.sized((2,) * len(meshes)),
-        device=torch.device("cpu"),
     )
 
 

@@ -24,7 +24,7 @@ from hyaline_web.view.live_run import LiveRun, MovedOn, Picture
 from hyaline_web.view.schedule import Budget, Job, Pose, Schedule
 from hyaline_web.view.server import HOST, Server, serving
 from hyaline_web.view.stage import Panel, Stage
-from model.batches.traced_layers import peel_cameras
+from model.batches.layers import peel_cameras
 from model.run.run_folder import RUN, open_trained
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device

@@ -17,7 +17,8 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba
-from model.batches.rays import RayBatch, load_pixels, take_colors
+from model.batches.layers import load_pixels
+from model.batches.rays import RayBatch, take_colors
 from model.losses.inpaint import Inpainter, count_visits, patches_around
 from model.losses.patch_losses import (
     IMAGENET_MEAN,

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 import torch
-from jaxtyping import Bool, Float32, Int, UInt8
+from jaxtyping import Bool, Float32, Int
 from torch import Tensor
 
-from datagen.data.config import Resolution, square
+from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
-from model.batches.rays import mean_color, srgb_curve, variance_of_mean
+from model.batches.rays import PixelSource, mean_color, srgb_curve, variance_of_mean
 from model.losses.pixel_losses import noise_penalty, pixel_loss
 from model.methods.light_path.config import LightPathConfig
 
@@ -21,20 +21,11 @@ LAMP, GROUND, SAMPLES = 0.6, 0.3, 4
 STEPS = 400
 
 
-@dataclass(frozen=True)
-class Glints:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Glints(PixelSource[Tensor]):
     """Pixels in which each ray meets a lamp with the pixel's own probability, and the ground besides."""
 
     chance: Float32[Tensor, " pixel"]
-    rgb: UInt8[Tensor, "pixel 3"]
-    device: torch.device = CPU
-    resolution: Resolution = square(1)  # noqa: RUF009
-    pixels_per_view: int = 1
-    chunk: int = 1024
-    whole_views: bool = False
-
-    def to(self, device: torch.device) -> "Glints":
-        return self
 
     def take(self, index: Int[Tensor, " pixel"], rng: np.random.Generator | None) -> Bool[Tensor, "pixel sample"]:
         assert rng is not None
@@ -74,7 +65,9 @@ def learned_lamp(
     """What is learned of a lamp."""
     chance = torch.linspace(*chances, 200).clamp_min(0)
     truth = (255 * srgb_curve(GROUND + lamp * chance)).round().to(torch.uint8)
-    pixels, renderer = Glints(chance, truth[:, None].expand(-1, 3).contiguous()), LampAndGround()
+    cameras = Cameras(width=200, height=1, fov_x=1.0, world_from_camera=np.eye(4)[None])
+    rgb = truth[:, None].expand(-1, 3).contiguous()
+    pixels, renderer = Glints(cameras=cameras, rgb=rgb, chance=chance), LampAndGround()
     radiance = renderer.apart if apart else renderer.whole
     optimizer = torch.optim.Adam(renderer.parameters(), lr=0.01)
     means = []

@@ -15,7 +15,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.batches.rays import draw_patches, load_pixels
+from model.batches.layers import load_pixels
+from model.batches.rays import draw_patches
 from model.methods.dnr import renderer as dnr
 from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig
 from model.methods.dnr.renderer import DnrRenderer, UNet

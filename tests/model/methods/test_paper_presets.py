@@ -13,7 +13,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
-from model.batches.rays import load_pixels
+from model.batches.layers import load_pixels
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.nets.texture import TexturePyramid

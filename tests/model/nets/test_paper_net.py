@@ -11,7 +11,8 @@ from support.synthetic import pixel_rays, write_synthetic_dataset
 from support.training import build
 
 from datagen.disk.errors import HyalineError
-from model.batches.rays import insert_empty_layer, load_pixels
+from model.batches.layers import load_pixels
+from model.batches.rays import insert_empty_layer
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, default_texture_size
 from model.methods.table import open_inputs

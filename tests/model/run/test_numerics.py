@@ -12,7 +12,8 @@ from torch import Tensor, nn
 import eval.cli
 import model.cli
 from datagen.data.dataset import Dataset
-from model.batches.rays import Pixels, RayBatch
+from model.batches.layers import Pixels
+from model.batches.rays import RayBatch
 from model.losses import pixel_losses as losses
 from model.run import complete, predict
 from model.run import train as train_module

@@ -12,7 +12,7 @@ from support.training import load
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.batches.rays import load_pixels
+from model.batches.layers import load_pixels
 from model.methods.paper.config import PaperConfig
 from model.run.predict import load_renderer, predict_pixels, render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run

@@ -16,8 +16,8 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
+from model.batches.layers import trace_layers
 from model.batches.rays import PixelSource, RayBatch
-from model.batches.traced_layers import trace_layers
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.methods.protocol import Inputs
