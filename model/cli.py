@@ -186,7 +186,6 @@ def sweep(
     experiment: str,
     /,
     *,
-    preset: str | None = None,
     dataset: tuple[str, ...] = (),
     seed: tuple[int, ...] = (),
     jobs: int = 1,
@@ -198,20 +197,19 @@ def sweep(
     The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
 
     Args:
-        experiment: A TOML file (see model/run/experiments.py), paper-tables or one of its parts (table1, table2,
-            square, zero-layer, claims, figure8, deepvoxels, larger), paper-sizes, random, bench (hyaline-bench) or
-            bench-fitted (its scenes whose glass `model fit` can find).
-        preset: Size, for files that have presets: demo, small, standard or tiny for bench. Default: the file's first.
+        experiment: A file of command lines, whose name ends with .txt (see model/run/experiments.py), - for lines from
+            stdin, paper-tables or one of its parts (table1, table2, square, zero-layer, claims, figure8, deepvoxels,
+            larger), paper-sizes or random.
         dataset: Train on this existing dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as
             many as fit in memory (about 4 GB each); a run's numbers then differ by rounding.
-        dry_run: Print all commands and an estimate of the CPU time, and do nothing.
+        dry_run: Print all commands, and do nothing.
     """
     from model.run.experiments import read_experiment
     from model.run.sweep import find_devices, finish, print_experiment, run_experiment, train_in_jobs
 
-    asked = read_experiment(experiment, datasets=dataset, seeds=seed, preset=preset)
+    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
         return print_experiment(asked)
     if cluster.launcher is None:

@@ -19,7 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices, own_command, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import say, tell
-from model.run.experiments import Experiment, estimate_cpu_hours
+from model.run.experiments import Experiment
 from model.settings.run_flags import RUNS
 
 MODULES = {"hyaline-bench": "hyaline_bench"}
@@ -66,12 +66,10 @@ def command_line(arguments: Sequence[str]) -> str:
 
 
 def print_experiment(experiment: Experiment) -> None:
-    """Prints all command lines, and how long the runs take."""
+    """Prints all command lines."""
     for line in (*experiment.needs, *map(command_line, experiment.runs), *experiment.then):
         tell(line)
-    hours = estimate_cpu_hours(experiment)
-    about = "" if hours is None else f", about {hours:.1f} CPU hours of training"
-    say(f"sweep {experiment.name}: {len(experiment.runs)} runs{about}")
+    say(f"sweep {experiment.name}: {len(experiment.runs)} runs")
 
 
 def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:

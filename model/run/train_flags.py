@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from datagen.terminal.parsing import Command, changed_flags, collect, flags_of
+from datagen.terminal.parsing import Command, changed_flags, collect
 from model.methods.protocol import MethodConfig
 from model.methods.table import METHODS, about, open_inputs
 from model.settings.flags import suffixes
@@ -88,12 +88,6 @@ def _parse_train(method: str, words: tuple[str, ...]) -> Asked:
     given = collect(f"model train {method}", command, words)
     command(*given.args, **given.kwargs)
     return found[0]
-
-
-@functools.cache
-def flags_of_method(method: str) -> dict[str, str]:
-    """The field behind each flag of `model train METHOD`, without dashes in front."""
-    return flags_of(make_command(method, (), lambda *_: None))
 
 
 def folder_name(method: str, asked: Asked) -> str:

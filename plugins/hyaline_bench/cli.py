@@ -20,6 +20,7 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
+        "commands": list_all,
         "floors": floors,
         "score": score,
         "leaderboard": leaderboard,
@@ -27,6 +28,22 @@ def commands() -> CommandGroup:
         "hide": hide,
     }
     return group("Score methods on the benchmark, and publish the leaderboard.", by_name)
+
+
+def list_all(*, preset: str = "demo", fitted: bool = False) -> None:
+    """Print every command of the benchmark on public scenes, for `model sweep - --jobs 2` to run.
+
+    Args:
+        preset: Size of the benchmark's datasets: tiny, small, demo or standard.
+        fitted: The track of masks instead: light-path on glass that `model fit` finds.
+    """
+    from hyaline_bench.commands import list_commands, list_fitted_commands
+    from hyaline_bench.protocol import load_protocol
+
+    protocol = load_protocol()
+    protocol.size(preset)
+    for line in (list_fitted_commands if fitted else list_commands)(preset, protocol):
+        tell(line)
 
 
 def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path("data")) -> None:
@@ -86,7 +103,8 @@ def score(
     found = find_runs(runs, data, preset, protocol)
     if not found:
         raise HyalineError(
-            f"{runs}: has no predictions of the {preset} datasets; make some with `model sweep bench --preset {preset}`"
+            f"{runs}: has no predictions of the {preset} datasets; make some with "
+            f"`hyaline-bench commands --preset {preset} | model sweep -`"
         )
     names = sorted(found) if method is None else [choose("method", method, found)]
     places = {name: out or BENCH / preset / "scores" / f"{name}.json" for name in names}

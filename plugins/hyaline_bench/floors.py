@@ -1,6 +1,5 @@
 """Floors: two methods that learn nothing, which every other one should beat."""
 
-import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -59,7 +58,7 @@ def write_floors(runs_root: Path, data_root: Path, preset: str, protocol: Protoc
             if is_of_preset(dataset := open_dataset(root), preset, protocol):
                 datasets.append(dataset)
     if not datasets:
-        command = shlex.join(["model", "sweep", "bench", "--preset", preset])
+        command = f"hyaline-bench commands --preset {preset} | model sweep -"
         raise HyalineError(f"{data_root}: has no dataset of {preset}; make them with `{command}`")
     usual = sorted(datasets, key=lambda dataset: dataset.name == f"{dataset.config.scene}-{preset}")
     chosen = {dataset.seal: dataset for dataset in usual}  # One folder of each dataset, rather SCENE-PRESET.

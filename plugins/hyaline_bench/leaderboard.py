@@ -51,7 +51,8 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
     preset = found[0].preset
     parts = [
         f"# hyaline-bench {protocol.version}, {preset}\n",
-        f"```\nmodel sweep bench --preset {preset}\nmodel sweep bench-fitted --preset {preset}",
+        f"```\nhyaline-bench commands --preset {preset} | model sweep -",
+        f"hyaline-bench commands --preset {preset} --fitted | model sweep -",
         f"hyaline-bench leaderboard --preset {preset} --markdown\n```\n",
         f"{OTHERS}\n",
         *(f"{markdown_escaped(note)}\n" for note in NOTES),

@@ -9,16 +9,7 @@ BUILD = (
     " --spp 2 --test-spp 2 --num-layers 2"
 )
 TRAIN = "model train paper data/one --steps 5 --batch 32 --texture-size 8 --hidden 8 --device cpu"
-GRID = """[[runs]]
-dataset = "data/one"
-method = "paper"
-steps = 2
-batch = 32
-texture-size = 8
-hidden = 8
-device = "cpu"
-zero-layer = [false, true]
-"""
+GRID = f"{TRAIN.replace('--steps 5', '--steps 2')} --{{no-,}}zero-layer"
 
 PREPARED: dict[str, tuple[str, ...]] = {
     "scene": ("",),
@@ -54,7 +45,7 @@ SCENARIOS = (
     Scenario(name="train", start="dataset", line=f"{TRAIN} --out runs/one/paper"),
     Scenario(name="train anew", start="run", line=f"{TRAIN} --out runs/one/paper --seed 1 --overwrite"),
     Scenario(name="render", start="run", line="model predict runs/one/paper --device cpu --overwrite"),
-    Scenario(name="sweep", start="dataset", line="model sweep grid.toml"),
+    Scenario(name="sweep", start="dataset", line="model sweep grid.txt"),
     Scenario(name="report", start="run", line="report"),
 )
 

@@ -1,8 +1,10 @@
 """Tests that the protocol names what `datagen` makes, and that the sweep covers it."""
 
 import shlex
+from pathlib import Path
 
 import pytest
+from support.commands import call
 
 from datagen.builder.presets import PRESETS
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
@@ -44,13 +46,14 @@ def datasets_of(experiment: Experiment) -> dict[str, set[str]]:
 
 
 @pytest.mark.parametrize("preset", PROTOCOL.presets)
-def test_the_sweep_trains_every_method_on_every_public_scene_and_predicts_every_edit(preset: str) -> None:
-    experiment = read_experiment("bench", preset=preset)
+def test_the_commands_train_every_method_on_every_public_scene_and_predict_every_edit(
+    preset: str, tmp_path: Path
+) -> None:
+    (tmp_path / "bench.txt").write_text(call(f"hyaline-bench commands --preset {preset}").out)
+    experiment = read_experiment(str(tmp_path / "bench.txt"))
     scenes = PROTOCOL.public_scenes(preset)
     found = datasets_of(experiment)
-    assert len(found) == (
-        8 if preset in ("tiny", "small") else 9
-    )  # Without deepvoxels, which learns nothing in a minute.
+    assert len(found) == (8 if preset in ("tiny", "small") else 9)  # With deepvoxels.
     assert all(datasets == {f"{scene}-{preset}" for scene in scenes} for datasets in found.values())
     edited = [shlex.split(line)[2:] for line in experiment.then if line.startswith("model predict")]
     for scene in scenes:
@@ -61,3 +64,10 @@ def test_the_sweep_trains_every_method_on_every_public_scene_and_predicts_every_
             assert f"datagen add {scene}-{preset} --edit {edit}" in experiment.needs
             assert all([run, "--variant", edit] in edited for run in runs)
     assert experiment.then[-1] == f"hyaline-bench leaderboard --preset {preset}"
+
+
+def test_the_track_of_masks_trains_on_fitted_glass(tmp_path: Path) -> None:
+    (tmp_path / "bench.txt").write_text(call("hyaline-bench commands --preset small --fitted").out)
+    experiment = read_experiment(str(tmp_path / "bench.txt"))
+    assert datasets_of(experiment) == {"light-path fitted": {"glass_table-small", "plant_shelf-small", "drinks-small"}}
+    assert experiment.needs[2] == "model fit glass_table-small --room matt" and experiment.then == ()

@@ -65,7 +65,7 @@ def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch
                 scene = synthetic_scene()
                 rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
                 save_scene(dataclasses.replace(scene, cameras=rig), here / "scene")
-                (here / "grid.toml").write_text(GRID)
+                (here / "grid.txt").write_text(GRID)
             for line in lines:
                 run(line)
             started[name] = read_state(here)

@@ -64,7 +64,7 @@ def trap(tmp_path: Path) -> Path:
         f"{BUILD} --workers 2",
         f"{TRAIN} --out runs/one/paper",
         pytest.param("proxies make --kind box", marks=pytest.mark.full),
-        pytest.param("model sweep grid.toml", marks=pytest.mark.full),
+        pytest.param("model sweep grid.txt", marks=pytest.mark.full),
         pytest.param("report", marks=pytest.mark.full),
     ],
     ids=lambda line: " ".join(line.split()[:2]),
@@ -73,9 +73,8 @@ def test_no_command_runs_code_of_the_folder_where_it_is_called(line: str, trap: 
     for name in ("data", "runs"):
         if "before" in done and (done["before"] / name).is_dir():
             shutil.copytree(done["before"] / name, trap / name)
-    (trap / "grid.toml").write_text(
-        '[[runs]]\ndataset = "data/one"\nmethod = "paper"\nsteps = 1\nbatch = 32\ntexture-size = 8\nwidth = "8"\n'
-        'device = "cpu"\n'
+    (trap / "grid.txt").write_text(
+        "model train paper data/one --steps 1 --batch 32 --texture-size 8 --hidden 8 --device cpu\n"
     )
     script, *words = line.split()
     answer = subprocess.run(

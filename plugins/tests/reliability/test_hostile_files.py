@@ -94,7 +94,8 @@ def test_every_hostile_file_ends_as_the_table_says(tried: Tried, step: int, requ
         if tried.places.get(name) != expected.get(name, "")
     ]
     assert not different, f"{len(different)}:\n" + "\n".join(different[:40])
-    assert sum(tried.keys) > 0.6 * len(tried.keys), f"{sum(tried.keys)} of {len(tried.keys)} name the key"
+    share = 0.6 if step == 1 else 0.4  # A sample of some thirty.
+    assert sum(tried.keys) > share * len(tried.keys), f"{sum(tried.keys)} of {len(tried.keys)} name the key"
     assert tried.peak < MOST_BYTES, f"{tried.peak >> 20} MB were held"
 
 

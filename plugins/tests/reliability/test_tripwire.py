@@ -46,7 +46,7 @@ TAKEN = (
     ("dataset", "datagen export data/one --format 3dgs --out exports/one", ("exports/one/points3d.ply",)),
     ("dataset", f"{TRAIN} --out runs/one/paper --overwrite", ("runs/one/paper/run.json", "runs/one/paper/weights.pt")),
     ("run", "model film runs/one/paper --device cpu --path spline --frames 2 --out film.webp", ("film.webp",)),
-    ("dataset", "model sweep grid.toml", ("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
+    ("dataset", "model sweep grid.txt", ("runs/one/paper-w8-t8-batch32-2-steps/weights.pt",)),
     ("run", "report", ("runs/report/results.json",)),
 )
 """The same, and foreign files in the very places where they would write: they must refuse, and name one of them."""
@@ -98,7 +98,7 @@ def prepared(start: Callable[[str], State], here: Path, monkeypatch: pytest.Monk
 
     def make(name: str) -> None:
         start(name)
-        (here / "grid.toml").write_text(GRID)
+        (here / "grid.txt").write_text(GRID)
         builder = GltfBuilder()
         builder.node(mesh=builder.mesh())
         builder.written(here)

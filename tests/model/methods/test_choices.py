@@ -10,7 +10,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.parsing import flag_words, flags_of
 from model.cli import main
 from model.methods.table import BUILT_IN, METHODS
-from model.run.train_flags import flags_asked, flags_of_method, folder_name, parse_train
+from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings.run_flags import RunFlags
 
 
@@ -78,7 +78,7 @@ def test_every_flag_of_a_method_means_one_thing_and_marks_the_folder(method: str
     record = METHODS.find(method)
     optimisation = type(record().optimisation())
     parts = [flags_of(part) for part in (RunFlags, record, optimisation)]
-    assert sum(map(len, parts)) == len(flags_of_method(method))
+    assert sum(map(len, parts)) == len(flags_of(make_command(method, (), lambda *_: None)))
     for part in (record, optimisation):
         for item in dataclasses.fields(part):
             is_record = isinstance(item.type, type) and dataclasses.is_dataclass(item.type)
@@ -94,7 +94,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     usual = parse_train(method, ())
     records = (usual.run, usual.method, usual.optimisation, getattr(usual.optimisation, "loss", usual.run))
     tried = 0
-    for name in flags_of_method(method).values():
+    for name in flags_of(make_command(method, (), lambda *_: None)).values():
         record = next(part for part in records if hasattr(part, name))
         kind = {item.name: item.type for item in dataclasses.fields(record)}[name]
         impossible: list[float] = []

@@ -61,7 +61,7 @@ def write_world(root: Path) -> None:
     ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
     (root / "view.exr").write_bytes(radiance_bytes(truth))
-    (root / "grid.toml").write_text('[[runs]]\nmethod = "paper"\n')
+    (root / "grid.txt").write_text("model train paper\n")
     (root / "theirs").mkdir()
     frames = []
     for view in range(4):
@@ -96,7 +96,7 @@ def cases_of(root: Path) -> list[Case]:
         *not_files("scene", "scene/scene.json"),
         *not_files("scene", "scene/meshes/pane.ply"),
         *experiment_cases(),
-        *not_files("experiment", "grid.toml", may_be_link=True),
+        *not_files("experiment", "grid.txt", may_be_link=True),
         *picture_cases(read(PREDICTION)),
         *not_files("prediction", PREDICTION, may_be_link=True),
         *state_cases(read("runs/one/paper/weights.pt")),

@@ -185,44 +185,39 @@ def text_cases(reader: str, path: str, good: bytes) -> list[Case]:
 
 def experiment_cases() -> list[Case]:
     """Experiment files that no sweep should start."""
-    block = '[[runs]]\nmethod = "paper"\n'
+    line = "model train paper"
     texts = {
-        "unknown key": block + 'extrinsic = "sh"',
-        "method that is none": '[[runs]]\nmethod = "papr"',
-        "method that is a list of lists": '[[runs]]\nmethod = [["paper"]]',
-        "no method": "[[runs]]\nsteps = 3",
-        "no runs": 'about = "x"',
-        "runs that are text": 'runs = "all"',
-        "runs that are empty": "runs = []",
-        "broken": "[[runs",
-        "twice the same key": f"{block}steps = 1\nsteps = 2",
-        "steps of a fraction": f"{block}steps = 1.5",
-        "steps too large": f"{block}steps = 9223372036854775808",
-        "steps of many digits": f"{block}steps = {'9' * 5000}",
-        "steps of infinity": f"{block}steps = inf",
-        "rate that is no number": f"{block}lr = nan",
-        "a date": f"{block}seed = 1979-05-27",
-        "a switch of text": f'{block}zero-layer = "yes"',
-        "a folder": f'{block}out = "/tmp/x"',
-        "a name": f'{block}name = "../x"',
-        "overwrite": f"{block}overwrite = true",
-        "empty list": f"{block}seed = []",
-        "a table as a value": f"{block}seed = {{a = 1}}",
-        "a flag as a value": f'{block}geometry = "--overwrite"',
-        "a NUL in a path": f'{block}dataset = "a\\u0000b"',
-        "a surrogate": f'{block}dataset = "\\ud800"',
-        "extrinsics that are none": f'{block}extrinsics = "all"',
-        "a flag of another method": f"{block}branches = 2",
-        "methods that share no flag": '[[runs]]\nmethod = ["paper", "light-path"]\nextrinsics = "sh"',
-        "a grid of ten thousand million runs": block
-        + "".join(f"{key} = {list(range(2, 102))}\n" for key in ("seed", "steps", "batch", "features", "blocks")),
-        "deep": f"{block}seed = " + "[" * 20_000 + "]" * 20_000,
-        "a grid of twenty thousand blocks": block * 20_000,
-        "dotted keys": "a." * 50_000 + "a = 1\n",
-        "a deep table": "[" + "a." * 20_000 + "a]\n",
+        "unknown flag": f"{line} --extrinsic sh",
+        "flag in capitals": f"{line} --STEPS 3",
+        "method that is none": "model train papr",
+        "method that is a number": "model train 3",
+        "no method": "model train --steps 3",
+        "no runs": "datagen build one",
+        "no program": "train paper",
+        "another program": f"rm -r data\n{line}",
+        "an open quote": f"{line} 'one",
+        "open braces": f"{line} --seed {{0,1",
+        "steps of text": f"{line} --steps many",
+        "steps below zero": f"{line} --steps -1",
+        "steps of a fraction": f"{line} --steps 1.5",
+        "steps too large": f"{line} --steps 9223372036854775808",
+        "steps of many digits": f"{line} --steps {'9' * 5000}",
+        "steps of infinity": f"{line} --steps inf",
+        "rate that is no number": f"{line} --lr nan",
+        "a switch of text": f"{line} --zero-layer yes",
+        "a flag of another method": f"{line} --branches 2",
+        "methods that share no flag": "model train {paper,light-path} --extrinsics sh",
+        "a surrogate": f'{line} "\ud800"',
+        "a grid of ten thousand million runs": f"{line} --seed {'{0,1,2,3,4,5,6,7,8,9}' * 10}",
+        "many lines": f"{line} --steps 1\n" * 20_000,
+        "deep": f"{line} --seed " + "{" * 20_000 + "}" * 20_000,
         "UTF-16": None,
-        "a byte order mark": "\ufeff" + block,
-        "a long line": f'about = "{"x" * 1_000_000}"\n{block}',
+        "NUL": "\x00",
+        "empty": "",
+        "a long line": f"{line} # {'x' * 1_000_000}",
     }
-    contents = {name: block.encode("utf-16") if text is None else text.encode() for name, text in texts.items()}
-    return named("experiment", "experiment", "grid.toml", contents)
+    contents = {
+        name: line.encode("utf-16") if text is None else text.encode("utf-8", "surrogatepass")
+        for name, text in texts.items()
+    }
+    return named("experiment", "experiment", "grid.txt", contents)

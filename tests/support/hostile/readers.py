@@ -68,7 +68,7 @@ def _theirs(root: Path) -> str:
 def _experiment(root: Path) -> str:
     from model.run.experiments import read_experiment
 
-    return f"{len(read_experiment(str(root / 'grid.toml')).runs)} runs"
+    return f"{len(read_experiment(str(root / 'grid.txt')).runs)} runs"
 
 
 def _run(root: Path) -> str:
@@ -140,7 +140,7 @@ COMMANDS: dict[str, str] = {
     "scene": "datagen build --scene {world}/scene --out {out} --preset tiny --resolution 8 --views 1 --test-views 1"
     " --spp 2 --test-spp 2 --num-layers 2",
     **dict.fromkeys(("dataset", "record", "layers", "layers record", "proxies", "cameras"), _VERIFY),
-    "experiment": "model sweep {world}/grid.toml --dry-run",
+    "experiment": "model sweep {world}/grid.txt --dry-run",
     **dict.fromkeys(("run", "weights"), _EXPORT),
     **dict.fromkeys(("prediction", "predictions"), _REPORT),
 }
