@@ -9,7 +9,6 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
-from eval.tables.named import TABLES
 from eval.tables.parts import report_parts
 from eval.tables.results import RESULTS_VERSION
 from eval.tables.scenes import Stored, page_grids
@@ -47,12 +46,6 @@ def _without(grid: Grid, said: Sequence[str]) -> Grid:
     return dataclasses.replace(grid, notes=tuple(note for note in grid.notes if note not in said))
 
 
-def _in_order(tables: Stored) -> list[str]:
-    """The names of stored tables, as `report --help` lists them; those of other distributions last."""
-    order = [*TABLES.names(), *tables]
-    return sorted(tables, key=order.index)
-
-
 def _grid_of(stored: Stored) -> Grid:
     return Grid(
         title=stored["title"],
@@ -81,7 +74,7 @@ def _made_by(data: Stored) -> tuple[str, str]:
 def _page_grids(path: Path, data: Stored) -> list[Grid]:
     try:
         if "tables" in data:
-            return [_grid_of(grid) for name in _in_order(data["tables"]) for grid in data["tables"][name]]
+            return [_grid_of(grid) for table in data["tables"].values() for grid in table]
         parts, grids = report_parts(), []
         found: dict[str, dict[str, Stored]] = {name: {} for name in parts}
         for scene in data["scenes"]:

@@ -18,7 +18,6 @@ from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import open_scene
 from model.batches.layers import trace_layers
 from model.batches.rays import PixelSource, RayBatch
 from model.nets.texture import NeuralTextures, bilinear_taps
@@ -116,6 +115,8 @@ def patches_around(pixel: Int[Tensor, " patch"], size: int, resolution: Resoluti
 
 def novel_cameras(dataset: Dataset, number: int, rng: np.random.Generator) -> Cameras:
     """Poses around the training cameras, but nearer, farther and lower; test cameras are not used."""
+    from datagen.scene.folder import open_scene  # Not before: training without in-painting needs no scene.
+
     cameras = dataset.cameras("train")
     target = np.array(open_scene(dataset).cameras.target)
     offset = cameras.world_from_camera[rng.integers(len(cameras.world_from_camera), size=number), :3, 3] - target

@@ -9,8 +9,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY, read_materials
 from datagen.data.paths import is_fitted
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import open_scene
-from datagen.scene.materials import Diffuse
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
@@ -94,6 +92,9 @@ def describe_run(
 
 def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
     """Names of the objects of which a fitted geometry tells the method more than `model fit` found."""
+    from datagen.scene.folder import open_scene  # Not before: training on other geometries needs no scene.
+    from datagen.scene.materials import Diffuse
+
     uses_materials = bool(config.net.knowledge)
     materials = [item.material for item in open_scene(dataset, config.geometry).objects]
     found = read_materials(dataset, config.geometry)

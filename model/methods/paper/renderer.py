@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Sequence
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -12,7 +13,6 @@ from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from datagen.scene.description import Scene
 from model.batches.layers import trace_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, load_views_of, srgb_curve
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
@@ -24,6 +24,9 @@ from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
 from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics
+
+if TYPE_CHECKING:
+    from datagen.scene.description import Scene
 
 START_ALONE = 0.5
 """Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
@@ -156,7 +159,7 @@ def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> Pixel
     )
 
 
-def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: Scene) -> MethodPage:  # noqa: ARG001
+def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: "Scene") -> MethodPage:  # noqa: ARG001
     """The renderer without the layer of zeros after all others, which changes nothing."""
     features, extrinsics = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
     (first_weight, first_bias), *others = renderer.net.folded()
