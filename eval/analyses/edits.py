@@ -19,7 +19,6 @@ from eval.score.runs import Run, has_split, read_prediction
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import by_group
 from eval.tables.grids import MEANS_NOTE, Column, Grid, format_number, psnr_text
-from eval.tables.results import json_number
 
 REGIONS: dict[str, tuple[int, ...]] = {
     "object": (OBJECT,),
@@ -214,10 +213,7 @@ def _decibels(scores: Sequence[RegionScores], regions: Iterable[str]) -> tuple[s
 
 def _nested(scores: Mapping[tuple[str, Split], float | None]) -> Json:
     regions = dict.fromkeys(region for region, _ in scores)
-    return {
-        region: {split: json_number(value) for (name, split), value in scores.items() if name == region}
-        for region in regions
-    }
+    return {region: {split: value for (name, split), value in scores.items() if name == region} for region in regions}
 
 
 def edit_sheet(scene: SceneScores, edit: EditScores) -> bytes:

@@ -17,7 +17,6 @@ from datagen.data.variants import list_variants, open_variant, parent_views, var
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.terminal.command import track
-from eval.score.metrics import mean_of
 from eval.score.runs import Run, has_split, read_prediction, within
 from eval.score.scores import (
     RunScores,
@@ -29,6 +28,7 @@ from eval.score.scores import (
     score_run,
 )
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
+from eval.tables.results import splits_json
 
 ANGLE_KEYS = {"psnr_db": "PSNR dB ↑", "glass_psnr_db": "PSNR glass dB ↑"}
 
@@ -87,16 +87,6 @@ def variant_json(scored: VariantScores) -> dict[str, Json]:
         "dataset_seal": scored.variant.seal,
         "noise_ceiling_db": {split: truth.ceiling_db for split, truth in scored.truths.items()},
         "runs": {name: splits_json(scores.splits) for name, scores in scored.runs.items()},
-    }
-
-
-def splits_json(splits: dict[Split, SplitScores | None]) -> Json:
-    """By split and metric: the mean, and each picture's value."""
-    return {
-        split: None
-        if values is None
-        else {key: {"mean": mean_of(images), "pictures": list(images)} for key, images in values.images.items()}
-        for split, values in splits.items()
     }
 
 

@@ -3,19 +3,17 @@
 matplotlib is imported only when a picture is drawn.
 """
 
-import functools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset
 from datagen.data.variants import ANGLES, is_larger
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
-from eval.analyses.coverage import Coverage, PixelCoverage, cover_view, read_coverage
+from eval.analyses.coverage import cover_view, read_coverage
 from eval.analyses.curve import Curve, curve_grid, make_curve, pool_seeds
 from eval.analyses.edits import EditScores, edit_grids, edit_json, edit_sheet, score_edits
 from eval.analyses.variants import (
@@ -29,7 +27,7 @@ from eval.analyses.variants import (
 )
 from eval.page.report_folder import Draw
 from eval.score.runs import Run
-from eval.score.scores import RunScores, SceneScores, Truth
+from eval.score.scores import SceneScores
 from eval.tables.grids import Grid
 from eval.tables.parts import FoundPart, PartPage
 
@@ -105,50 +103,25 @@ def _curves(scene: SceneScores, by_angle: VariantScores | None) -> dict[str, Cur
     """The extrapolation curves by the run's name; none without straight layers."""
     if not scene.has_glass_mask:
         return {}
-    truths = scene.truths | ({} if by_angle is None else by_angle.truths)
-    covered = _Covered(scene, by_angle)
-    curves = {}
-    for scores in track(scene.runs, label=f"curves of {scene.title}", total=len(scene.runs)):
-        drawn = [scores]
-        if by_angle is not None and scores.run.name in by_angle.runs:
-            drawn.append(by_angle.runs[scores.run.name])
-        runs: dict[Split, RunScores] = {
-            split: found for found in drawn for split, values in found.splits.items() if values is not None
-        }
-        if runs:
-            curves[scores.run.name] = _make_curve(runs, truths, covered)
-    return curves
-
-
-def _make_curve(runs: dict[Split, RunScores], truths: dict[Split, Truth], covered: "_Covered") -> Curve:
-    found: dict[Split, Run] = {split: scores.run for split, scores in runs.items()}
-    seen: dict[Split, tuple[PixelCoverage, ...]] = {split: covered.split(split) for split in found}
-    return make_curve(found, truths, seen)
-
-
-class _Covered:
-    """The training coverage of the test views, each read once."""
-
-    def __init__(self, scene: SceneScores, by_angle: VariantScores | None) -> None:
-        self._scene, self._by_angle = scene, by_angle
-        self._by_split: dict[Split, tuple[PixelCoverage, ...]] = {}
-
-    @functools.cached_property
-    def _training(self) -> Coverage:
-        say(f"{self._scene.title}: reading the coverage of the training views")
-        return read_coverage(self._scene.dataset)
-
-    def split(self, split: Split) -> tuple[PixelCoverage, ...]:
-        if split not in self._by_split:
-            home = _home(self._scene, self._by_angle, split)
-            views = range(home.config.split(split).views)
-            self._by_split[split] = tuple(cover_view(self._training, home, split, view) for view in views)
-        return self._by_split[split]
-
-
-def _home(scene: SceneScores, by_angle: VariantScores | None, split: Split) -> Dataset:
-    """The dataset or the variant that has a split."""
-    return by_angle.variant if by_angle is not None and split in by_angle.truths else scene.dataset
+    truths, scored = scene.truths, [*scene.runs]
+    if by_angle is not None:
+        truths, scored = truths | by_angle.truths, [*scored, *by_angle.runs.values()]
+    runs: dict[str, dict[Split, Run]] = {}
+    for scores in scored:
+        predicted: dict[Split, Run] = {split: scores.run for split, found in scores.splits.items() if found is not None}
+        if predicted:
+            runs[scores.run.name] = runs.get(scores.run.name, {}) | predicted
+    say(f"{scene.title}: reading the coverage of the training views")
+    training, covered = read_coverage(scene.dataset), {}
+    wanted: set[Split] = {split for predicted in runs.values() for split in predicted}
+    for split in wanted:
+        home = truths[split].dataset
+        views = range(home.config.split(split).views)
+        covered[split] = tuple(cover_view(training, home, split, view) for view in views)
+    return {
+        name: make_curve(predicted, truths, {split: covered[split] for split in predicted})
+        for name, predicted in track(runs.items(), label=f"curves of {scene.title}", total=len(runs))
+    }
 
 
 def figures_of(scenes: list[SceneScores], further: list[Further]) -> dict[str, Draw]:

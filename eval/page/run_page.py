@@ -253,17 +253,12 @@ def _facts(scores: RunScores) -> list[tuple[str, Part]]:
 def _how_to_make(run: Run) -> Markup:
     choices = definitions(flattened(run.config or {}))
     details = [tag("details", tag("summary", "All parameters"), choices)] if run.config else []
-    if run.method is None or (run.flags is None and run.seal is None):
+    if run.method is None or run.flags is None:
         note = "A foreign method's pictures: its folder does not record the command that made them."
         return join([tag("p", note, class_="note"), *details])
     dataset = Path("data") / run.dataset.name if run.dataset.root.is_absolute() else run.dataset.root
-    words = ["model", "train", run.method, str(dataset)]
-    if run.flags is not None:
-        return join([command(shlex.join([*words, *flag_words(run.flags.items())])), *details])
-    words += [] if run.geometry in (None, "truth") else ["--geometry", run.geometry]
-    words += [] if not run.seed else ["--seed", str(run.seed)]
-    note = tag("p", "With the parameters below, where they are not the method's defaults.", class_="note")
-    return join([command(shlex.join(words)), note, *details])
+    words = ["model", "train", run.method, str(dataset), *flag_words(run.flags.items())]
+    return join([command(shlex.join(words)), *details])
 
 
 def flattened(config: Mapping[str, Json], above: str = "") -> list[tuple[str, str]]:

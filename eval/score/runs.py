@@ -42,6 +42,9 @@ from eval.score.png import check_png
 Kind = TypeVar("Kind")
 Value = TypeVar("Value", int, str)
 
+RUN_VERSION = 5
+"""Of the run.json of `model train` (model/run/run_folder.py)."""
+
 RUN_KEYS = frozenset({
     "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
     "num_layers", "num_parameters", "num_texture_parameters", "seed", "told", "torch", "type",
@@ -130,6 +133,10 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
     seal = None
     if SEAL in record:
         record = load_sealed(path)
+        if (version := record.get("version")) != RUN_VERSION:
+            raise HyalineError(
+                f"{path}: format version {shown(version)}; this program reads {RUN_VERSION}; train it again"
+            )
         seal = seal_of(record)
     if unknown := sorted(set(record) - RUN_KEYS):
         raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")

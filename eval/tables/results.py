@@ -10,7 +10,7 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.score.runs import read_costs
-from eval.score.scores import METRICS, RunScores, SceneScores, metric_notes
+from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores, metric_notes
 from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
 from eval.tables.grids import CEILING, Grid
 
@@ -30,12 +30,13 @@ def results_data(
         analyses: results of the analyses, by the scene's title.
         more: further top-level entries.
     """
-    return {
+    results: dict[str, Json] = {
         "version": RESULTS_VERSION,
         "notes": list(metric_notes(is_wrapped=True)),
         "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
         **(more or {}),
     }
+    return {key: _finite(value) for key, value in results.items()}
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
@@ -93,7 +94,7 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
         "notes": _left_out_notes(scene),
         "runs": [_run_json(scores) for scores in scene.runs],
         "seeds": [_group_json(group) for group in group_seeds(scene.runs) if len(group.runs) > 1],
-        "analyses": _finite(analyses),
+        "analyses": analyses,
     }
 
 
@@ -133,8 +134,7 @@ def _group_json(group: SeedGroup) -> Json:
         "runs": [scores.run.name for scores in group.runs],
         "config_sha256": describe_run(group.first),
         "scores": {
-            key: {"mean": json_number(value.mean), "deviation": value.deviation}
-            for key, value in _group_spreads(group).items()
+            key: {"mean": value.mean, "deviation": value.deviation} for key, value in _group_spreads(group).items()
         },
     }
 
@@ -147,18 +147,6 @@ def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
 
 def _run_json(scores: RunScores) -> Json:
     run = scores.run
-    splits: dict[str, Json] = {}
-    for split, values in scores.splits.items():
-        if values is None:
-            splits[split] = None
-            continue
-        splits[split] = {
-            metric.key: {
-                "mean": json_number(values.mean(metric.key)),
-                "pictures": [json_number(value) for value in values.images[metric.key]],
-            }
-            for metric in METRICS
-        }
     return {
         "run": run.name,
         "method": run.method,
@@ -171,7 +159,7 @@ def _run_json(scores: RunScores) -> Json:
         "predictions_sha256": scores.predictions_sha256,
         "cpu_seconds": cast(Json, read_costs(run.folder).get("cpu_seconds")),
         "drop_db": cast(Json, scores.drop_db),
-        "splits": splits,
+        "splits": splits_json(scores.splits),
     }
 
 
@@ -180,11 +168,17 @@ def _finite(data: Json) -> Json:
         return {key: _finite(value) for key, value in data.items()}
     if isinstance(data, list):
         return [_finite(value) for value in data]
-    return json_number(data) if isinstance(data, float) else data
+    return "inf" if isinstance(data, float) and math.isinf(data) else data
 
 
-def json_number(value: float | None) -> Json:
-    return "inf" if value is not None and math.isinf(value) else value
+def splits_json(splits: Mapping[Split, SplitScores | None]) -> Json:
+    """By split and metric: the mean, and each picture's value."""
+    return {
+        split: None
+        if values is None
+        else {key: {"mean": values.mean(key), "pictures": list(images)} for key, images in values.images.items()}
+        for split, values in splits.items()
+    }
 
 
 def grid_json(grid: Grid) -> Json:

@@ -67,6 +67,13 @@ def test_another_version_is_refused_by_name(frozen: Path, path: str, version: ob
         HEADS[path](frozen)
 
 
+def test_a_report_refuses_a_run_of_an_older_version(frozen: Path) -> None:
+    path = frozen / RUN / "run.json"
+    path.write_bytes(with_version(path.read_bytes(), 4))
+    with pytest.raises(HyalineError, match=r"run\.json: format version 4; this program reads 5; train it again"):
+        open_run(frozen / RUN, frozen / "data")
+
+
 def with_version(data: bytes, version: object) -> bytes:
     """A file that says another version, and is whole else."""
     if data[:1] == b"{":
