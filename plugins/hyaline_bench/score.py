@@ -123,7 +123,7 @@ class Summary:
 def score_runs(
     runs: Mapping[str, Run], out: Path, protocol: Protocol, *, preset: str, track: str | None, overwrite: bool
 ) -> Scored:
-    """Scores a method's runs, by scene, and writes the result; what was scored before is read again.
+    """Scores a method's runs, by scene, and writes the result; equal scores that are there are left as they are.
 
     Args:
         track: None: the first track that allows what the method was told, by its record.
@@ -144,13 +144,6 @@ def score_runs(
     submission = sha256(b"".join(pictures))
     arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
     truths = sha256(b"".join(array.tobytes() for array in arrays))
-    if out.is_file() and not overwrite:
-        before = read_scored(out)
-        same = before.submission == submission and before.truths == truths and before.track == track
-        if same and before.scored_by == code_version():
-            say(f"{out}: is finished")
-            return before
-    refuse_file(out, overwrite=overwrite)
     first = next(iter(runs.values()))
     every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
     scenes = {scene: _score_scene(run, parts[scene]) for scene, run in every}
@@ -166,6 +159,10 @@ def score_runs(
         scenes=scenes,
         truths=truths,
     )
+    if out.is_file() and not overwrite and read_scored(out) == scored:
+        say(f"{out}: is finished")
+        return scored
+    refuse_file(out, overwrite=overwrite)
     commit_sealed(out, cast(dict[str, Json], to_json(scored)))
     return scored
 
