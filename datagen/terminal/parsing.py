@@ -50,13 +50,23 @@ class CommandGroup:
     """Plug-ins that are not here, by the names that they would add."""
 
 
+class Later(NamedTuple):
+    """A command that is imported when it is asked for."""
+
+    load: Callable[[], Command]
+
+
 def group(
-    about: str, commands: Mapping[str, Command | CommandGroup], absent: Mapping[str, str] | None = None
+    about: str, commands: Mapping[str, Command | CommandGroup | Later], absent: Mapping[str, str] | None = None
 ) -> CommandGroup:
     """The commands of a program."""
 
-    def line(name: str) -> str:
+    def find(name: str) -> Command | CommandGroup:
         command = commands[name]
+        return command.load() if isinstance(command, Later) else command
+
+    def line(name: str) -> str:
+        command = find(name)
         text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command) or ""
         return text.partition("\n\n")[0]
 
@@ -64,7 +74,7 @@ def group(
         about=about,
         names=lambda: list(commands),
         line=line,
-        choose=lambda name, _: commands[name],
+        choose=lambda name, _: find(name),
         absent=absent or {},
     )
 

@@ -18,6 +18,7 @@ from typing import Generic, TypeVar, cast
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import DISTRIBUTION
+from datagen.terminal.parsing import Later
 
 Plugin = TypeVar("Plugin")
 
@@ -118,10 +119,10 @@ COMMANDS: Group[Callable[..., None]] = Group(
 """Functions by program and command, such as `datagen.import`; their arguments are its flags."""
 
 
-def commands_of(program: str) -> dict[str, Callable[..., None]]:
+def commands_of(program: str) -> dict[str, Later]:
     """The commands that plug-ins add to a program, by their words."""
     names = [name for name in COMMANDS.names() if name.startswith(f"{program}.")]
-    return {name.removeprefix(f"{program}."): COMMANDS.find(name) for name in names}
+    return {name.removeprefix(f"{program}."): Later(functools.partial(COMMANDS.find, name)) for name in names}
 
 
 def absent_commands(program: str) -> dict[str, str]:
