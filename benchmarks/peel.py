@@ -11,8 +11,7 @@ from benchmarks.shells import NUM_TRIANGLES, make_shells, materials_of, random_c
 from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers, quantize_uv
 from datagen.data.meshes import Mesh
-from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba
+from datagen.render.mitsuba_scene import load_geometry_mitsuba
 from datagen.trace.light_path import LightPaths, LightPathTracer
 from datagen.trace.peel import Peeler
 from datagen.trace.surface_tables import Limits
@@ -85,8 +84,6 @@ def bench_peel(*, size: int = 512, num_layers: int = 6, triangles: float = 1.0, 
     Args:
         triangles: a factor on the scene's 315,000.
     """
-    if is_scalar():
-        raise HyalineError("bench peel: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")
     meshes, cameras = make_shells(round(triangles * NUM_TRIANGLES)), random_cameras(NUM_CAMERAS, size)
     peeler, eager = Peeler(meshes), EagerPeeler(meshes)
     tracer = LightPathTracer(meshes, materials_of(meshes))

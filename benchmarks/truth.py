@@ -24,7 +24,7 @@ from benchmarks.harness import BenchReport, Candidate, Check, Gate, machine_ceil
 from datagen.data.cameras import Cameras
 from datagen.data.images import srgb_from_linear
 from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import is_scalar, load_scene_mitsuba, load_sensor
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor
 from datagen.render.truth import Renderer, derive_seed
 from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, Scene, SoftEnvironment, image_bytes
 from datagen.scene.images import read_map
@@ -106,8 +106,6 @@ def bench_truth(
     Args:
         mean_spp: samples of the two means that must agree.
     """
-    if is_scalar():
-        raise HyalineError("bench truth: Mitsuba runs as scalar_rgb; `datagen doctor` names the libLLVM to install")
     simple = with_clear_glass_apart(scene)
     num_left_out = len(scene.objects) - len(simple.objects)
     scene = simple
@@ -115,7 +113,7 @@ def bench_truth(
     default = DefaultRenderer(scene, cameras, view, max_depth=max_depth)
 
     def render_ours(*, spp: int, seed: int) -> tuple[np.ndarray, int]:
-        return ours.radiance(cameras, view, spp=spp, seed=seed)
+        return ours.radiance(cameras, view, spp=spp, seed=seed), spp
 
     rivals: dict[str, Radiance] = {DEFAULTS: default.radiance, OURS: render_ours}
     facts: dict[str, object] = {"solids left out, which reach into others": num_left_out}

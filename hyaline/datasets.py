@@ -55,7 +55,7 @@ def _peeler(key: GeometryKey) -> "Peeler":
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.trace.peel import Peeler
 
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     return Peeler(read_meshes(key.dataset, key.geometry))
 
 

@@ -19,7 +19,7 @@ from datagen.scene.description import CameraRig, SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from benchmarks.peel import bench_peel, compare_objects  # noqa: E402
 from benchmarks.truth import Goal, bench_truth, fit_noise, under_a_lamp  # noqa: E402

@@ -20,8 +20,7 @@ def test_the_naive_baseline_computes_what_the_product_does() -> None:
 
 @pytest.mark.full
 def test_the_benchmark_of_gpus_runs_on_a_pretended_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    if use_mitsuba(quiet=True).startswith("scalar"):
-        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    use_mitsuba()
     from benchmarks import gpu
 
     best = tuple(Ceiling(name=unit, value=1.0, unit=unit) for unit in ("TFLOP/s", "GB/s"))

@@ -20,7 +20,7 @@ class RenderJob:
         from datagen.machine.mitsuba_variant import use_mitsuba
         from datagen.render.truth import Renderer
 
-        self.variant = use_mitsuba(quiet=True, threads=threads)
+        self.variant = use_mitsuba(threads=threads)
         self.dataset = open_dataset(root)
         self.cameras = _all_cameras(self.dataset)
         self.renderer = Renderer(open_scene(self.dataset), max_depth=self.dataset.config.max_depth)
@@ -62,7 +62,7 @@ class PeelJob:
         from datagen.machine.mitsuba_variant import use_mitsuba
         from datagen.trace.peel import Peeler
 
-        use_mitsuba(quiet=True, threads=threads)
+        use_mitsuba(threads=threads)
         self.dataset, self.geometry = open_dataset(root), geometry
         self.cameras = _all_cameras(self.dataset)
         self.peeler = Peeler(read_meshes(self.dataset, geometry))

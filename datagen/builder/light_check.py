@@ -37,7 +37,7 @@ def check_light(scene: Scene, cameras: dict[Split, Cameras]) -> None:
 def _are_shut_in(places: Float[np.ndarray, "view 3"], opaque: tuple[Mesh, ...]) -> Bool[np.ndarray, " view"]:
     from datagen.machine.mitsuba_variant import use_mitsuba
 
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     import mitsuba as mi
 
     from datagen.render.mitsuba_scene import load_geometry_mitsuba

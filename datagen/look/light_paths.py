@@ -118,7 +118,7 @@ def find_light_paths(dataset: Dataset) -> FoundPaths | None:
         return None
     surfaces = surfaces_of(dataset)
     with naming_parts("datagen look"):
-        use_mitsuba(quiet=True)
+        use_mitsuba()
         tracer = surfaces.tracer
     split: Split = "train" if "train" in dataset.splits else dataset.splits[0]
     cameras = dataset.cameras(split)

@@ -77,8 +77,6 @@ def _run(folder: Path, said: int) -> int:
         "OPENBLAS_NUM_THREADS": "1",
         "OMP_NUM_THREADS": "1",
         "MALLOC_ARENA_MAX": "2",
-        # A scene of Mitsuba's is parsed, not rendered.
-        "HYALINE_VARIANT": "scalar_rgb",
     }
     process = subprocess.Popen(
         [sys.executable, "-P", "-m", "datagen.machine.confined", str(folder), str(os.getpid())],

@@ -7,8 +7,9 @@ import platform
 import subprocess
 from dataclasses import asdict, dataclass
 
+from datagen.disk.errors import HyalineError
 from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu, torch_cuda_problem
-from datagen.machine.llvm import VARIABLE, advice
+from datagen.machine.llvm import VARIABLE, advice, choose_llvm
 from datagen.machine.mitsuba_variant import choose_variant
 from datagen.machine.processes import ROOT
 from datagen.terminal.command import tell_json
@@ -58,20 +59,22 @@ def _gpu() -> str:
 
 
 def _mitsuba() -> list[Finding]:
-    """Mitsuba, and the libLLVM that makes it fast."""
-    choice = choose_variant()
+    """Mitsuba, and the libLLVM that it needs without a GPU."""
     version = _version("mitsuba")
     if version is None:
         return [_missing("Mitsuba", "generate", "building datasets and tracing layers need it")]
-    llvm, named = choice.llvm, os.environ.get(VARIABLE)
+    llvm, named = choose_llvm(), os.environ.get(VARIABLE)
     found = f"{'.'.join(map(str, llvm.version))} ({llvm.source}: {llvm.path})" if llvm else "none of 17 or newer"
     if llvm is None and named:
         found = f"{VARIABLE}={named} is no libLLVM of 17 or newer"
-    problem = cuda_problem() if choice.variant == "cuda_ad_rgb" else None
-    reason = choice.reason if problem is None else f"{choice.reason}, but it cannot render: {problem}"
+    try:
+        choice = choose_variant()
+        runs = f"variant {choice.variant}: {choice.reason}"
+    except HyalineError:
+        runs = "cannot render without a libLLVM"
     return [
         Finding(what="libLLVM", found=found, remedy=None if llvm else advice()),
-        Finding(what="Mitsuba", found=f"{version}, variant {choice.variant}: {reason}", remedy=None),
+        Finding(what="Mitsuba", found=f"{version}, {runs}", remedy=None),
     ]
 
 

@@ -15,15 +15,9 @@ from pathlib import Path
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import make_private, user_cache
 from datagen.machine.hardware import cuda_problem, has_gpu
-from datagen.machine.llvm import VARIABLE, LlvmLibrary, advice, choose_llvm
+from datagen.machine.llvm import MIN_LLVM, VARIABLE, LlvmLibrary, advice, choose_llvm
 from datagen.terminal.command import say
 from datagen.terminal.signals import hold_signals
-
-OVERRIDE = "HYALINE_VARIANT"
-"""Environment variable that names the variant to use, for example `scalar_rgb`."""
-
-VARIANTS = ("cuda_ad_rgb", "llvm_ad_rgb", "scalar_rgb")
-"""Supported variants, fastest first."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,12 +31,12 @@ class VariantChoice:
 
 @functools.cache
 def choose_variant() -> VariantChoice:
-    """CUDA where a GPU renders, else LLVM where a library works, else the slow scalar variant."""
+    """CUDA where a GPU renders, else LLVM.
+
+    Raises:
+        HyalineError: neither a GPU that renders nor a libLLVM that works.
+    """
     library = choose_llvm()
-    if named := os.environ.get(OVERRIDE):
-        if named not in VARIANTS:
-            raise HyalineError(f"{OVERRIDE}={named}: no such variant; expected one of {', '.join(VARIANTS)}")
-        return VariantChoice(variant=named, reason=f"set by {OVERRIDE}", llvm=library)
     if has_gpu() and cuda_problem() is None:
         return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
     if library is not None:
@@ -50,7 +44,7 @@ def choose_variant() -> VariantChoice:
         return VariantChoice(
             variant="llvm_ad_rgb", reason=f"LLVM {version} from {library.source} {library.path}", llvm=library
         )
-    return VariantChoice(variant="scalar_rgb", reason=f"no libLLVM >= 17; `{advice()}` makes it fast", llvm=None)
+    raise HyalineError(f"Mitsuba: no libLLVM of version {MIN_LLVM} or newer here; `{advice()}`")
 
 
 def num_cores() -> int:
@@ -62,11 +56,14 @@ _num_threads = 2
 """Dr.Jit's threads while it works, including the calling thread; set by `use_mitsuba`."""
 
 
-def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
-    """Sets up Mitsuba in this process and returns its variant; prints one line if that is the slow one.
+def use_mitsuba(*, threads: int | None = None) -> str:
+    """Sets up Mitsuba in this process and returns its variant.
 
     Args:
         threads: number of rendering threads; one per core by default.
+
+    Raises:
+        HyalineError: neither a GPU that renders nor a libLLVM that works.
     """
     global _num_threads
     choice = choose_variant()
@@ -74,25 +71,27 @@ def use_mitsuba(*, quiet: bool = False, threads: int | None = None) -> str:
         os.environ[VARIABLE] = str(choice.llvm.path)
     _keep_kernels_private()
     _num_threads = max(2, threads or num_cores())
+    _set_variant(choice.variant)
+    return choice.variant
+
+
+def use_parser() -> None:
+    """Sets up Mitsuba in this process for reading scene files, which needs neither a GPU nor a libLLVM."""
+    _set_variant("scalar_rgb")
+
+
+def _set_variant(variant: str) -> None:
     # A signal that raises while Mitsuba's modules import each other leaves them half imported (3.9).
     with hold_signals():
         import mitsuba as mi
 
         start_workers()
-        try:
-            mi.set_variant(choice.variant)
-        except ImportError as error:
-            raise HyalineError(
-                f"Mitsuba cannot run as {choice.variant} here ({error}); unset {OVERRIDE}, or set it to another variant"
-            ) from error
+        mi.set_variant(variant)
     # Mitsuba looks for plugins in the working directory first: a folder `plugins/` there would run foreign code.
     resolver = mi.file_resolver()
     resolver.clear()
     resolver.append(str(Path(mi.__file__).parent))
     mi.set_log_level(mi.LogLevel.Error)
-    if choice.variant == "scalar_rgb" and not quiet:
-        say(f"Mitsuba runs as scalar_rgb, which is many times slower: {choice.reason}")
-    return choice.variant
 
 
 def _keep_kernels_private() -> None:

@@ -282,7 +282,7 @@ class ViewQuantities:
         from datagen.machine.mitsuba_variant import use_mitsuba
 
         with naming_parts("light_ends"):
-            use_mitsuba(quiet=True)
+            use_mitsuba()
         return find_light_ends(self.view.camera, self.surfaces.tracer, self.surfaces.is_glass)
 
     # Parts

@@ -4,7 +4,7 @@ A path tracer finds a small lamp behind glass only by chance. Photons, traced fr
 to the first matt surface, tell where to look for it, and the path tracer aims a share of its rays there. The map only
 chooses directions, with a known density: pictures are unbiased however few or wrong its photons are.
 Source: Jensen 1995, "Importance Driven Path Tracing using the Photon Map".
-Import this module after `use_mitsuba`; vectorised variants only.
+Import this module after `use_mitsuba`.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.

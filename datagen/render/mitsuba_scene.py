@@ -21,7 +21,7 @@ from datagen.scene.description import (
 )
 from datagen.scene.images import linear_pixels, read_map
 from datagen.scene.kept_arrays import find_arrays, keep_arrays, key_of
-from datagen.scene.materials.optics import Medium, Plugin, rgb
+from datagen.scene.materials.optics import Plugin, rgb
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
 
 if TYPE_CHECKING:
@@ -48,13 +48,9 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
     if scene.lights and not aims_at_sky:
         environment["sampling_weight"] = 0.0
     content: dict[str, object] = {"type": "scene", "environment": environment}
-    use_media = is_scalar()
     for index, item in enumerate(scene.objects):
         props = mi.Properties()
         props["bsdf"] = mi.load_dict(_bsdf(scene, item))
-        medium = item.material.medium
-        if use_media and medium is not None and any(medium.absorption):
-            props["interior"] = mi.load_dict(_absorbing_medium(medium))
         content[shape_name(index)] = _load_mesh(item.mesh, props)
     for index, light in enumerate(scene.lights):
         to_world = np.eye(4)
@@ -68,13 +64,6 @@ def load_scene_mitsuba(scene: Scene, *, aims_at_sky: bool = True) -> "mi.Scene":
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": list(light.radiance)}},
         }
     return _load(content, len(scene.objects))
-
-
-def is_scalar() -> bool:
-    """True when Mitsuba runs ray by ray, without Dr.Jit's arrays."""
-    import mitsuba as mi
-
-    return (mi.variant() or "").startswith("scalar")
 
 
 def load_geometry_mitsuba(meshes: tuple[Mesh, ...]) -> "mi.Scene":
@@ -202,14 +191,6 @@ def _load_mesh(mesh: Mesh, props: "mi.Properties") -> "mi.Mesh":
 
 def _bsdf(scene: Scene, item: SceneObject) -> Plugin:
     return item.material.bsdf(lambda reflectance: _texture(scene, item.mesh, reflectance))
-
-
-def _absorbing_medium(medium: Medium) -> Plugin:
-    # Only the scalar variant needs it: the vectorised ones attenuate in closed form (render/path_integrator.py).
-    # Mitsuba's colours are at most 1, absorption may be larger.
-    scale = max(medium.absorption)
-    share = (medium.absorption[0] / scale, medium.absorption[1] / scale, medium.absorption[2] / scale)
-    return {"type": "homogeneous", "albedo": 0.0, "sigma_t": rgb(share), "scale": scale}
 
 
 def linear_texels(

@@ -12,7 +12,7 @@ Three things make a picture cheap. Its random numbers are Sobol's (render/sobol.
 is something to aim at, a lamp or a small bright part of the sky: a soft sky is found as well by the rays that materials
 send out, for half the rays. And where glass or a mirror is between a lamp and a matt surface, which light sampling
 cannot see through, half of the rays follow a map of caustics (render/caustics.py).
-Import this module after `use_mitsuba`; vectorised variants only.
+Import this module after `use_mitsuba`.
 """
 
 # Dr.Jit's stubs do not know that a registry array can be reinterpreted, nor what `@dr.syntax` makes of a loop.

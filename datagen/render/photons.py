@@ -1,6 +1,6 @@
 """Photons: from the lamps by way of glass and mirrors to matt surfaces, for the map of caustics.
 
-Import this module after `use_mitsuba`; vectorised variants only.
+Import this module after `use_mitsuba`.
 """
 
 # Dr.Jit's stubs do not know what `@dr.syntax` makes of a loop, and Mitsuba's describe no variant.

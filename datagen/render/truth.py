@@ -17,13 +17,10 @@ from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
 from datagen.data.metadata import ROUNDING_MSE
 from datagen.disk.errors import HyalineError
-from datagen.render.mitsuba_scene import has_small_light, is_scalar, load_scene_mitsuba, load_sensor
-from datagen.scene.contact import largest_coordinate, thin_share
+from datagen.render.mitsuba_scene import has_small_light, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
-from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import Surface
 from datagen.scene.media import find_media
-from datagen.scene.soundness import MAX_THIN
 
 MAX_PATHS_PER_PASS = 1 << 23
 """Samples of one pass; more would cost memory and not be faster."""
@@ -31,9 +28,6 @@ MAX_PATHS_PER_PASS = 1 << 23
 MAX_SPP_PER_PASS = 1 << 12
 """Samples per pixel of one pass, which limits small pictures: the table of Sobol's points should fit into a cache."""
 
-SCALAR_OFFSET = 1e-4
-"""Slightly more than the distance off its surface, relative to 1 + its largest coordinate, at which Mitsuba's
-`spawn_ray` starts a ray."""
 NO_GLASS = Surface(event="ends")
 
 MAX_SPP = 1 << 17
@@ -59,87 +53,32 @@ class Renderer:
 
     def __init__(self, scene: Scene, *, max_depth: int) -> None:
         """Loads the scene."""
-        import mitsuba as mi
+        from datagen.render.path_integrator import PathTracer
 
         scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
         materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
-        if is_scalar() and any(material.medium and material.medium.priority for material in materials):
-            raise HyalineError(
-                f"scene {scene.name}: has dielectrics with priorities, which Mitsuba as scalar_rgb cannot render; "
-                "`datagen doctor` names the libLLVM to install"
-            )
         media = find_media(materials, meshes)
-        if is_scalar():
-            _check_walls_scalar(scene)
-            # Mitsuba's glass bends all colours alike. If ours disperses, each channel is rendered separately.
-            channels = range(3) if media.parts_colors.any() else [None]
-            self._scenes = [load_scene_mitsuba(_in_channel(scene, channel)) for channel in channels]
-            kind = "volpath" if media.absorption.any() else "path"
-            self._integrator = mi.load_dict({"type": kind, "max_depth": max_depth, "rr_depth": max_depth + 1})
-        else:
-            from datagen.render.path_integrator import PathTracer
+        has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
+        self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
+        surfaces = [material.surface() if material.medium else NO_GLASS for material in materials]
+        self._tracer = PathTracer(
+            self._scene,
+            media,
+            np.array([surface.roughness for surface in surfaces], np.float32),
+            np.array([surface.color for surface in surfaces], np.float32),
+            max_depth=max_depth,
+            has_lamps=has_lamps,
+            aims=has_lamps or aims_at_sky,
+        )
+        if has_lamps:
+            from datagen.render.photons import map_caustics
 
-            has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
-            self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
-            surfaces = [material.surface() if material.medium else NO_GLASS for material in materials]
-            self._tracer = PathTracer(
-                self._scene,
-                media,
-                np.array([surface.roughness for surface in surfaces], np.float32),
-                np.array([surface.color for surface in surfaces], np.float32),
-                max_depth=max_depth,
-                has_lamps=has_lamps,
-                aims=has_lamps or aims_at_sky,
-            )
-            if has_lamps:
-                from datagen.render.photons import map_caustics
+            self._tracer.tables.caustics = map_caustics(self._scene, self._tracer.tables)
 
-                self._tracer.tables.caustics = map_caustics(self._scene, self._tracer.tables)
-
-    def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> tuple[np.ndarray, int]:
-        """Linear radiance (h, w, 3) float32 and the samples per pixel actually drawn (scalar Mitsuba rounds them)."""
-        import mitsuba as mi
-
-        sensor = load_sensor(cameras[view])
-        if not is_scalar():
-            width, height = cameras.width, cameras.height
-            return self._tracer.render(sensor, width=width, height=height, spp=spp, seed=seed), spp
-        sensor.sampler().set_sample_count(spp)
-        spp = int(sensor.sampler().sample_count())
-        images = []
-        for scene in self._scenes:
-            image = mi.render(scene, sensor=sensor, integrator=self._integrator, spp=spp, seed=mi.UInt32(seed))
-            images.append(np.array(image, np.float32))
-        if len(images) == 1:
-            return images[0], spp
-        return np.stack([image[..., channel] for channel, image in enumerate(images)], axis=-1), spp
-
-
-def _check_walls_scalar(scene: Scene) -> None:
-    """Rejects solids with walls so thin that Mitsuba's own path tracer skips them."""
-    for item in scene.objects:
-        if item.material.medium is None:
-            continue
-        limit = SCALAR_OFFSET * (1 + largest_coordinate(item.mesh.vertices))
-        share, thickness = thin_share(item.mesh, limit)
-        if share > MAX_THIN:
-            raise HyalineError(
-                f"scene {scene.name}: object {item.name}: its walls are {thickness:.2g} m thick, and Mitsuba as "
-                f"scalar_rgb needs {limit:.2g} m or more; `datagen doctor` names the libLLVM to install"
-            )
-
-
-def _in_channel(scene: Scene, channel: int | None) -> Scene:
-    """The scene with the index of one channel for all colours; unchanged for None."""
-    if channel is None:
-        return scene
-    objects = (
-        dataclasses.replace(item, material=item.material.in_channel(channel))
-        if isinstance(item.material, Dielectric)
-        else item
-        for item in scene.objects
-    )
-    return dataclasses.replace(scene, objects=tuple(objects))
+    def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
+        """Linear radiance of one view."""
+        size = {"width": cameras.width, "height": cameras.height}
+        return self._tracer.render(load_sensor(cameras[view]), **size, spp=spp, seed=seed)
 
 
 def render_view(
@@ -156,12 +95,11 @@ def render_view(
     while True:
         while drawn < wanted:
             count = min(_pass_spp(cameras), max(1, (wanted - drawn) // 2))
-            real = 0
             for half in range(2):
                 seed = derive_seed(view_seed, half, passes)
-                image, real = renderer.radiance(cameras, view, spp=count, seed=seed)
-                halves[half] += image.astype(np.float64) * real
-            drawn += 2 * real
+                image = renderer.radiance(cameras, view, spp=count, seed=seed)
+                halves[half] += image.astype(np.float64) * count
+            drawn += 2 * count
             passes += 1
         truth = _truth(halves[0] * (2 / drawn), halves[1] * (2 / drawn), drawn)
         reached = -10 * math.log10(truth.noise_mse + ROUNDING_MSE)

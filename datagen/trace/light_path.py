@@ -11,7 +11,7 @@ makes up for their light, or, where `Limits.makes_up`, they count as if they sho
 Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
 way; `trace_ends` also follows red and blue, only for rays that hit such glass.
 
-Vectorised variants only. Call `use_mitsuba` first.
+Call `use_mitsuba` first.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -24,9 +24,8 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.meshes import Mesh, is_there, r2_steps
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import no_collection
-from datagen.render.mitsuba_scene import is_scalar, load_geometry_mitsuba, shape_name, shapes_by_id, to_columns
+from datagen.render.mitsuba_scene import load_geometry_mitsuba, shape_name, shapes_by_id, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
 from datagen.trace.branch_outputs import Kept
@@ -98,11 +97,6 @@ class LightPathTracer:
         import drjit as dr
         import mitsuba as mi
 
-        if is_scalar():
-            raise HyalineError(
-                "light paths: Mitsuba runs as scalar_rgb, which cannot trace them; "
-                "`datagen doctor` names the libLLVM to install"
-            )
         for index, material in enumerate(materials):
             if material is not None:
                 check_material(material, where=f"light paths: object {index + 1}")

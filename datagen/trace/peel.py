@@ -11,7 +11,7 @@ half of the hits where surfaces are closer than that.
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
@@ -22,12 +22,10 @@ from datagen.data.layers import UV_SCALE, Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.machine.compiled import compiled
 from datagen.machine.mitsuba_variant import no_collection
-from datagen.render.mitsuba_scene import id_of_shape, is_scalar, load_geometry_mitsuba, shapes_by_id, to_columns
+from datagen.render.mitsuba_scene import id_of_shape, load_geometry_mitsuba, shapes_by_id, to_columns
 
 if TYPE_CHECKING:
     from builtins import range as prange  # numba's prange splits the loop among threads.
-
-    import mitsuba as mi
 else:
     from numba import prange
 
@@ -64,15 +62,14 @@ class Peeler:
     """A loaded geometry, for peeling any number of views."""
 
     def __init__(self, meshes: tuple[Mesh, ...]) -> None:
+        import drjit as dr
+
         # Mitsuba gets only objects with a mesh; ids still count all objects.
         self._object_id = np.array([0, *(index + 1 for index, mesh in enumerate(meshes) if is_there(mesh))], np.uint8)
         meshes = tuple(mesh for mesh in meshes if is_there(mesh))
         self._scene = load_geometry_mitsuba(meshes)
-        if not is_scalar():
-            import drjit as dr
-
-            self._shape_of = shapes_by_id(self._scene)
-            self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
+        self._shape_of = shapes_by_id(self._scene)
+        self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
         # uv of the corners of all faces of all meshes, looked up by (shape, face) in one gather.
         self._first_face = np.cumsum([0, *(len(mesh.faces) for mesh in meshes)])[:-1]
         self._corner_uv = np.concatenate([mesh.uv[mesh.faces] for mesh in meshes])
@@ -87,8 +84,6 @@ class Peeler:
         count = len(directions)
         if count == 0:  # Dr.Jit would end the process.
             return _no_hits(num_layers)
-        if is_scalar():
-            return _trace_scalar(self._scene, origin, directions, num_layers)
         import drjit as dr
         import mitsuba as mi
 
@@ -269,37 +264,6 @@ def _trace(scene, o, d, count, num_layers, is_coherent):
     )
     result = dr.while_loop(state, is_tracing, advance, label="peel")
     return shapes, prims, b1s, b2s, ts, result[1]
-
-
-def _trace_scalar(scene: "mi.Scene", origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Hits:
-    """The same rule ray by ray, for machines without a working libLLVM."""
-    import mitsuba as mi
-
-    count = len(directions)
-    shapes = np.full((num_layers, count), -1, np.int32)
-    prims = np.zeros((num_layers, count), np.int32)
-    barycentric = np.zeros((num_layers, count, 2), np.float32)
-    ts = np.zeros((num_layers, count), np.float32)
-    has_more = np.zeros(count, bool)
-    origins = np.broadcast_to(origin, directions.shape).astype(np.float32)
-    for index, (o, direction) in enumerate(zip(origins, directions.astype(np.float32), strict=True)):
-        t, layer, last = np.float32(0), 0, (-1, -1)
-        for _ in range(num_layers + 1 + SPARE_STEPS):
-            pi = scene.ray_intersect_preliminary(mi.Ray3f((o + direction * t).tolist(), direction.tolist()))
-            if not pi.is_valid():
-                break
-            hit = (int(pi.shape_index), int(pi.prim_index))
-            t = np.float32(t + np.float32(pi.t))
-            if hit != last:
-                if layer == num_layers:
-                    has_more[index] = True
-                    break
-                shapes[layer, index], prims[layer, index] = hit
-                barycentric[layer, index] = cast(tuple[float, float], tuple(pi.prim_uv))
-                ts[layer, index] = t
-                layer += 1
-            t, last = np.float32(t * np.float32(ADVANCE)), hit
-    return Hits(shape=shapes, prim=prims, barycentric=barycentric, t=ts, has_more=has_more)
 
 
 @functools.cache

@@ -86,7 +86,7 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
     create_layers(dataset, TRUTH, num_layers=8, geometry_hash=geometry_hash(dataset, TRUTH))
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     from datagen.trace.peel import Peeler
 
     peeler = Peeler(tuple(item.mesh for item in scene.objects))

@@ -1,9 +1,8 @@
 """Smooth solid glass and liquids."""
 
-import dataclasses
 import math
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from datagen.disk.checked import checked
 from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin, rgb
@@ -44,10 +43,6 @@ class Dielectric(Optics):
         """The medium inside."""
         iors = indices_of(self.ior, self.dispersion)
         return Medium(iors=iors, absorption=self.absorption, priority=self.priority)
-
-    def in_channel(self, channel: int) -> Self:
-        """Glass without dispersion with this glass's index in one channel: 0 is red, 2 blue."""
-        return dataclasses.replace(self, ior=indices_of(self.ior, self.dispersion)[channel], dispersion=0.0)
 
     def bsdf(self, texture: TexturePlugin) -> Plugin:  # noqa: ARG002
         """The surface between glass and air; our own integrator uses the media on its two sides instead."""

@@ -127,10 +127,10 @@ class NodeList:
     """All nodes of a scene file."""
 
     def __init__(self, path: Path) -> None:
-        from datagen.machine.mitsuba_variant import use_mitsuba
+        from datagen.machine.mitsuba_variant import use_parser
 
         check_text(path)
-        use_mitsuba(quiet=True)
+        use_parser()
         import mitsuba as mi
 
         self.path = path

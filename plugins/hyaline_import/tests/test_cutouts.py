@@ -31,7 +31,7 @@ from datagen.scene.modelling import ball, sheet
 from hyaline_import.foreign import ForeignImage
 from hyaline_import.pictures import decoded
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_sensor  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402

@@ -31,7 +31,7 @@ of index 1.5, orthographic camera, 32 x 32 pixels of 64 samples, mean over the b
 
 @pytest.mark.parametrize("color", CYCLES)
 def test_an_imported_surface_shows_as_much_of_white_light_as_in_cycles(color: float, tmp_path: Path) -> None:
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     ball = dataclasses.replace(BALL, normals=2 * BALL.vertices)
     for roughness, expected in CYCLES[color].items():
         pbr = {"metallicFactor": 0, "roughnessFactor": roughness, "baseColorFactor": [color, color, color, 1]}

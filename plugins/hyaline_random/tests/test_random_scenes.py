@@ -24,7 +24,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     def as_they_are(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
         return meshes
 
-    use_mitsuba(quiet=True)  # Textures are baked by it.
+    use_mitsuba()  # Textures are baked by it.
     monkeypatch.setattr("hyaline_random.drawing.unwrap_all", as_they_are)
     fake_renderer.install(monkeypatch)
     return tmp_path

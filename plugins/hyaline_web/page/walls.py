@@ -33,7 +33,7 @@ class Wall:
 
 def find_wall(mesh: Mesh) -> Wall | None:
     """The wall of a closed mesh that has an inner side; None for solid glass."""
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     from datagen.trace.peel import Peeler
 
     if not is_there(mesh) or open_edges(mesh):

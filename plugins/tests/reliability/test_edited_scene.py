@@ -53,7 +53,7 @@ READ_FIT = (
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A dataset with a picture as texture, an edit and fitted glass, runs on the truth and on the fit, and a fit."""
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     folder = tmp_path_factory.mktemp("made")
     scene = glass_scene()
     rows = png_bytes(np.full((2, 2, 3), 90, np.uint8))

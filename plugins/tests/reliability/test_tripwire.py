@@ -89,7 +89,7 @@ def write_theirs(root: Path) -> None:
 @pytest.fixture(scope="module", autouse=True)
 def mitsuba() -> None:
     """Light paths are really traced: Mitsuba is ready before `here` keeps commands from starting it."""
-    use_mitsuba(quiet=True)
+    use_mitsuba()
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ from datagen.trace.peel import Peeler
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.predict import with_copies
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 STRIPES = SolidTexture(pattern="stripes", colors=((0.8, 0.7, 0.6), (0.1, 0.1, 0.3)), scale=0.15, axis="x")
 

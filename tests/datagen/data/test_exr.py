@@ -25,7 +25,7 @@ def test_an_exr_holds_half_floats_of_what_was_written_and_mitsuba_reads_the_same
     assert data == encode_exr(radiance, noise)
     again = decode_exr(data, where="view.exr")
     assert np.array_equal(again[0], radiance) and np.array_equal(again[1], noise)
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     import mitsuba as mi
 
     stream = mi.MemoryStream()

@@ -15,7 +15,7 @@ from datagen.look.light_paths import RAYS, _projected, find_light_paths
 from datagen.look.sketch import INK, MARGIN, MOST_CAMERAS, PALE_INK, draw_cameras, draw_sketch, fit_viewpoint, rasterise
 from datagen.machine.mitsuba_variant import use_mitsuba
 
-IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
+use_mitsuba()
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +82,6 @@ def _opaque(meshes, place, line) -> str:
     return draw_sketch(meshes, np.array([False, False]), place).stroke(line, label="", class_="")
 
 
-@pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
 def test_a_ray_goes_straight_through_the_thin_pane_to_the_floor_and_its_mirror_image_to_the_sky(
     dataset: Dataset,
 ) -> None:
@@ -125,7 +124,6 @@ def test_a_path_in_the_picture_begins_at_its_pixel_and_ends_where_it_leaves_the_
     assert (places >= 0).all() and (places <= [camera.width, camera.height]).all()
 
 
-@pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
 def test_the_page_draws_light_paths_over_the_picture_and_in_the_scene(page: ReadPage, dataset: Dataset) -> None:
     found = find_light_paths(dataset)
     assert found is not None
@@ -146,7 +144,6 @@ def test_the_page_draws_light_paths_over_the_picture_and_in_the_scene(page: Read
         assert any(row.startswith(f"{path.ray}{path.pixel[0]}, {path.pixel[1]}pane → ") for row in rows)
 
 
-@pytest.mark.skipif(IS_SCALAR, reason="light paths need a vectorised variant of Mitsuba")
 def test_without_its_picture_a_view_s_paths_are_drawn_in_the_scene(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic")
     found = find_light_paths(dataset)

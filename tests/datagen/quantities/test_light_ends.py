@@ -28,7 +28,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Dataset]:
     absorbing = dataclasses.replace(scene.objects[2].material, absorption=(4.0, 1.0, 0.0))
     slab = dataclasses.replace(scene.objects[2], material=absorbing)
     write_traced_dataset(root, scene=dataclasses.replace(scene, objects=(pattern, slab)))
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     yield open_dataset(root)
 
 
@@ -116,7 +116,7 @@ def at(image: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_the_rendered_twin_without_glass_warped_by_the_flow_and_dimmed_is_the_rendered_truth() -> None:
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     from datagen.render.truth import Renderer
 
     sky, scene = 0.5, glass_scene()
@@ -126,7 +126,7 @@ def test_the_rendered_twin_without_glass_warped_by_the_flow_and_dimmed_is_the_re
     pose = look_at(np.array([0.2, -0.9, 1.5]), np.array([0.9, 0.05, 0.5]))
     cameras = Cameras(world_from_camera=pose[None], fov_x=0.45, width=48, height=36)
     truth, twin = (
-        Renderer(dataclasses.replace(glass, objects=objects), max_depth=12).radiance(cameras, 0, spp=64, seed=seed)[0]
+        Renderer(dataclasses.replace(glass, objects=objects), max_depth=12).radiance(cameras, 0, spp=64, seed=seed)
         for seed, objects in enumerate((glass.objects, (floor,)))
     )
     surfaces = Surfaces(scene=glass, meshes=tuple(item.mesh for item in glass.objects))

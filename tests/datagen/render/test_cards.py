@@ -14,7 +14,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Card, Lobe, SceneObject, SoftEnvironment
 from datagen.scene.materials import Diffuse
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from datagen.render.mitsuba_scene import has_small_light, radiance_of_environment  # noqa: E402
 

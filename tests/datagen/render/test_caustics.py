@@ -12,16 +12,13 @@ from support.synthetic import look_at, quad
 
 from datagen.data.cameras import Cameras
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.render.mitsuba_scene import is_scalar
 from datagen.scene.description import RectangleLight, SceneObject
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import moved
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from datagen.render.truth import Renderer  # noqa: E402
-
-pytestmark = pytest.mark.skipif(is_scalar(), reason="the scalar variant uses Mitsuba's own path tracer")
 
 LAMP = RectangleLight(corner=(-0.1, -0.6, 1.5), edge_u=(0, 0.1, 0), edge_v=(0.1, 0, 0), radiance=(160, 180, 200))
 BALL = mesh_of(trimesh.creation.icosphere(4, 0.3))
@@ -30,7 +27,7 @@ RUNS = 12
 
 
 def pictures(renderer: Renderer, cameras: Cameras, first_seed: int) -> np.ndarray:
-    return np.stack([renderer.radiance(cameras, 0, spp=512, seed=first_seed + run)[0] for run in range(RUNS)])
+    return np.stack([renderer.radiance(cameras, 0, spp=512, seed=first_seed + run) for run in range(RUNS)])
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
 from datagen.scene.values import as_vector
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 
 from datagen.render.mitsuba_scene import radiance_of_environment  # noqa: E402
@@ -69,7 +69,6 @@ def test_a_slab_tints_what_crosses_its_surface_twice_and_nothing_that_it_mirrors
 
 
 def test_overlapping_parts_of_one_tinted_glass_look_as_one() -> None:
-    skip_scalar()
     glass = Dielectric(ior=1.5, tint=(1.0, 0.7, 0.4))
     parts = [
         SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=glass)
@@ -123,7 +122,6 @@ def test_the_path_tracer_is_unbiased_against_mitsubas_own(
     environment: SoftEnvironment, lights: tuple[RectangleLight, ...]
 ) -> None:
     """Whether light is aimed at or only run into."""
-    skip_scalar()
     objects = (
         SceneObject(
             name="ball", mesh=mesh_of(trimesh.creation.icosphere(4, 0.4)), material=Dielectric(tint=(1, 0.8, 0.5))
@@ -136,7 +134,7 @@ def test_the_path_tracer_is_unbiased_against_mitsubas_own(
     scene = dataclasses.replace(scene_of(*objects, environment=environment), lights=lights)
     cameras = camera((2, 1, 1), fov=0.7, size=32)
     renderer = Renderer(scene, max_depth=24)
-    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed)[0] for seed in range(8)])
+    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed) for seed in range(8)])
     assert_same_estimate(mitsubas_own(scene, cameras), ours)
 
 
@@ -202,10 +200,6 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
     """Our formulas against the same integrator that leaves all glass to Mitsuba's `dielectric`."""
     import mitsuba as mi
 
-    from datagen.render.mitsuba_scene import is_scalar
-
-    if is_scalar():
-        pytest.skip("the scalar variant uses Mitsuba's own path tracer")
     if (mi.variant() or "").startswith("cuda"):
         pytest.skip("on CUDA a reciprocal that is known when the kernel is compiled is rounded better than others")
     from datagen.render.path_integrator import PathTracer
@@ -229,7 +223,7 @@ def test_glass_in_air_is_mitsubas_own_to_the_last_bit() -> None:
             has_lamps=False,
             aims=False,
         )
-        pictures.append(renderer.radiance(cameras, 0, spp=64, seed=5)[0])
+        pictures.append(renderer.radiance(cameras, 0, spp=64, seed=5))
     assert np.array_equal(*pictures)
 
 
@@ -241,7 +235,6 @@ def test_glass_and_water_that_overlap_pass_what_fresnel_and_beer_say(
     glass_first: bool, priorities: tuple[int, int], absorptions: tuple[float, float]
 ) -> None:
     """Air, glass, water, air at normal incidence; whose medium the 0.1 m of overlap are depends on the priorities."""
-    skip_scalar()
     iors = (1.5, 1.33) if glass_first else (1.33, 1.5)
     slabs = [
         SceneObject(name=name, mesh=moved(box((0.3, size, size)), (x, 0, 0)), material=material)
@@ -270,7 +263,6 @@ def test_glass_and_water_that_overlap_pass_what_fresnel_and_beer_say(
 
 
 def test_nested_media_vanish_in_a_white_furnace_however_they_overlap() -> None:
-    skip_scalar()
     tilted = trimesh.creation.box((0.4, 0.4, 0.4)).apply_transform(
         trimesh.transformations.rotation_matrix(0.7, (1, 2, 3), (0, 0, 0))
     )
@@ -294,7 +286,6 @@ def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
     """A ball of water that displaces solid glass, and one that reaches into the wall of a hollow shell."""
     from datagen.render import mitsuba_scene
 
-    skip_scalar()
     outer, inner, larger = ball(0.5), ball(0.4), ball(0.43)
     cavity = dataclasses.replace(inner, faces=np.ascontiguousarray(inner.faces[:, ::-1]), normals=-inner.normals)
     opaque = (
@@ -319,7 +310,7 @@ def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
     check_scene(nested)
     cameras = camera((2, 1, 0.6), fov=0.6, size=32)
     renderer = Renderer(nested, max_depth=24)
-    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed)[0] for seed in range(8)])
+    ours = np.stack([renderer.radiance(cameras, 0, spp=256, seed=100 + seed) for seed in range(8)])
 
     plain = mitsuba_scene._bsdf
     in_glass = {"type": "dielectric", "int_ior": 1.2, "ext_ior": 1.6}
@@ -330,7 +321,6 @@ def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(
 
 
 def test_surfaces_that_are_none_are_no_bounces() -> None:
-    skip_scalar()
     block = SceneObject(name="block", mesh=box((2, 8, 8)), material=Dielectric(ior=1.5, priority=1))
     sheets = [moved(box((0.04, 7, 7)), (0.06 * index - 0.5, 0, 0)) for index in range(15)]
     hidden = [SceneObject(name=f"hidden{i}", mesh=mesh, material=Dielectric()) for i, mesh in enumerate(sheets)]
@@ -341,20 +331,6 @@ def test_surfaces_that_are_none_are_no_bounces() -> None:
     )
     assert full.radiance.mean() == pytest.approx(bare.radiance.mean(), rel=2e-3)
     assert bare.radiance.mean() > 0.99  # What lacks was reflected more than four times.
-
-
-def test_priorities_are_refused_where_mitsuba_runs_as_scalar(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.render.truth.is_scalar", lambda: True)
-    drink = SceneObject(name="drink", mesh=ball(0.4), material=Dielectric(ior=1.33, priority=-1))
-    with pytest.raises(HyalineError, match="scene synthetic: has dielectrics with priorities"):
-        Renderer(scene_of(drink), max_depth=8)
-
-
-def skip_scalar() -> None:
-    from datagen.render.mitsuba_scene import is_scalar
-
-    if is_scalar():
-        pytest.skip("nested media need a vectorised variant of Mitsuba")
 
 
 def test_the_noise_estimate_is_the_real_error() -> None:
@@ -415,7 +391,7 @@ def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels
     pictures = []
     for threads in (2, 2, 3, 5):
         dr.set_thread_count(threads)
-        pictures.append(renderer.radiance(cameras, 0, spp=144, seed=3)[0])
+        pictures.append(renderer.radiance(cameras, 0, spp=144, seed=3))
     dr.set_thread_count(max(2, num_cores()))
     assert all(np.array_equal(pictures[0], other) for other in pictures[1:])
 
@@ -426,6 +402,6 @@ def test_radiance_that_is_no_number_stops_the_view(monkeypatch: pytest.MonkeyPat
     renderer = Renderer(scene_of(pane), max_depth=8)
     bad = np.ones((16, 16, 3), np.float32)
     bad[3, 5] = np.nan
-    monkeypatch.setattr(renderer, "radiance", lambda cameras, view, spp, seed: (bad, spp))
+    monkeypatch.setattr(renderer, "radiance", lambda cameras, view, spp, seed: bad)
     with pytest.raises(HyalineError, match=r"pixel \(column 5, row 3\): radiance is not finite"):
         render_view(renderer, camera((2, 1, 1), fov=0.7, size=16), 0, spp=18, view_seed=0, ceiling_db=None)

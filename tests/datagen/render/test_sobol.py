@@ -10,12 +10,8 @@ from scipy.stats import qmc
 
 from datagen.machine.mitsuba_variant import use_mitsuba
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
-from datagen.render.mitsuba_scene import is_scalar  # noqa: E402
-
-if is_scalar():
-    pytest.skip("Sobol's points are drawn by a vectorised variant of Mitsuba", allow_module_level=True)
 
 import drjit as dr  # noqa: E402
 import mitsuba as mi  # noqa: E402
@@ -80,7 +76,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.terminal.signals import Stopped
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 from datagen.render.sobol import SobolPoints
 
 read = np.load

@@ -1,14 +1,12 @@
 """Tests solid plates from 10 mm to 1 um, at the origin and 100 m away, against the closed form of a plate."""
 
 import dataclasses
-import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
-from support.builds import build, build_whole, command
+from support.builds import build, build_whole
 from support.meshes import box, mesh_of
 from support.reference import fresnel_reflectance
 from support.scenes import rendered, scene_of
@@ -17,18 +15,15 @@ from datagen.data.cameras import Camera, Cameras
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
+from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.scene.description import CameraRig, RectangleLight, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import save_scene
 from datagen.scene.materials import Dielectric, Diffuse, RoughDielectric
 from datagen.scene.modelling import moved, transformed
-
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("what is drawn without a libLLVM has walls of 0.2 mm at least", allow_module_level=True)
-
-from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
-from datagen.render.path_integrator import start_off
-from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.trace.light_path import LightPathTracer
+
+use_mitsuba()
 
 SMALL = ("--resolution", "4", "--views", "1", "--test-views", "1", "--spp", "4", "--test-spp", "4")
 AT_ORIGIN, FAR = (0.0, 0.0, 0.0), (100.0, -50.0, 30.0)
@@ -129,17 +124,6 @@ def test_the_command_refuses_walls_that_float32_cannot_draw(
     assert not (tmp_path / "out").exists()
 
 
-def test_without_llvm_the_command_refuses_walls_that_mitsubas_own_path_tracer_skips(tmp_path: Path) -> None:
-    scene = plate_scene(1e-4, AT_ORIGIN)
-    grey = dataclasses.replace(scene.objects[0], material=Dielectric(absorption=(50.0,) * 3))
-    save_scene(dataclasses.replace(scene, objects=(grey,)), tmp_path / "scene")
-    words = command(tmp_path / "scene", tmp_path / "out", *SMALL)
-    environment = os.environ | {"HYALINE_VARIANT": "scalar_rgb"}
-    done = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 1
-    assert "object plate: its walls are 0.0001 m thick, and Mitsuba as scalar_rgb needs" in done.stderr
-
-
 def skewer() -> Mesh:
     return mesh_of(trimesh.creation.cylinder(0.02, 1, sections=1000))
 
@@ -160,6 +144,8 @@ def test_no_ray_meets_the_face_that_it_leaves(mesh: Mesh, place: tuple[float, fl
     """65,536 rays reflected and as many let through; half the offset still suffices."""
     import drjit as dr
     import mitsuba as mi
+
+    from datagen.render.path_integrator import start_off
 
     mesh = transformed(mesh, TURN, place)
     scene = load_geometry_mitsuba((mesh,))

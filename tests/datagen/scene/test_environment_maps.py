@@ -22,7 +22,7 @@ from datagen.scene.images import read_map
 from datagen.scene.materials import Dielectric
 from datagen.trace.surface_tables import Limits
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_scene_mitsuba, painted  # noqa: E402
 from datagen.render.truth import Renderer  # noqa: E402
@@ -102,10 +102,9 @@ def test_a_bright_texel_shines_from_where_the_convention_says_in_mitsuba_and_by_
     si = mi.SurfaceInteraction3f()
     environment = load_scene_mitsuba(scene).environment()
     brightest = []
-    if not (mi.variant() or "").startswith("scalar"):
-        si.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
-        found = np.array(environment.eval(si)).T
-        brightest.append(directions[found[:, 0] > 2])
+    si.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
+    found = np.array(environment.eval(si)).T
+    brightest.append(directions[found[:, 0] > 2])
     brightest.append(directions[by_formula[:, 0] > 2])
     for lit in brightest:
         middle = lit.mean(axis=0) / np.linalg.norm(lit.mean(axis=0))
@@ -168,11 +167,8 @@ def test_a_scene_under_a_map_is_written_with_it_and_read_again(tmp_path: Path) -
 
 
 def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None:
-    from datagen.render.mitsuba_scene import is_scalar
     from datagen.trace.light_path import LightPathTracer
 
-    if is_scalar():
-        pytest.skip("light paths need a vectorised variant of Mitsuba")
     rng = np.random.default_rng(1)
     # Smooth enough that half a texel at the poles matters little.
     coarse = rng.random((4, 8, 3)).astype(np.float32)
@@ -183,7 +179,7 @@ def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None
     scene = scene_under(tmp_path, radiance, scale=1.5, rotation_deg=70.0)
     pose = look_at(np.array((1.0, 0.5, 0.3)), np.zeros(3))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.5, width=16, height=16)
-    truth, _ = Renderer(scene, max_depth=16).radiance(cameras, 0, spp=1024, seed=0)
+    truth = Renderer(scene, max_depth=16).radiance(cameras, 0, spp=1024, seed=0)
     tracer = LightPathTracer(tuple(item.mesh for item in scene.objects), tuple(item.material for item in scene.objects))
     seen = np.zeros((16 * 16, 3))
     for _ in range(16):

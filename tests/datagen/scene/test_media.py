@@ -13,7 +13,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric, Diffuse, Material
 from datagen.scene.media import MAX_NESTED, find_media, medium_of, no_solids, with_solid, without_solid
 
-IS_SCALAR = use_mitsuba(quiet=True).startswith("scalar")
+use_mitsuba()
 
 
 def cube(x: float = 0.0, size: float = 1.0) -> Mesh:
@@ -61,8 +61,6 @@ def test_any_number_of_dielectrics_may_stand_apart_or_have_no_priorities() -> No
 )
 @settings(max_examples=20, deadline=None, derandomize=True)
 def test_the_set_of_solids_gives_the_medium_that_a_list_gives(priorities: list[int], crossings: list[int]) -> None:
-    if IS_SCALAR:
-        pytest.skip("only the vectorised variants carry a set of solids")
     import mitsuba as mi
 
     glass = tuple(Dielectric(ior=1.1 + 0.01 * index, priority=value) for index, value in enumerate(priorities))
@@ -79,8 +77,6 @@ def test_the_set_of_solids_gives_the_medium_that_a_list_gives(priorities: list[i
 
 
 def test_solids_apart_are_entered_from_air_and_left_into_air() -> None:
-    if IS_SCALAR:
-        pytest.skip("only the vectorised variants carry a set of solids")
     import mitsuba as mi
 
     media = find_media((Dielectric(), Dielectric(ior=1.3)), (cube(), cube(2.0)))

@@ -13,18 +13,15 @@ from support.synthetic import look_at, quad
 
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render import mitsuba_scene
+from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
-
-from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.trace.light_path import LightPathTracer, TracedPaths
 from datagen.trace.surface_tables import Limits
+
+use_mitsuba()
 
 GREY = Diffuse(color=(0.5, 0.5, 0.5))
 
@@ -303,12 +300,6 @@ def test_decoding_branches_by_formula_gives_mitsubas_own_image(
     # What is left is mostly how Mitsuba interpolates its map of the sky at the horizon.
     assert np.abs(difference).mean() < 4e-3
     assert np.sqrt(np.square(difference).mean()) < 0.008
-
-
-def test_the_scalar_variant_is_refused_with_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.trace.light_path.is_scalar", lambda: True)
-    with pytest.raises(HyalineError, match="light paths: Mitsuba runs as scalar_rgb"):
-        LightPathTracer((quad(0.0),), (GREY,))
 
 
 @pytest.mark.parametrize("height", [1.0, -1.0])

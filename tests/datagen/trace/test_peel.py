@@ -16,7 +16,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.rig import make_cameras
 
-VARIANT = use_mitsuba(quiet=True)
+VARIANT = use_mitsuba()
 
 
 from datagen.trace.peel import Peeler  # noqa: E402

@@ -13,17 +13,15 @@ from support.synthetic import look_at, quad
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import Lobe, SceneObject, SoftEnvironment
-from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectric
-
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
-
 from datagen.render.facets import lobe_of_glass
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.render.truth import Renderer
+from datagen.scene.description import Lobe, SceneObject, SoftEnvironment
+from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectric
 from datagen.trace.light_path import LightPathTracer, TracedPaths
 from datagen.trace.surface_tables import Limits
+
+use_mitsuba()
 
 SPARK = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
 BALL = mesh_of(trimesh.creation.icosphere(4, 0.5))
@@ -119,7 +117,7 @@ def test_truth_of_rough_glass_is_that_of_mitsubas_own_path_tracer(environment: S
     pose = look_at(np.array((2.0, 1.0, 1.0)), np.zeros(3))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=24, height=24)
     renderer = Renderer(scene, max_depth=24)
-    ours = np.stack([renderer.radiance(cameras, 0, spp=128, seed=100 + seed)[0] for seed in range(8)])
+    ours = np.stack([renderer.radiance(cameras, 0, spp=128, seed=100 + seed) for seed in range(8)])
     sensor = load_sensor(cameras[0])
     path = mi.load_dict({"type": "path", "max_depth": 24, "rr_depth": 50})
     loaded = load_scene_mitsuba(scene)

@@ -18,7 +18,7 @@ from datagen.scene.materials import Conductor, Plastic
 from datagen.scene.modelling import sheet
 from datagen.scene.textures import ImageTexture, SolidTexture, evaluate_texture
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 
 from datagen.render.mitsuba_scene import environment_plugin, load_sensor  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402

@@ -41,8 +41,7 @@ MATERIALS: dict[str, tuple[Material, float]] = {
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_white_light_stays_white_in_truth_and_in_light_paths(name: str) -> None:
-    if use_mitsuba(quiet=True).startswith("scalar"):
-        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    use_mitsuba()
     material, least = MATERIALS[name]
     item = SceneObject(name="ball", mesh=BALL, material=material)
     scene = dataclasses.replace(scene_of(item), baked={"white.png": WHITE_PNG.getvalue()})
@@ -58,8 +57,7 @@ def test_white_light_stays_white_in_truth_and_in_light_paths(name: str) -> None:
 @pytest.mark.parametrize("branches", [2, 12])
 def test_no_light_is_lost_with_few_branches(branches: int) -> None:
     """In a glass of water around a ball of another glass, most branches are not followed."""
-    if use_mitsuba(quiet=True).startswith("scalar"):
-        pytest.skip("light paths need a vectorised variant of Mitsuba")
+    use_mitsuba()
     ball = dataclasses.replace(BALL, vertices=BALL.vertices / 2)
     tracer = LightPathTracer((BALL, ball), (Dielectric(ior=1.33), Dielectric(ior=1.7, priority=1)))
     origin, directions = CAMERAS[0].rays()

@@ -255,8 +255,7 @@ def test_patches_stay_inside_oblong_views() -> None:
 
 
 def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
-    if use_mitsuba(quiet=True).startswith("scalar"):
-        pytest.skip("layers of new poses need a vectorised variant of Mitsuba")
+    use_mitsuba()
     training = load_pixels(dataset, TRUTH, "train", range(5))
     return Inpainter(renderer, training, dataset, TRUTH, num_layers=4, seed=0, device=CPU)
 

@@ -39,8 +39,7 @@ from model.run.predict import load_renderer, predict_colors, render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run
 from model.run.train import train
 
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+use_mitsuba()
 
 CPU = torch.device("cpu")
 NET = LightPathConfig(

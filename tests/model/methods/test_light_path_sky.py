@@ -15,8 +15,7 @@ from model.methods.light_path import method
 from model.methods.light_path.config import LightPathConfig
 from model.methods.protocol import Inputs
 
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
+use_mitsuba()
 
 
 def test_the_learned_sky_has_the_rows_of_the_environment_map_within_bounds_unless_it_is_told_otherwise(

@@ -28,15 +28,13 @@ from datagen.scene.edits import parse_edit
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.textures import SolidTexture
 from eval.page.report import make_report
-
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
-
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.run.predict import render_predictions, render_variant
 from model.run.run_folder import TrainConfig, is_drawn, read_prediction_hashes, write_prediction_hashes
 from model.run.train import train
+
+use_mitsuba()
 
 GLASS = Dielectric(ior=1.5, absorption=(0.2, 0.6, 1.5))
 CHECKER = Diffuse(color=SolidTexture(pattern="checker", colors=((0.7, 0.6, 0.2), (0.1, 0.2, 0.5)), scale=0.5))

@@ -57,7 +57,7 @@ def write_world(root: Path) -> None:
     render_predictions(run, config, dataset, device=cpu)
     shutil.copytree(run / "predictions", root / "runs/one/foreign/predictions")
     (root / PREDICTION).write_bytes(png_bytes(dataset.view("interpolating", 0).image))
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
     (root / "view.exr").write_bytes(radiance_bytes(truth))

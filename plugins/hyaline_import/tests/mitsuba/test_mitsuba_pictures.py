@@ -80,7 +80,7 @@ def write_files(folder: Path) -> None:
     "name", [pytest.param(name, marks=pytest.mark.full if name.startswith("glass") else ()) for name in CASES]
 )
 def test_a_file_looks_from_its_own_sensor_as_mitsuba_renders_it(name: str, tmp_path: Path) -> None:
-    use_mitsuba(quiet=True)
+    use_mitsuba()
     import mitsuba as mi
 
     write_files(tmp_path)

@@ -31,7 +31,7 @@ from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.importing import import_scene
 from hyaline_import.mitsuba.scene import read_mitsuba
 
-use_mitsuba(quiet=True)
+use_mitsuba()
 import mitsuba as mi  # noqa: E402
 
 SENSOR = """<sensor type="perspective"><float name="fov" value="40"/>

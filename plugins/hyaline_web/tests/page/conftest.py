@@ -13,7 +13,7 @@ from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 # What traces light paths can be imported only when Mitsuba has its variant, which must be a vectorised one.
-if use_mitsuba(quiet=True).startswith("scalar"):
+if use_mitsuba().startswith("scalar"):
     collect_ignore_glob = ["test_*.py"]
 
 from support.web_scenes import STILL, every_surface, noisy_light_path, write_scene

@@ -14,14 +14,12 @@ from support.training import SMALL, call
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.machine.mitsuba_variant import use_mitsuba
-
-if use_mitsuba(quiet=True).startswith("scalar"):
-    pytest.skip("light paths need a vectorised variant of Mitsuba", allow_module_level=True)
-
 from hyaline_paper.authors_code.config import AuthorsConfig
 from model.methods.light_path.config import LightPathConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train
+
+use_mitsuba()
 
 LIGHT_PATH = TrainConfig(
     method="light-path",
