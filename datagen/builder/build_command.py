@@ -9,7 +9,6 @@ from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, Size
 from datagen.builder.plan_variant import plan_angles, plan_edit, plan_larger
 from datagen.builder.presets import configure, fit_to_scene
 from datagen.builder.shards import count_missing, parse_shard
-from datagen.data.config import DatasetConfig
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
@@ -75,7 +74,8 @@ def build_scenes(
 def _build_scene(
     name: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> Dataset:
-    config = _configure(choices, size)
+    check_settings(num_layers=size.num_layers, workers=choices.workers)
+    config = configure(choices.preset, size, seed=choices.seed)
     part = None if choices.shard is None else parse_shard(choices.shard)
     place = choices.out or DATA_ROOT / name
     if choices.out is not None or ("/" not in name and not is_foreign(name)):
@@ -187,9 +187,3 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
 def _preview(dataset: Dataset, is_wanted: bool) -> None:
     if is_wanted:
         preview([dataset.view(split, 0).image for split in dataset.splits], f"first of {', '.join(dataset.splits)}")
-
-
-def _configure(choices: BuildChoices, size: SizeChoices) -> DatasetConfig:
-    """The configuration of a new dataset; its scene's name is known only when the scene has been read."""
-    check_settings(num_layers=size.num_layers, workers=choices.workers)
-    return configure(choices.preset, size, seed=choices.seed)

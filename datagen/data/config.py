@@ -112,6 +112,9 @@ class SplitConfig:
         if self.spp is not None:
             check_spp(self.spp)
 
+    def __str__(self) -> str:
+        return f"{self.views} views of {self.spp} samples per pixel"
+
     @property
     def samples(self) -> int:
         """Samples of one pixel, summed over the views."""
@@ -188,36 +191,10 @@ def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
     return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
 
 
-FLAGS = {
-    "preset": "--preset",
-    "resolution": "--resolution",
-    "train.views": "--views",
-    "train.spp": "--spp",
-    **{f"{split}.views": "--test-views" for split in TEST_SPLITS},
-    **{f"{split}.spp": "--test-spp" for split in TEST_SPLITS},
-    "ceiling_db": "--ceiling",
-    "max_depth": "--max-depth",
-    "seed": "--seed",
-}
-"""The flag of `datagen build` behind each value of a configuration, except the scene's name."""
-
-
 def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:
-    """The first value in which two configurations differ, as `--views is 8 there and 9 here`; None when equal."""
-    after = _values(new)
-    for name, value in _values(old).items():
-        if value != after[name]:
-            return f"{FLAGS.get(name, name)} is {value} there and {after[name]} here"
+    """The first value in which two configurations differ, as `seed is 0 there and 3 here`; None when equal."""
+    for item in dataclasses.fields(old):
+        before, after = getattr(old, item.name), getattr(new, item.name)
+        if before != after:
+            return f"{item.name} is {before} there and {after} here"
     return None
-
-
-def _values(config: DatasetConfig) -> dict[str, object]:
-    """Every value of a configuration, those of splits as `train.views`."""
-    values: dict[str, object] = {}
-    for item in dataclasses.fields(config):
-        value = getattr(config, item.name)
-        if isinstance(value, SplitConfig):
-            values |= {f"{item.name}.{part.name}": getattr(value, part.name) for part in dataclasses.fields(value)}
-        else:
-            values[item.name] = value
-    return values

@@ -85,7 +85,7 @@ def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scen
     shutil.copytree(built, out)
     answer = build(scene_folder, out, "--seed", "3")
     assert answer.status == 1
-    assert "(--seed is 0 there and 3 here); pass --overwrite" in answer.error
+    assert "(seed is 0 there and 3 here); pass --overwrite" in answer.error
     assert tree(out) == tree(built)
     build_whole(scene_folder, out, "--seed", "3", "--overwrite")
     assert open_dataset(out).config.seed == 3

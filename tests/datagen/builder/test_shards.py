@@ -124,7 +124,7 @@ def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, t
     shutil.copytree(built, out)
     answer = build(scene_folder, out, "--launcher", "local", "--shards=2", "--seed", "3")
     assert answer.status == 1
-    assert answer.err.count("(--seed is 0 there and 3 here)") == 2
+    assert answer.err.count("(seed is 0 there and 3 here)") == 2
     assert "2 of 2 jobs failed" in answer.err.splitlines()[-1]
     failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
     assert Path(failed.partition("; log: ")[2]).is_file()

@@ -116,7 +116,10 @@ def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[
     [
         (("--larger", "1"), "larger: is 1; expected 2 to 8 times"),
         (("--larger", "2", "--larger-views", "4"), "larger_views: is 4; expected 1 to 3"),
-        (("--larger", "2"), "holds a variant with another configuration (--test-views is 2 there and 3 here); "),
+        (
+            ("--larger", "2"),
+            "holds a variant with another configuration (interpolating is 2 views of 2 samples",
+        ),
     ],
 )
 def test_wrong_sizes_are_one_line(made: tuple[Path, dict[str, bytes]], flags: tuple[str, ...], message: str) -> None:
