@@ -1,19 +1,17 @@
 """Pictures that notebooks show, of scenes, datasets, views, proxies and runs."""
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, UInt8
+from jaxtyping import UInt8
 from PIL import Image
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.geometries import read_meshes
-from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
 from datagen.disk.checked import checked
-from datagen.scene.soundness import camera_places
+from datagen.terminal.distribution import naming_parts
+from hyaline.datasets import layers
 from hyaline.proxies import Proxies
 from hyaline.runs import Run
 from hyaline.scenes import Scene
@@ -21,9 +19,8 @@ from hyaline.scenes import Scene
 HEIGHT = 256
 """Pixels of a picture in a notebook: small ones are enlarged without smoothing."""
 GAP = 4
-SKETCH = (640, 480)
-AROUND = 0.35
-"""Room around the glass in a sketch, as a share of its size."""
+SPP = 64
+"""Samples per pixel of a scene's picture."""
 
 
 @checked
@@ -34,11 +31,12 @@ def show(item: Scene | Dataset | View | Proxies | Run) -> Image.Image:
     >>> show(open_dataset("glass_table").view("train", 0)).height     # the picture, glass, depth, normals, each layer
     256
 
-    A scene and proxies are sketched as by a pen, with clear glass; a dataset shows the first view of each split, a run
-    that of each test split: the truth, and beside it what the run predicts.
+    A scene is path-traced from its first training camera. Proxies are coloured by object beside the true objects, both
+    from the first training camera. A dataset shows the first view of each split, a run that of each test split: the
+    truth, and beside it what the run predicts.
     """
     if isinstance(item, Scene):
-        return _in_a_row([_scene_sketch(item)])
+        return _in_a_row([_scene_picture(item)])
     if isinstance(item, Dataset):
         return _in_a_row([item.view(split, 0).image for split in item.splits])
     if isinstance(item, View):
@@ -47,22 +45,31 @@ def show(item: Scene | Dataset | View | Proxies | Run) -> Image.Image:
         stored = stored_pictures(item, has_layers=has_layers(item.dataset))
         return _in_a_row([picture.pixels for picture in stored.values()])
     if isinstance(item, Proxies):
-        from datagen.look.sketch import open_azimuth_deg
+        from datagen.look.view_pictures import object_colors
 
-        is_glass, azimuth_deg = [one.is_glass for one in item.dataset.objects], open_azimuth_deg(item.dataset)
-        both = (read_meshes(item.dataset, TRUTH), item.meshes)
-        return _in_a_row([_sketch(meshes, is_glass, azimuth_deg) for meshes in both])
+        view, colors = item.dataset.view("train", 0), object_colors(len(item.dataset.objects))
+        both = (layers(item.dataset, view.camera, geometry, 1).object_id[0] for geometry in (TRUTH, item.geometry))
+        return _in_a_row([view.image, *(colors[ids] for ids in both)])
     views = [item.dataset.view(split, 0) for split in TEST_SPLITS]
     return _in_a_row([picture for view in views for picture in (view.image, item.prediction(view))])
 
 
-def _scene_sketch(scene: Scene) -> UInt8[np.ndarray, "h w 3"]:
-    """A scene from the side of its cameras."""
-    objects, rig = scene.sketched()
-    offset = camera_places(rig).mean(axis=0) - np.array(rig.target)
-    is_around = np.hypot(offset[0], offset[1]) < 0.1 * rig.radius
-    azimuth_deg = -60.0 if is_around else math.degrees(math.atan2(offset[1], offset[0]))
-    return _sketch([one.mesh for one in objects], [one.material.is_glass for one in objects], azimuth_deg)
+@naming_parts("hyaline.show")
+def _scene_picture(scene: Scene) -> UInt8[np.ndarray, "h w 3"]:
+    from datagen.builder.choices import SizeChoices
+    from datagen.builder.presets import configure, fit_to_scene
+    from datagen.data.images import srgb_from_linear, to_8bit
+    from datagen.machine.mitsuba_variant import use_mitsuba
+    from datagen.render.truth import Renderer, render_view
+    from datagen.scene.rig import make_cameras
+
+    described, size = scene.described(), SizeChoices(resolution=f"{4 * HEIGHT // 3}x{HEIGHT}")
+    config = fit_to_scene(configure("tiny", size, seed=0), described, SizeChoices())
+    use_mitsuba()
+    cameras = make_cameras(described.cameras, config)["train"]
+    renderer = Renderer(described, max_depth=config.max_depth)
+    truth = render_view(renderer, cameras, 0, spp=SPP, view_seed=0, ceiling_db=None)
+    return to_8bit(srgb_from_linear(truth.radiance))
 
 
 def _in_a_row(pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Image.Image:
@@ -73,25 +80,3 @@ def _in_a_row(pictures: Sequence[UInt8[np.ndarray, "_ _ 3"]]) -> Image.Image:
     row = Image.fromarray(np.hstack(parts))
     scale = max(1, HEIGHT // height)
     return row.resize((scale * row.width, scale * row.height), Image.Resampling.NEAREST)
-
-
-def _sketch(meshes: Sequence[Mesh], is_glass: Sequence[bool], azimuth_deg: float) -> UInt8[np.ndarray, "h w 3"]:
-    """Meshes as a pen would draw them, around the glass; around all of them where there is none.
-
-    Args:
-        azimuth_deg: side of the scene from which they are seen, from +x towards +y.
-    """
-    from datagen.look.sketch import draw_sketch, fit_viewpoint
-
-    there = [mesh for mesh in meshes if is_there(mesh)]
-    subject = [mesh for mesh, glass in zip(meshes, is_glass, strict=True) if glass and is_there(mesh)] or there
-    corners = np.concatenate([mesh.vertices for mesh in subject]).astype(np.float64)
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    room = AROUND * (high - low).max()
-    around = np.stack(np.meshgrid(*np.stack([low - room, high + room], axis=-1)), axis=-1).reshape(-1, 3)
-    width, height = SKETCH
-    viewpoint = fit_viewpoint(around, azimuth_deg, 20.0, width=width, height=height)
-    glass: Bool[np.ndarray, " mesh"] = np.array(is_glass, bool)
-    drawn = draw_sketch(tuple(meshes), glass, viewpoint).picture.astype(np.float64)
-    alpha = drawn[..., 3:] / 255
-    return (alpha * drawn[..., :3] + (1 - alpha) * 255).astype(np.uint8)

@@ -117,7 +117,7 @@ class Scene:
     ...     ],
     ...     cameras=hy.Hemisphere(views=20),
     ... )
-    >>> hy.show(scene).size                             # a sketch, which notebooks show
+    >>> hy.show(scene).size                             # path-traced, as notebooks show it
     (640, 480)
     """
 
@@ -149,11 +149,6 @@ class Scene:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
         """
         return _described_scene(self)
-
-    def sketched(self) -> tuple[list[SceneObject], CameraRig | CameraList]:
-        """Objects and cameras, before anything is mended or unwrapped."""
-        objects = [_described(item)[0] for item in self.objects]
-        return objects, _rig(self, objects)
 
 
 def _described_scene(given: Scene) -> description.Scene:

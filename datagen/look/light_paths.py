@@ -1,4 +1,4 @@
-"""Draws the light paths of a few pixels that show glass, over the view's picture and in the scene.
+"""Draws the light paths of a few pixels that show glass, over the view's picture.
 
 A ray from the camera splits where it hits glass: one part is refracted, the other reflected. Each is followed until it
 ends on something opaque or leaves for the sky.
@@ -14,7 +14,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
-from datagen.look.sketch import HEIGHT, WIDTH, Points, draw_sketch, fit_viewpoint, frustum, open_azimuth_deg, path_of
+from datagen.look.cameras import path_of
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.html import Markup, Part, anchor, join, prose, tag
 from datagen.pages.pictures import Gallery
@@ -35,12 +35,9 @@ MOST_SHIFT = 0.4
 """Shifts from a pixel to what it shows count up to this share of the picture's width."""
 LIMITS = Limits(max_branches=2, max_vertices=24)
 SKY = "sky"
+Points = Float[np.ndarray, "point 3"]
 SKY_REACH = 0.3
 """Length of the arrow to the sky, relative to the distance from the camera to the glass."""
-ASIDE_DEG, ELEVATION_DEG, FRUSTUM_SHARE = 65.0, 18.0, 0.12
-"""The viewpoint of the drawing: degrees to the side of the camera, where bends are visible, and above the horizon; and
-the depth of the camera's frustum, relative to its distance."""
-
 
 Candidates = tuple[Int[np.ndarray, " _"], Float[np.ndarray, " _"]]
 """Rays that hit one object first, and the distance in the picture from each ray's pixel to its end."""
@@ -83,7 +80,7 @@ class FoundPaths:
 
 
 def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
-    """The paths over the view's picture and in the scene, a legend, and a table of the objects on each path."""
+    """The paths over the view's picture, a legend, and a table of the objects on each path."""
     found = find_light_paths(dataset)
     if found is None:
         return tag("p", "No ray of the training views hits glass.")
@@ -99,17 +96,12 @@ def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
             _draw_over_picture(found, picture if has_picture else None),
             tag("figcaption", f"In the picture of {name}: the pixel in the ring shows what lies at the large mark"),
         )
-    in_scene = tag(
-        "figure",
-        _draw_in_scene(found, dataset),
-        tag("figcaption", "In the scene, from the side: the same rays from the camera through the glass"),
-    )
     explained = (
         "A ray from the camera splits where it hits glass: one part is refracted, the other is reflected. "
         "Each part is followed until it ends on something opaque or in the sky, which is what the pixel shows."
     )
-    drawings = tag("div", over, in_scene, class_="drawings even")
-    return join([tag("p", explained), drawings, _legend(), _table(found, dataset)])
+    drawing = tag("div", over, class_="drawings")
+    return join([tag("p", explained), drawing, _legend(), _table(found, dataset)])
 
 
 def find_light_paths(dataset: Dataset) -> FoundPaths | None:
@@ -259,41 +251,6 @@ def _projected(camera: Camera, p_world: Points) -> tuple[Float[np.ndarray, "plac
     return np.array(places), True
 
 
-def _draw_in_scene(found: FoundPaths, dataset: Dataset) -> Markup:
-    """The scene from the side, with the camera and its complete rays."""
-    surfaces = surfaces_of(dataset)
-    camera, places = found.camera, np.concatenate([path.points for path in found.paths])
-    first = np.array([path.points[1] for path in found.paths]).mean(axis=0)
-    shape = frustum(camera, FRUSTUM_SHARE * float(np.linalg.norm(first - places[0])))
-    away = places[0] - first
-    azimuth_deg = float(np.degrees(np.arctan2(away[1], away[0])))
-    # On the side of the other cameras, where no wall blocks the view.
-    turn = (open_azimuth_deg(dataset) - azimuth_deg + 180) % 360 - 180
-    side_deg = azimuth_deg + (ASIDE_DEG if turn >= 0 else -ASIDE_DEG)
-    place = fit_viewpoint(np.concatenate([places, shape]), side_deg, ELEVATION_DEG, width=WIDTH, height=HEIGHT)
-    sketch = draw_sketch(surfaces.meshes, surfaces.is_glass[1:], place)
-    unit = WIDTH / 100
-    parts: list[Part] = [sketch.stroke(shape, label=f"{found.split} view {found.view}", class_="camera")]
-    for path in found.drawn_in_order():
-        if not path.is_reflected:
-            parts.append(sketch.stroke(path.points[:2], label=f"ray {path.ray} from the camera", class_="camera"))
-        line = sketch.stroke(path.points[1:], label=_label(path, dataset), class_="")
-        parts.append(_path(path, line, place.place(path.points)[1:, :2], unit, is_arrow=not path.end))
-    parts.append(_camera_label(place.place(shape)[:, :2], unit))
-    return sketch.svg(*parts, name=f"Light paths of {found.split} view {found.view} in the scene")
-
-
-def _camera_label(shape: Float[np.ndarray, "point 2"], unit: float) -> Markup:
-    """A label next to a frustum's apex (its first point), on the side that faces away from the view."""
-    x, y = shape[0]
-    side, anchored = (-1, "end") if shape[:, 0].mean() > x else (1, "start")
-    y += unit
-    if not 14 * unit < x + 2 * side * unit < WIDTH - 14 * unit:  # No room at the side.
-        x, y, side, anchored = min(max(x, 6 * unit), WIDTH - 6 * unit), y - 3 * unit, 0, "middle"
-    label = {"x": round(x + 2 * side * unit, 1), "y": round(y, 1), "text_anchor": anchored}
-    return tag("text", "camera", font_size=3 * unit, **label)
-
-
 def _path(
     path: DrawnPath, line: Markup, places: Float[np.ndarray, "point 2"], unit: float, *, is_arrow: bool
 ) -> Markup:
@@ -328,16 +285,10 @@ def _polygon(corners: list) -> Markup:
     return tag("polygon", points=" ".join(f"{x:.2f},{y:.2f}" for x, y in corners), class_="end")
 
 
-def _label(path: DrawnPath, dataset: Dataset) -> str:
-    end = "leaves for the sky" if path.end == 0 else f"ends on {dataset.objects[path.end - 1].name}"
-    return f"ray {path.ray}, {path.kind}: hits {path.through}, {end}"
-
-
 def _legend() -> Markup:
     def key(class_: str, *parts: Part) -> Markup:
         return tag("svg", *parts, class_=f"key {class_}", viewBox="0 0 36 20", aria_hidden="true")
 
-    ray = tag("li", key("camera", tag("path", d="M1 10L34 10")), "from the camera")
     line, end = tag("path", d="M1 10L26 10"), np.array([29.0, 10.0])
     kinds = [
         tag("li", key(kind, line, _end_mark(end, 4.5, is_reflected=is_reflected)), f"{kind}: {how}")
@@ -353,7 +304,7 @@ def _legend() -> Markup:
     )
     dot = tag("li", key("", line, tag("circle", cx=13, cy=10, r=3)), "hits a surface")
     ring = tag("li", key("", tag("circle", cx=14, cy=10, r=7, class_="ring")), "the ray's pixel")
-    return tag("ul", ring, ray, *kinds, arrow, dot, class_="legend keys", aria_label="Light paths")
+    return tag("ul", ring, *kinds, arrow, dot, class_="legend keys", aria_label="Light paths")
 
 
 def _table(found: FoundPaths, dataset: Dataset) -> Markup:

@@ -19,8 +19,8 @@ from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json, to_json
 from datagen.disk.storage import MAKE_AGAIN
+from datagen.look.cameras import draw_cameras
 from datagen.look.light_paths import draw_light_paths
-from datagen.look.sketch import draw_cameras
 from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, document, join, prose, section, tag
