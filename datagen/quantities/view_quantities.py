@@ -1,7 +1,7 @@
 """Per-pixel quantities of a view besides colour: depth, normals, masks, materials, glass, refractive flow.
 
 All of them hold for the ray through the pixel's centre, whereas pictures average over a pixel's area. They are computed
-from stored layers of the true geometry, meshes and scene; only `light_ends` traces.
+from stored layers of the true geometry, meshes and scene; normals and `light_ends` trace rays, with Mitsuba.
 
 World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right, +y up, +z towards the viewer (the
 camera looks along -z).
@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 from datagen.data.cameras import Camera
 from datagen.data.dataset import View
 from datagen.data.layers import Layers
+from datagen.data.meshes import is_there
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import Surfaces, surfaces_of
@@ -214,7 +215,7 @@ class ViewQuantities:
 
     @checked
     def normal(self, kind: NormalKind = "shading", axes: Axes = "world") -> Float32[np.ndarray, "h w 3"]:
-        """Unit normal of the first surface, on the side from which the ray comes.
+        """Unit normal of the first surface, on the side from which the ray comes. Traces rays: needs Mitsuba.
 
         Args:
             kind: shading: interpolated between the mesh's vertices, as the path tracer does; geometric: that of the
@@ -279,10 +280,7 @@ class ViewQuantities:
     @functools.cached_property
     def light_ends(self) -> LightEnds:
         """Refractive flow, attenuation, and the end of each pixel's refracted path. Traces rays: needs Mitsuba."""
-        from datagen.machine.mitsuba_variant import use_mitsuba
-
-        with naming_parts("light_ends"):
-            use_mitsuba()
+        _use_mitsuba_for("light_ends")
         return find_light_ends(self.view.camera, self.surfaces.tracer, self.surfaces.is_glass)
 
     # Parts
@@ -294,14 +292,17 @@ class ViewQuantities:
     @functools.cached_property
     def _normals(self) -> dict[str, np.ndarray]:
         shading, geometric = (np.zeros((*self.object_id.shape, 3)) for _ in range(2))
-        for object_id, mask in self._objects_in_view():
-            mesh = self.surfaces.meshes[object_id - 1]
-            finder = self.surfaces.face_finder(object_id)
-            points = finder.find(self.layers.uv[0][mask] / 65535, self.position[mask].astype(np.float64))
-            corners = mesh.vertices[mesh.faces[points.face]].astype(np.float64)
+        _use_mitsuba_for("normals")
+        origin, directions = self._rays
+        hits = self.surfaces.peeler.trace(origin, directions.reshape(-1, 3), 1)
+        for place, mesh in enumerate(mesh for mesh in self.surfaces.meshes if is_there(mesh)):
+            of_mesh = hits.shape[0] == place
+            mask = of_mesh.reshape(self.object_id.shape)
+            face, (b1, b2) = mesh.faces[hits.prim[0, of_mesh]], hits.barycentric[0, of_mesh].astype(np.float64).T
+            corners = mesh.vertices[face].astype(np.float64)
             across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            smooth = np.einsum("hk,hkc->hc", points.weights, mesh.normals[mesh.faces[points.face]].astype(np.float64))
-            side = np.where((across * self._rays[1][mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
+            smooth = np.einsum("kh,hkc->hc", [1 - b1 - b2, b1, b2], mesh.normals[face].astype(np.float64))
+            side = np.where((across * directions[mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
             geometric[mask] = side * across / np.linalg.norm(across, axis=-1, keepdims=True)
             shading[mask] = side * smooth / np.linalg.norm(smooth, axis=-1, keepdims=True)
         return {"shading": shading.astype(np.float32), "geometric": geometric.astype(np.float32)}
@@ -330,6 +331,13 @@ class ViewQuantities:
     def _objects_in_view(self) -> list[tuple[int, Bool[np.ndarray, "h w"]]]:
         """Each object that some rays hit first, with the mask of these rays."""
         return [(int(index), self.object_id == index) for index in np.unique(self.object_id) if index > 0]
+
+
+def _use_mitsuba_for(part: str) -> None:
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
+    with naming_parts(part):
+        use_mitsuba()
 
 
 @checked

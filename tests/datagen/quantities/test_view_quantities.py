@@ -9,7 +9,6 @@ from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
 
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
-from datagen.quantities.surfaces import FaceFinder
 from datagen.quantities.view_quantities import ViewQuantities, quantities
 from datagen.scene.textures import SolidTexture, evaluate_texture
 
@@ -136,17 +135,6 @@ def test_thickness_is_the_length_inside_solid_glass(found: ViewQuantities) -> No
     assert np.abs(thick - slab)[only_slab].max(initial=0) < 1e-4
     pane = found.object_mask("pane") & (chord == 0) & (slab == 0)
     assert not thick[pane].any()
-
-
-def test_faces_are_found_from_their_uv(dataset: Dataset) -> None:
-    mesh = quantities(dataset.view("train", 0)).surfaces.meshes[1]
-    rng = np.random.default_rng(0)
-    face, weights = rng.integers(0, len(mesh.faces), 5000), rng.dirichlet([1, 1, 1], 5000)
-    uv = np.einsum("hk,hkc->hc", weights, mesh.uv[mesh.faces[face]].astype(np.float64))
-    position = np.einsum("hk,hkc->hc", weights, mesh.vertices[mesh.faces[face]].astype(np.float64))
-    points = FaceFinder(mesh).find(np.rint(uv * 65535) / 65535, position)
-    assert np.array_equal(points.face, face)
-    assert np.abs(points.weights - weights).max() < 0.01 and points.distance.max() < 1e-4
 
 
 def test_what_is_asked_for_twice_is_read_once(tmp_path: Path, dataset: Dataset) -> None:
