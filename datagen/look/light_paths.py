@@ -100,8 +100,8 @@ def draw_light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
         "A ray from the camera splits where it hits glass: one part is refracted, the other is reflected. "
         "Each part is followed until it ends on something opaque or in the sky, which is what the pixel shows."
     )
-    drawing = tag("div", over, class_="drawings")
-    return join([tag("p", explained), drawing, _legend(), _table(found, dataset)])
+    beside = tag("div", _legend(), _table(found, dataset))
+    return join([tag("p", explained), tag("div", over, beside, class_="drawings")])
 
 
 def find_light_paths(dataset: Dataset) -> FoundPaths | None:
