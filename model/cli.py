@@ -162,12 +162,12 @@ def film(
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, WEIGHTS, find_run, open_trained
+    from model.run.run_folder import FOLDER, WEIGHTS, find_run, open_trained
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
-    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
+    refuse_owned(out, FOLDER)
     from datagen.builder.film import plan_film
     from datagen.data.film import film_key, write_film
     from datagen.disk.storage import sha256_file

@@ -76,8 +76,7 @@ def make_proxies(dataset: Dataset, spec: ProxySpec | MixedSpec, *, overwrite: bo
             return False
         if (problem := meshlab_problem()) is not None:
             say(f"{problem}; using SciPy and NumPy instead")
-        own = {PROXIES.head, *(f"meshes/{item.name}.ply" for item in dataset.objects)}
-        refuse_others(root, PROXIES, but=lambda path: path in own)
+        refuse_others(root, PROXIES)
         solids = make_solids(truths)
         parts = (spec,) * len(truths) if isinstance(spec, ProxySpec) else spec.parts
         meshes = fit_parts(truths, solids, parts)

@@ -12,10 +12,9 @@ from datagen.builder.shards import count_missing, parse_shard
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layer_writing import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
-from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.ownership import DATASET, refuse_strangers
+from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
 from datagen.scene.finding import find_scene, is_foreign, numbered_scenes
@@ -80,7 +79,7 @@ def _build_scene(
     place = choices.out or DATA_ROOT / name
     if choices.out is not None or ("/" not in name and not is_foreign(name)):
         # Before anything is modelled.
-        refuse_strangers(place, DATASET, {DATASET.head, *TRANSFORMS_FILES.values()})
+        refuse_others(place, DATASET)
     built = None if choices.overwrite else place
     if built is not None and (built / DATASET.head).is_file():
         say(f"{built}: checking what is there")

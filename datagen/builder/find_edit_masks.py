@@ -46,7 +46,7 @@ def write_edit_masks(base: Dataset, edited: Dataset) -> None:
         if is_ours(root, EDIT_MASKS):
             commit_sealed(root / EDIT_MASKS.head, content)
         else:
-            begin(root, EDIT_MASKS, seal_bytes(content), files)
+            begin(root, EDIT_MASKS, seal_bytes(content))
         for file, data in files.items():
             commit_same(root / file, data)
 

@@ -357,7 +357,7 @@ def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read)."""
     path = root / "dataset.json"
     if not path.is_file() and (root / "records").is_dir():
-        raise DamagedError(f"{path}: is lost; {MAKE_AGAIN}")
+        raise DamagedError(f"{path}: is lost; restore it, or make the dataset in another folder")
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
     head = load_sealed(path)

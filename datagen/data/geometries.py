@@ -104,7 +104,7 @@ def write_proxies(
         remove_files(root, sorted(set(old) - set(files)))
         commit_sealed(root / PROXIES.head, content)
     else:
-        begin(root, PROXIES, seal_bytes(content), files)
+        begin(root, PROXIES, seal_bytes(content))
     for file, data in files.items():
         commit(root / file, data)
 

@@ -26,7 +26,7 @@ from datagen.data.paths import layers_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import LAYERS, begin, is_ours
 from datagen.disk.records import Json, to_json
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, sha256
 
 MAX_ARRAY_BYTES = (1 << 31) - 256
 """The largest array that fits into a Blosc buffer with its header."""
@@ -64,7 +64,7 @@ def create_layers(
     head = LayersHead(version=LAYERS_VERSION, kind="straight", geometry=geometry_hash, num_layers=num_layers)
     content = cast(dict[str, Json], to_json(head))
     if not is_ours(root, LAYERS):
-        begin(root, LAYERS, seal_bytes(content), is_proven=lambda: _has_record_of(root, seal_of(content)))
+        begin(root, LAYERS, seal_bytes(content))
     elif replace:
         commit_sealed(root / LAYERS.head, content)
 
@@ -77,11 +77,6 @@ def _check_size(dataset: Dataset, num_layers: int) -> None:
             f"num_layers: {num_layers} layers of {resolution} pixels do not fit into a file; expected at most "
             f"{MAX_ARRAY_BYTES // largest}"
         )
-
-
-def _has_record_of(root: Path, seal: str) -> bool:
-    """True when a view there was peeled under the head of this seal, which may have been lost since."""
-    return any(_record(path).get("layers") == seal for path in root.glob("records/*/*.json"))
 
 
 def _record(path: Path) -> dict[str, Json]:
@@ -131,12 +126,9 @@ def encode_array(values: np.ndarray) -> bytes:
 
 
 def find_num_layers(dataset: Dataset, geometry: str) -> int | None:
-    """How many layers a geometry was peeled into, from the head, or from a view's record if the head is lost."""
+    """How many layers a geometry was peeled into; None if it was not."""
     with contextlib.suppress(HyalineError):
         return dataset.layer_store(geometry).head.num_layers
-    records = layers_root(dataset.root, geometry).glob("records/*/*.json")
-    found = (_record(path).get("num_layers") for path in sorted(records))
-    return next((number for number in found if isinstance(number, int)), None)
 
 
 def layers_files(root: Path) -> list[str]:

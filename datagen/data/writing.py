@@ -17,7 +17,6 @@ from datagen.data.metadata import RENDERED, Imported, Variant, ViewRecord, impor
 from datagen.data.paths import image_path, record_path
 from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.variants import list_edit_masks
-from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import (
     DATASET,
     EDIT_MASKS,
@@ -69,7 +68,7 @@ def write_head(
     if replace and is_ours(root, DATASET):
         commit(root / DATASET.head, seal_bytes(head))
     else:
-        begin(root, DATASET, seal_bytes(head), files, is_proven=lambda: _has_record_of(root, seal_of(head)))
+        begin(root, DATASET, seal_bytes(head))
     dataset = open_dataset(root)
     if dataset.seal == seal_of(head):
         for path, data in files.items():
@@ -84,17 +83,6 @@ def head_contents(scene: Mapping[str, bytes], cameras: Mapping[Split, Cameras]) 
     """
     files = {f"scene/{path}": data for path, data in scene.items() if path not in TRANSFORMS_FILES.values()}
     return files | {TRANSFORMS_FILES[split]: transforms_bytes(poses, split) for split, poses in cameras.items()}
-
-
-def _has_record_of(root: Path, seal: str) -> bool:
-    """True if a view there was made under the head of this seal, which may be lost."""
-    for path in root.glob("records/*/*.json"):
-        try:
-            if load_sealed(path).get("dataset") == seal:
-                return True
-        except HyalineError:
-            continue
-    return False
 
 
 def dataset_files(root: Path) -> list[str]:

@@ -1,23 +1,21 @@
-"""Whose a folder is: what in it may be removed or replaced, and what is never touched.
+"""Which folders commands write to: new ones, empty ones, and those with an intact head of ours.
 
-A folder is ours if it has a head, a sealed JSON file that is written first, so that whatever a killed command leaves is
-ours, too. Only files that a head lists or the folder's format names are ever removed or replaced, and temporary files
-of writers, whose names no other program uses; everything else is kept. A folder without a head is written to only if it
-is empty. Links below a head are not followed, since they lead to files that are not ours.
+A head is a sealed JSON file that is written first, so that whatever a killed command leaves is ours, too. Only files
+that a head lists or the folder's format names are ever removed or replaced, and temporary files of writers, whose names
+no other program uses. Links below a head are not followed, since they lead to files that are not ours.
 """
 
 import contextlib
 import errno
-import itertools
 import os
 import stat
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, printable, real_path
-from datagen.disk.storage import TEMPORARY, commit, commit_first, load_sealed, one_writer, shared_writers, try_place
+from datagen.disk.storage import TEMPORARY, commit_first, load_sealed, one_writer, shared_writers, try_place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,36 +28,17 @@ class FolderKind:
     """The sealed file in it that makes it ours."""
     folders: tuple[str, ...] = ()
     """Patterns of the folders below in which its files lie, but for those of folders with a head of their own."""
-    nested: tuple[str, ...] = ()
-    """Patterns of the folders below that have heads of their own."""
     way_out: str = "choose another --out"
     """What to do when something else stands there."""
     holds_head: Callable[[Path], bool] | None = None
     """Whether such a file is a head, where a verified seal is not the answer."""
 
 
-DATASET = FolderKind(
-    what="dataset",
-    head="dataset.json",
-    folders=("scene", "images", "records"),
-    nested=("layers/*", "proxies/*", "variants/*", "edit-masks"),
-)
-LAYERS = FolderKind(
-    what="layers",
-    head="layers.json",
-    folders=("arrays", "records"),
-    way_out="move that elsewhere, or delete the folder",
-)
-PROXIES = FolderKind(
-    what="proxies",
-    head="proxies.json",
-    folders=("meshes",),
-    nested=("layers/*",),
-    way_out="move that elsewhere, or delete the folder",
-)
-EDIT_MASKS = FolderKind(
-    what="edit masks", head="edit-masks.json", folders=("*",), way_out="move that elsewhere, or delete the folder"
-)
+_WITHIN_A_DATASET = "move that elsewhere, or delete the folder"
+DATASET = FolderKind(what="dataset", head="dataset.json", folders=("scene", "images", "records"))
+LAYERS = FolderKind(what="layers", head="layers.json", folders=("arrays", "records"), way_out=_WITHIN_A_DATASET)
+PROXIES = FolderKind(what="proxies", head="proxies.json", folders=("meshes",), way_out=_WITHIN_A_DATASET)
+EDIT_MASKS = FolderKind(what="edit masks", head="edit-masks.json", folders=("*",), way_out=_WITHIN_A_DATASET)
 
 
 def is_ours(root: Path, kind: FolderKind) -> bool:
@@ -90,67 +69,34 @@ def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared:
             _refuse_linked_folders(root, kind)
             if not shared:
                 _remove_temporaries(root, kind)
-        elif not shared and next(_foreign_files(root, kind, {}), None) is None:
+        elif not shared and _first_foreign(root) is None:
             _remove_temporaries(root, kind)
         yield
 
 
-def begin(
-    root: Path,
-    kind: FolderKind,
-    head: bytes,
-    files: Mapping[str, bytes] = {},
-    *,
-    is_proven: Callable[[], bool] = lambda: False,
-) -> None:
-    """Writes the head of a folder that has none yet, or whose head was lost or damaged; the caller holds the folder.
-
-    Several processes may begin a folder at once: one of their heads stays.
-
-    Args:
-        files: what will stand there, by path relative to `root`: where nothing else stands, the folder is ours.
-        is_proven: says whether what stands there can only have been made under this head.
+def begin(root: Path, kind: FolderKind, head: bytes) -> None:
+    """Writes the head of a new or empty folder; the caller holds it. Of several processes at once, one head stays.
 
     Raises:
-        HyalineError: something else stands there.
+        HyalineError: something else is there.
     """
-    foreign = list(itertools.islice(_foreign_files(root, kind, files), 2))
+    foreign = _first_foreign(root)
     if is_ours(root, kind):  # Also when another process has just begun it.
         return
-    is_damaged = foreign == [kind.head] and any((root / path).is_file() for path in files)
-    if foreign and not is_damaged and not is_proven():
-        raise refusal(root, kind, next((path for path in foreign if path != kind.head), kind.head))
-    if os.path.lexists(root / kind.head):
-        commit(root / kind.head, head)
-    else:
-        commit_first(root / kind.head, head)
+    if foreign is not None:
+        raise refusal(root, kind, foreign)
+    commit_first(root / kind.head, head)
 
 
-def refuse_others(root: Path, kind: FolderKind, *, but: Callable[[str], bool] | None = None) -> None:
+def refuse_others(root: Path, kind: FolderKind) -> None:
     """Refuses a folder that is neither ours nor empty, before work is done for it.
 
-    Args:
-        but: says of which paths `begin` will judge, when it is known what should stand there.
-
     Raises:
-        HyalineError: naming what stands there.
+        HyalineError: naming a file in it.
     """
-    foreign = next((path for path in _foreign_files(root, kind, {}) if but is None or not but(path)), None)
+    foreign = _first_foreign(root)
     if foreign is not None and not is_ours(root, kind):
         raise refusal(root, kind, foreign)
-
-
-def refuse_strangers(root: Path, kind: FolderKind, names: Container[str]) -> None:
-    """Refuses a folder in which something stands that this kind of folder never holds; `begin` judges the rest.
-
-    Args:
-        names: files that such a folder may hold besides those in its own folders.
-
-    Raises:
-        HyalineError: naming what stands there.
-    """
-    tops = {folder.split("/")[0] for folder in (*kind.folders, *kind.nested)}
-    refuse_others(root, kind, but=lambda path: path in names or (Path(path).parts[0] in tops and "/" in path))
 
 
 def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:
@@ -182,27 +128,21 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     try_place(path)
 
 
-def refuse_owned(path: Path, kind: FolderKind, *, endings: tuple[str, ...] = (".json",)) -> None:
-    """Refuses an output file, with --overwrite too, that would replace one of a folder of ours.
-
-    Args:
-        endings: of the files that such a folder holds beside its own folders.
+def refuse_owned(path: Path, kind: FolderKind) -> None:
+    """Refuses an output file, with --overwrite too, that would replace a file in a folder of ours.
 
     Raises:
         HyalineError: naming the folder.
     """
-    if not path.exists():
-        return
     real = real_path(path)
-    tops = {folder.split("/")[0] for folder in (*kind.folders, *kind.nested)}
-    for root in real.parents:
-        is_own = real.suffix in endings if root == real.parent else real.relative_to(root).parts[0] in tops
-        if is_own and is_ours(root, kind):
-            raise HyalineError(f"{path}: is a file of the {kind.what} {root}, which keeps it; choose another file")
+    if path.exists() and (root := next((root for root in real.parents if is_ours(root, kind)), None)) is not None:
+        raise HyalineError(f"{path}: lies in the {kind.what} {root}; choose a file elsewhere")
 
 
 def refusal(root: Path, kind: FolderKind, foreign: str) -> HyalineError:
     """What to say of a folder that is not ours, which holds `foreign`."""
+    if os.path.lexists(root / kind.head):
+        return HyalineError(f"{root / kind.head}: is damaged, or of another program; restore it, or move the folder")
     return HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
 
 
@@ -278,19 +218,12 @@ def _remove_temporaries(root: Path, kind: FolderKind) -> None:
                 path.unlink(missing_ok=True)
 
 
-def _foreign_files(root: Path, kind: FolderKind, files: Mapping[str, bytes]) -> Iterator[str]:
-    """Everything in a folder except `files`, temporaries, and folders with heads of their own."""
-    nested = {path for pattern in kind.nested for path in root.glob(pattern) if _has_own_head(path)}
+def _first_foreign(root: Path) -> str | None:
+    """A file or a link below a folder that is no temporary of ours, by relative path; None if there is none."""
     for place, folders, names in os.walk(root):
-        folders[:] = sorted(name for name in folders if Path(place) / name not in nested)
+        folders.sort()
         links = [name for name in folders if (Path(place) / name).is_symlink()]
         for name in sorted([*names, *links]):
-            path = Path(place) / name
-            relative = path.relative_to(root).as_posix()
-            is_known = relative in files and _is_regular(path) and path.read_bytes() == files[relative]
-            if not is_known and not TEMPORARY.fullmatch(name):
-                yield relative
-
-
-def _has_own_head(folder: Path) -> bool:
-    return any(is_ours(folder, kind) for kind in (DATASET, LAYERS, PROXIES, EDIT_MASKS))
+            if not TEMPORARY.fullmatch(name):
+                return (Path(place) / name).relative_to(root).as_posix()
+    return None

@@ -34,7 +34,7 @@ def write_report(out: Path, files: Mapping[str, Draw]) -> Iterator[Path]:
         names: list[Json] = [*sorted({*own, *files})]
         content: dict[str, Json] = {"version": REPORT_VERSION, "files": names}
         if not is_ours(out, REPORT):
-            begin(out, REPORT, seal_bytes(content), {})
+            begin(out, REPORT, seal_bytes(content))
         elif sorted(own) != names:
             commit_sealed(out / REPORT.head, content)
         for name, draw in files.items():

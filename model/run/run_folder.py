@@ -132,8 +132,6 @@ FOLDER = FolderKind(
     what="run", head=RUN, folders=("predictions", "variants/*/predictions", SNAPSHOTS, EVENTS), holds_head=_is_run
 )
 """A run of `model train`; not a folder with a foreign method's pictures and a run.json of its own."""
-OWN_ENDINGS = (".json", ".jsonl", ".pt")
-"""Extensions of a run's own files outside its folders."""
 
 
 def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
@@ -148,7 +146,7 @@ def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
-        begin(out, FOLDER, seal_bytes(content), {})
+        begin(out, FOLDER, seal_bytes(content))
     elif overwrite:
         refuse_taken(out, FOLDER, [] if _is_run(out / NEXT_RUN) else [NEXT_RUN], [])
         commit_sealed(out / NEXT_RUN, content)

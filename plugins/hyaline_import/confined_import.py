@@ -85,7 +85,7 @@ def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, over
         refuse_taken(root, IMPORTED, files, before)
         # A killed command leaves files of ours but not a scene, since scene.json is written last.
         remove_files(root, [path for path in before if path not in files or path == "scene.json"])
-        begin(root, IMPORTED, seal_bytes(content), files)
+        begin(root, IMPORTED, seal_bytes(content))
         commit_sealed(root / RECORD, content)
         for path in sorted(files, key=lambda path: (path == "scene.json", path)):
             commit(root / path, files[path])

@@ -31,12 +31,12 @@ def export(
         overwrite: Replace an existing file.
     """
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.run_folder import FOLDER, OWN_ENDINGS, find_run, open_trained
+    from model.run.run_folder import FOLDER, find_run, open_trained
 
     run = find_run(run)
     refuse_file(out, overwrite=overwrite)
     refuse_owned(out, DATASET)
-    refuse_owned(out, FOLDER, endings=OWN_ENDINGS)
+    refuse_owned(out, FOLDER)
     record, opened = open_trained(run, dataset)
     say(f"{run}: writing {out}")
     from hyaline_web.page.export import export_run
