@@ -128,15 +128,20 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     try_place(path)
 
 
+OWN_ENDINGS = (".json", ".jsonl", ".pt")
+"""Endings of our files beside a head; others there are output files of the user."""
+
+
 def refuse_owned(path: Path, kind: FolderKind) -> None:
-    """Refuses an output file, with --overwrite too, that would replace a file in a folder of ours.
+    """Refuses an output file, with --overwrite too, that would replace a file of a folder of ours.
 
     Raises:
         HyalineError: naming the folder.
     """
     real = real_path(path)
-    if path.exists() and (root := next((root for root in real.parents if is_ours(root, kind)), None)) is not None:
-        raise HyalineError(f"{path}: lies in the {kind.what} {root}; choose a file elsewhere")
+    above = real.parents if real.suffix in OWN_ENDINGS else list(real.parents)[1:]
+    if path.exists() and (root := next((root for root in above if is_ours(root, kind)), None)) is not None:
+        raise HyalineError(f"{path}: is a file of the {kind.what} {root}, which keeps it; choose another file")
 
 
 def refusal(root: Path, kind: FolderKind, foreign: str) -> HyalineError:
