@@ -14,15 +14,14 @@ from jaxtyping import Float
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_materials
-from datagen.data.meshes import Mesh, check_numbers, is_there, no_mesh
+from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.records import Json, from_json, load_json, read_regular, shown, to_json
+from datagen.disk.records import Json, from_json, load_json, shown, to_json
 from datagen.disk.storage import check_files, commit, dump_json
 from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
-from datagen.scene.cutouts import Cut, Cutout, corner_uv_of, opacity_of, with_cuts
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
@@ -37,10 +36,9 @@ from datagen.scene.description import (
 )
 from datagen.scene.images import read_map
 from datagen.scene.materials import Material
-from datagen.scene.mending import mend_scene, mend_surface
+from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_names, check_scene
 from datagen.scene.values import Vector, as_vector, check_positive
-from datagen.terminal.command import say
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
@@ -86,8 +84,6 @@ class _ObjectFile:
     material: Material
     transform: Transform = field(default_factory=Transform)
     """Applied to the mesh when the scene is read."""
-    cutout: Cutout | None = None
-    """Cuts the mesh when the scene is read, as for leaves on cards."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +149,7 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
     for described in cast(list[dict[str, Json]], data["objects"]):
-        del described["transform"], described["cutout"]  # Already applied to the mesh.
+        del described["transform"]  # Already applied to the mesh.
     if scene.license is None:
         del data["license"]  # Scenes without a license keep the bytes they had before the key existed.
     if file.cameras is None:
@@ -201,8 +197,10 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
         raise HyalineError(
             f"{path}: cameras: no CameraList is read any more; list them in transforms files instead (docs/scenes.md)"
         )
+    if isinstance(listed, list) and any(isinstance(item, dict) and item.get("cutout") for item in listed):
+        raise HyalineError(f"{path}: a cutout is no longer read; import the mesh with its mask by `datagen import`")
     file = _parse_scene(data, path)
-    objects, without_uv, cuts = [], set(), {}
+    objects, without_uv = [], set()
     for item in file.objects:
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
@@ -216,8 +214,6 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
-        if item.cutout is not None and item.mesh is not None:
-            mesh, cuts[item.name] = _cut_of(item, item.cutout, mesh, folder, has_uv=has_uv)
         objects.append(SceneObject(name=item.name, mesh=mesh, material=material))
     scene = Scene(
         name=file.name,
@@ -234,10 +230,6 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
             read_map(image_bytes(scene, scene.environment), where=f"{path}: {scene.environment.path}")
         check_names(scene)
         scene = mend_scene(scene, without_uv=without_uv)
-    scene = with_cuts(scene, cuts)
-    for item in scene.objects:
-        if item.name in cuts and not is_there(item.mesh):
-            raise HyalineError(f"{path}: object {item.name}: its cutout removes all of it; expected opaque texels")
     check_scene(scene, is_checked=is_checked)
     return scene
 
@@ -276,19 +268,6 @@ def transformed_material(material: Material, transform: Transform) -> Material:
         place = transform.rotation() @ (np.array(transform.scale) * pattern.origin) + transform.translation
         material = material.with_fields({name: dataclasses.replace(pattern, origin=as_vector(place))})
     return material
-
-
-def _cut_of(item: _ObjectFile, cutout: Cutout, mesh: Mesh, folder: Path, *, has_uv: bool) -> tuple[Mesh, Cut]:
-    """A repaired mesh, whose faces keep their order in any atlas, and how to cut it."""
-    where = f"{folder / 'scene.json'}: object {item.name}"
-    if not has_uv:
-        raise HyalineError(f"{where}: has no uv for {cutout.image}; export its mesh with uv, or remove its cutout")
-    check_numbers(mesh, where=where)
-    mesh, remarks = mend_surface(mesh, is_solid=False)
-    for remark in remarks:
-        say(f"{where}: {remark}")
-    opacity = opacity_of(read_regular(find_file(folder, cutout.image, where=where)), where=f"{where}: {cutout.image}")
-    return mesh, Cut(opacity=opacity, cutoff=cutout.cutoff, corner_uv=corner_uv_of(mesh))
 
 
 def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:

@@ -16,7 +16,6 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
-from datagen.scene.cutouts import Cut, with_cuts
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
@@ -37,6 +36,7 @@ from datagen.scene.soundness import check_scene
 from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig
 from datagen.scene.surfaces import closed, made_sound, mesh_of, shape_of
 from hyaline_import.cameras import listed_cameras, read_camera_file
+from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,

@@ -2,32 +2,25 @@
 
 import dataclasses
 import io
-import json
-import re
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 from PIL import Image
 from scipy.ndimage import map_coordinates
-from support.hostile.pictures import png as png_of
 from support.scenes import WHITE, rendered, scene_of
-from support.soon import soon
-from support.synthetic import look_at, synthetic_scene
+from support.synthetic import look_at
 
 from datagen.data.cameras import Cameras
 from datagen.data.images import linear_from_srgb, png_bytes
 from datagen.data.meshes import Mesh, check_mesh, face_areas
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.cutouts import Cut, corner_uv_of, cut_out, opacity_of
 from datagen.scene.description import SceneObject
-from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.images import linear_pixels
-from datagen.scene.materials import Diffuse
+from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, sheet
+from hyaline_import.cutouts import Cut, corner_uv_of, cut_out, opacity_of, with_cuts
 from hyaline_import.foreign import ForeignImage
 from hyaline_import.pictures import decoded
 
@@ -170,79 +163,12 @@ def png(opacity: np.ndarray, mode: str) -> bytes:
     return data.getvalue()
 
 
-@pytest.mark.parametrize("mode", ["RGBA", "L"])
-def test_a_scene_names_what_cuts_an_object_and_is_written_with_the_cut_mesh(mode: str, tmp_path: Path) -> None:
-    uncut = dataclasses.replace(card(0.4), uv=card(scale=2).uv)  # Repeated, so that it gets an atlas of its own.
-    leaves = SceneObject(name="leaves", mesh=uncut, material=Diffuse(color=(0.2, 0.5, 0.1)))
-    save_scene(dataclasses.replace(synthetic_scene(), objects=(*synthetic_scene().objects, leaves)), tmp_path)
-    (tmp_path / "leaf.png").write_bytes(png(leaf(), mode))
-    path = tmp_path / "scene.json"
-    data = json.loads(path.read_text())
-    data["objects"][-1]["cutout"] = {"type": "Cutout", "image": "leaf.png", "cutoff": 0.5}
-    path.write_text(json.dumps(data))
-    scene = load_scene(tmp_path)
-    mesh = scene.objects[-1].mesh
-    expected = float((leaf(24) >= 0.5).mean())
-    assert face_areas(mesh).sum() == pytest.approx(expected, abs=0.02)
-    assert 0 <= mesh.uv.min() <= mesh.uv.max() <= 1
-    save_scene(scene, tmp_path / "again")
-    assert "cutout" not in (tmp_path / "again" / "scene.json").read_text()
-    assert scene_files(load_scene(tmp_path / "again")) == scene_files(scene)
-
-
-DRAWING = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 4 4\n%%EndComments\nshowpage\n"
-FILES = {
-    "leaf.png": png(leaf(), "L"),
-    "none.png": png(np.zeros((4, 4)), "L"),
-    "text.png": b"leaf",
-    "bomb.png": png_of(30_000, 30_000),
-    "drawing.png": DRAWING,  # Pillow would hand it to another program.
-}
-REFUSED: dict[str, tuple[dict[str, object], str]] = {
-    "path": ({"image": "../leaf.png"}, r"\.\./leaf\.png"),
-    "root": ({"image": "/etc/passwd"}, "passwd"),
-    "cutoff": ({"cutoff": 1.5}, r"cutout cutoff: is 1\.5; expected above 0, up to 1"),
-    "zero": ({"cutoff": 0}, "cutoff"),
-    "words": ({"cutoff": "0.5"}, "cutoff"),
-    "gone": ({"image": "none.png"}, "its cutout removes all of it"),
-    **{name: ({"image": f"{name}.png"}, "not an image that can be read") for name in ("text", "bomb", "drawing")},
-}
-
-
-def refused_scene(root: Path, change: Callable[[dict], object], index: int = -1) -> str:
-    """Why a scene of leaves is not read whose entry is changed."""
+def test_a_solid_is_not_cut() -> None:
     solid = ball(0.2, subdivisions=1)
-    solid = dataclasses.replace(solid, uv=(solid.vertices[:, :2] + 0.5).astype(np.float32))
-    thing = SceneObject(name="leaves", mesh=solid, material=Diffuse(color=(0.2, 0.5, 0.1)))
-    save_scene(dataclasses.replace(synthetic_scene(), objects=(synthetic_scene().objects[1], thing)), root)
-    (root / "meshes" / "floor.ply").write_bytes(trimesh.creation.box((1, 1, 0.5)).export(file_type="ply"))
-    for name, data in FILES.items():
-        (root / name).write_bytes(data)
-    path = root / "scene.json"
-    data = json.loads(path.read_text())
-    data["objects"][index]["cutout"] = {"type": "Cutout", "image": "leaf.png"}
-    change(data["objects"][index])
-    path.write_text(json.dumps(data))
-    with soon(), pytest.raises(HyalineError) as error:
-        load_scene(root)
-    text = str(error.value)
-    assert "\n" not in text and " at 0x" not in text
-    return text
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_be_cut_is_refused_by_name(case: str, tmp_path: Path) -> None:
-    change, text = REFUSED[case]
-    error = refused_scene(tmp_path, lambda entry: entry["cutout"].update(change))
-    assert re.search(text, error) and "leaves" in error
-
-
-def test_a_solid_and_a_mesh_without_uv_cannot_be_cut(tmp_path: Path) -> None:
-    error = refused_scene(tmp_path, lambda entry: entry.update(material={"type": "Dielectric"}))
-    assert "leaves" in error and "is solid, and a cutout would open it" in error
-    assert "object floor: has no uv for leaf.png; export its mesh with uv" in refused_scene(
-        tmp_path, lambda entry: None, index=0
-    )
+    whole = Cut(opacity=leaf(), cutoff=0.5, corner_uv=corner_uv_of(solid))
+    scene = scene_of(SceneObject(name="leaves", mesh=solid, material=Dielectric()))
+    with pytest.raises(HyalineError, match="object leaves: is solid, and a cutout would open it"):
+        with_cuts(scene, {"leaves": whole})
 
 
 def test_opacity_is_alpha_and_else_brightness() -> None:

@@ -15,7 +15,7 @@ from datagen.data.config import square
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.camera_list import CameraList
-from datagen.scene.folder import FILE_RECORD, scene_files
+from datagen.scene.folder import FILE_RECORD, load_scene, scene_files
 from datagen.scene.schema import scene_schema, schema_page, schema_text
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -132,7 +132,7 @@ def test_whatever_the_schema_refuses_the_reader_refuses_and_what_it_accepts_fail
 def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
     from datagen.data.config import DatasetConfig, SplitConfig
     from datagen.data.transforms import TRANSFORMS_FILES
-    from datagen.scene.folder import load_scene, save_scene
+    from datagen.scene.folder import save_scene
     from datagen.scene.rig import make_cameras, with_listed_views
 
     save_scene(synthetic_scene(), tmp_path)
@@ -204,3 +204,11 @@ def test_glass_is_known_by_name() -> None:
     assert Plastic(color=(1, 1, 1), ior="acrylic").surface().ior == 1.491
     with pytest.raises(HyalineError, match=r"ior: is 'crown'; expected a number, or one of air, ice, water"):
         Dielectric(ior="crown")
+
+
+def test_a_cutout_of_earlier_versions_is_refused_by_name(tmp_path: Path) -> None:
+    data = json.loads(scene_files(synthetic_scene())["scene.json"])
+    data["objects"][0]["cutout"] = {"type": "Cutout", "image": "leaf.png"}
+    (tmp_path / "scene.json").write_text(json.dumps(data))
+    with pytest.raises(HyalineError, match=r"scene\.json: a cutout is no longer read"):
+        load_scene(tmp_path)

@@ -15,7 +15,6 @@ from jaxtyping import Bool, Float, Float32, Int64
 
 from datagen.data.meshes import MIN_AREA, Mesh, no_mesh
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative
 from datagen.scene.description import Scene
 from datagen.scene.images import opened_image
 
@@ -39,23 +38,6 @@ DEVIATION = 0.1
 """Largest deviation of a simplified outline in texels."""
 SNAP = 1e-6
 """Barycentric tolerance within which a point snaps to a corner or side."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Cutout:
-    """Cuts a surface by an image in the uv of its mesh, repeated beyond [0, 1]."""
-
-    image: str
-    """PNG, relative to the scene's folder. Opacity is its alpha, or its brightness if it has no alpha."""
-    cutoff: float = 0.5
-    """Opacity, interpolated between texels, below which the surface is removed."""
-
-    def __post_init__(self) -> None:
-        check_relative(self.image, where="cutout image")
-        if not self.image.endswith((".png", ".PNG")):
-            raise HyalineError(f"cutout image: is {self.image!r}; expected a PNG inside the scene's folder")
-        if not 0 < self.cutoff <= 1:
-            raise HyalineError(f"cutout cutoff: is {self.cutoff}; expected above 0, up to 1")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
