@@ -7,11 +7,10 @@ from typing import TYPE_CHECKING
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import (
+    BUILD,
     BUILT_IN_SCENES,
     TRUTH,
-    build_command,
     find_dataset,
-    predict_command,
     train_command,
 )
 from datagen.disk.errors import UsageError
@@ -94,7 +93,7 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
 
     made = add_variants(open_dataset(find_dataset(dataset)), choices)
     _tell_roots(made)
-    next_command(predict_command(made[-1].name))
+    next_command(shlex.join(["model", "predict", "RUN", "--variant", made[-1].name]))
 
 
 def _tell_roots(datasets: "list[Dataset]") -> None:
@@ -136,7 +135,7 @@ def peel(
     say_all(summary(opened, geometry))
     peel_variants(opened, workers=workers)
     tell(str(opened.root))
-    next_command(train_command(opened.home.root, geometry, opened.imported))
+    next_command(train_command(opened.home.root, geometry))
 
 
 def film(
@@ -214,7 +213,7 @@ def scenes() -> None:
         if (source := SOURCES.find(name)).name_of is not None:
             families = ", ".join(source.families())
             print(f"{name:14} Glassware from --seed N, with --count M of them; --family {families}")
-    next_command(build_command())
+    next_command(BUILD)
 
 
 def doctor(*, quiet: bool = False, json: bool = False) -> None:
@@ -230,4 +229,4 @@ def doctor(*, quiet: bool = False, json: bool = False) -> None:
     findings = examine()
     tell_findings(findings, as_json=json)
     if not json and not any(finding.remedy for finding in findings):
-        next_command(build_command())
+        next_command(BUILD)

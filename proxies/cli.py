@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.data.paths import (
+    BUILD,
     DATA_ROOT,
     MIXED,
     TRUTH,
     ProxyKind,
-    build_command,
     find_dataset,
     list_datasets,
     train_command,
@@ -155,7 +155,7 @@ def _datasets(given: str | None) -> "list[Dataset]":
 
     roots = list_datasets() if given is None else [find_dataset(given)]
     if not roots:
-        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `{build_command()}`")
+        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `{BUILD}`")
     return [open_dataset(Path(root)) for root in roots]
 
 

@@ -1,17 +1,14 @@
-"""Where the parts of a dataset lie, where commands look for datasets, and which command to suggest next."""
+"""Where the parts of a dataset lie, and where commands look for datasets."""
 
 import difflib
-import os
 import re
 import shlex
 from pathlib import Path
 from typing import Literal, get_args
 
 from datagen.data.config import Split
-from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.disk.storage import home_of
 
 TRUTH = "truth"
 """The geometry of the scene's own meshes."""
@@ -74,6 +71,9 @@ BUILT_IN_SCENES = {
 """The built-in scenes, which datagen/scene/builtin makes, and a line about each."""
 
 
+BUILD = "datagen build --scene glass_table"
+"""An example of the command that makes a dataset."""
+
 HIDDEN = re.compile(r"hidden-[0-9]+")
 """Names of scenes that `hyaline-bench hide` publishes: grey, and without the pictures of their test views."""
 
@@ -87,8 +87,7 @@ def find_dataset(given: str | None, root: Path = DATA_ROOT) -> Path:
     if len(found) == 1:
         return found[0]
     if not found:
-        place = root if root == DATA_ROOT else root / "glass_table"
-        raise HyalineError(f"{root}: no dataset there; make one with `{build_command(place)}`")
+        raise HyalineError(f"{root}: no dataset there; make one with `{BUILD}`")
     raise HyalineError(f"{root}: holds {len(found)} datasets; name one of {', '.join(map(str, found))}")
 
 
@@ -97,42 +96,16 @@ def list_datasets(root: Path = DATA_ROOT) -> list[Path]:
     return sorted(path.parent for path in root.glob("*/dataset.json"))
 
 
-def build_command(root: Path = DATA_ROOT) -> str:
-    """The command that builds a dataset in this folder, or the first built-in scene that is missing in it."""
-    if root.name in BUILT_IN_SCENES or root != DATA_ROOT:
-        scene = root.name if root.name in BUILT_IN_SCENES else "glass_table"
-    else:
-        scene = next((name for name in BUILT_IN_SCENES if not (root / name).exists()), "glass_table")
-        root = root / scene
-    return shlex.join(
-        ["datagen", "build", "--scene", scene, *([] if root == DATA_ROOT / scene else ["--out", str(root)])]
-    )
-
-
-def train_command(root: Path, geometry: str = TRUTH, imported: Imported | None = None) -> str:
-    """An example of the command after peeling a geometry; the glass of a capture is fitted first."""
-    if imported is not None and imported.has_objects and geometry == TRUTH:
-        return shlex.join(["model", "fit", str(root)])
+def train_command(root: Path, geometry: str = TRUTH) -> str:
+    """An example of the command after peeling a geometry."""
     words = ["model", "train", "paper", str(root)]
     return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
-
-
-def predict_command(variant: str) -> str:
-    """An example of the command after building a variant: a trained run predicts it."""
-    return shlex.join(["model", "predict", "RUN", "--variant", variant])
 
 
 def where_datasets_are(root: Path) -> str:
     """What to do about a folder without a dataset."""
     places = list_datasets()
-    known = ", ".join(shlex.quote(str(place)) for place in places)
-    there = f"there is {known}" if known else ""
-    is_free = not os.path.lexists(root) or (root.is_dir() and not any(root.iterdir()))
-    if not is_free or home_of(root) != root:
-        return there or f"make one elsewhere with `{build_command()}`"
-    make = "; or ".join(filter(None, [f"make one with `{build_command(root)}`", there]))
     if near := difflib.get_close_matches(root.name, [place.name for place in places], n=1):
-        return f"did you mean {shlex.quote(near[0])}? Else {make}"
-    if root.name not in BUILT_IN_SCENES and (near := difflib.get_close_matches(root.name, BUILT_IN_SCENES, n=1)):
-        return f"did you mean {near[0]}? Make that with `{build_command(root.with_name(near[0]))}`; else {make}"
-    return make
+        return f"did you mean {shlex.quote(near[0])}?"
+    there = ", ".join(shlex.quote(str(place)) for place in places)
+    return f"there is {there}" if there else f"make one with `{BUILD}`"

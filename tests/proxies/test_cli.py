@@ -92,12 +92,11 @@ def test_check_compares_surfaces_when_asked(
     assert name == "pane" and 0 < float(chamfer) < 100 and 0 < float(distance) < 100 and "°" in row
 
 
-@pytest.mark.parametrize("file", ["proxies.json", "meshes/floor.ply"])
-def test_a_damaged_file_is_made_again(
-    file: str, here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
+def test_a_damaged_mesh_is_made_again(
+    here: Path, peeled: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch, capsys: Any
 ) -> None:
     call(monkeypatch, "make", "--kind", "box")
-    path = here / "data/one/proxies/box" / file
+    path = here / "data/one/proxies/box/meshes/floor.ply"
     good = path.read_bytes()
     path.write_bytes(good[:-20] + b" " + good[-19:])
     call(monkeypatch, "make", "--kind", "box")
@@ -199,10 +198,7 @@ def test_without_a_scene_every_dataset_gets_proxies(
         ),
         (("make", "--kind", "box", "--amount", "0.01"), "amount 0.01: box has no noise; use it with `--kind noise`"),
         (("check", "--kind", "noise"), "no noise-0.01 proxies; make them with `proxies make`"),
-        (
-            ("make", "--dataset", "missing"),
-            "data/missing: no dataset; make one with `datagen build --scene ",
-        ),
+        (("make", "--dataset", "missing"), "data/missing: no dataset; there is data/one"),
         (("make", "--assign", "pain=box"), "no object 'pain'; did you mean 'pane'?"),
         (("make", "--assign", "pane=bx"), "no kind 'bx'; did you mean 'box'?"),
         (("make", "--assign", "pane"), "assign 'pane': expected OBJECT=KIND, such as fern=ellipsoid"),

@@ -45,20 +45,12 @@ def test_help_on_a_command_that_does_not_exist_says_so(program: str, words: str)
     assert answer.out == ""
 
 
-def test_a_dataset_with_a_slip_in_its_name_is_asked_about_before_it_is_built(tmp_path: Path) -> None:
-    build = "`datagen build --scene glass_table --out data/glass_tabel`"
-    make = "Make that with `datagen build --scene glass_table`; else make one with"
-    answers = {
-        call(f"datagen {command} glass_tabel").error for command in ("look", "verify", "add --twins", "peel", "export")
-    }
-    assert f"error: data/glass_tabel: no dataset; did you mean glass_table? {make} {build}" in answers
+def test_a_dataset_with_a_slip_in_its_name_is_asked_about(tmp_path: Path) -> None:
     write_synthetic_dataset(tmp_path / "data" / "glass_table", resolution=8, train_views=1)
     for line in ("datagen look glass_tabel", "proxies make glass_tabel", "model train paper glass_tabel"):
         answer = call(line)
         assert answer.status == 1
-        assert answer.error.startswith(
-            "error: data/glass_tabel: no dataset; did you mean glass_table? Else make one with"
-        )
+        assert answer.error == "error: data/glass_tabel: no dataset; did you mean glass_table?"
 
 
 def test_a_mistyped_flag_ends_a_process_with_2() -> None:
@@ -121,12 +113,8 @@ def test_every_command_tells_its_version(line: str) -> None:
 @pytest.mark.parametrize("line", ["datagen verify", "datagen peel", "proxies make", "model train paper"])
 def test_a_dataset_may_stand_first_or_behind_its_flag(line: str) -> None:
     first, flag, scene = (call(f"{line} {words}") for words in ("here", "--dataset here", "--scene here"))
-    assert (
-        first.err
-        == flag.err
-        == scene.err
-        == "error: data/here: no dataset; make one with `datagen build --scene glass_table --out data/here`\n"
-    )
+    asked = "error: data/here: no dataset; make one with `datagen build --scene glass_table`\n"
+    assert first.err == flag.err == scene.err == asked
     assert first.status == flag.status == 1
 
 
