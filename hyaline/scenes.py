@@ -118,7 +118,7 @@ class Scene:
     ...     cameras=hy.Hemisphere(views=20),
     ... )
     >>> hy.show(scene).size                             # path-traced, as notebooks show it
-    (640, 480)
+    (341, 256)
     """
 
     objects: Sequence[Object]

@@ -16,7 +16,7 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.builder.build import build_dataset, peel_dataset, summary
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
-from datagen.data.dataset import open_dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
@@ -92,61 +92,12 @@ def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scen
     assert verify_dataset(out).problems == []
 
 
-def test_a_folder_with_something_else_in_it_is_not_touched(scene_folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("precious")
-    answer = build(scene_folder, tmp_path)
-    assert answer.status == 1
-    assert "is not empty (thesis.tex) and no dataset" in answer.error
-    assert tree(tmp_path) == {"thesis.tex": b"precious"}
-
-
-@pytest.mark.promise("R4")
-def test_verify_names_every_file_with_a_flipped_bit(tmp_path: Path) -> None:
-    root = tmp_path / "data"
-    write_synthetic_dataset(root, resolution=8, train_views=2)
-    files = sorted(tree(root))
-    found = verify_dataset(root)
-    assert (found.verified, found.problems) == (len(files), [])
-    rng = np.random.default_rng(0)
-    for name in files:
-        path = root / name
-        good = path.read_bytes()
-        bad = bytearray(good)
-        bad[rng.integers(len(good))] ^= 1 << rng.integers(8)
-        path.write_bytes(bad)
-        try:
-            problems = verify_dataset(root).problems
-        except HyalineError as error:
-            problems = [str(error)]
-        assert any(str(path) in problem for problem in problems), name
-        path.write_bytes(good)
-    assert verify_dataset(root).problems == []
-
-
-def test_verify_finds_lost_swapped_and_foreign_files(tmp_path: Path) -> None:
-    root = tmp_path / "data"
-    dataset = write_synthetic_dataset(root, resolution=8, train_views=2)
-    one, two = (image_path(root, "train", view) for view in (0, 1))
-    content = one.read_bytes(), two.read_bytes()
-    one.write_bytes(content[1])
-    two.write_bytes(content[0])
-    (root / "images" / "notes.txt").write_text("mine")
-    lost = layers_root(root, TRUTH) / "arrays" / "train" / "0000.uv.npy.blosc"
-    lost.unlink()
-    problems = "\n".join(verify_dataset(root).problems)
-    assert f"{one}: damaged" in problems
-    assert f"{two}: damaged" in problems
-    assert any("images/notes.txt" in remark for remark in verify_dataset(root).remarks)
-    assert f"{lost}: the file is missing" in problems
-    with pytest.raises(HyalineError, match=r"0000\.png: damaged"):
-        _ = dataset.view("train", 0).image
-
-
-def test_a_damaged_view_is_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+def test_a_damaged_view_and_cameras_are_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
     image_path(out, "train", 1).write_bytes(b"garbage")
     (layers_root(out, TRUTH) / "arrays" / "train" / "0002.uv.npy.blosc").unlink()
+    (out / "transforms_train.json").write_text("{}")
     build_whole(scene_folder, out)
     assert tree(out) == tree(built)
 
@@ -181,18 +132,10 @@ def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
     assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
 
 
-def test_damaged_cameras_are_made_again(built: Path, scene_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "copy"
-    shutil.copytree(built, out)
-    (out / "transforms_train.json").write_text("{}")
-    assert build(scene_folder, out).status == 0
-    assert tree(out) == tree(built)
-
-
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
     with pytest.raises(HyalineError, match=r"peeled into 4 layers, not 6; pass --overwrite, or --num-layers 4"):
-        _peel(dataset, 6, overwrite=False, geometry_hash_of_files=True)
+        _peel(dataset, 6, overwrite=False)
     _peel(dataset, 6, overwrite=True)
     assert dataset.view("train", 0).layers().uv.shape[0] == 6
 
@@ -210,7 +153,7 @@ def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_n
     assert [line.rpartition(": ")[2] for line in summary(again, TRUTH)[3:]] == ["0.00 %"] * 3
 
 
-def _peel(dataset, num_layers: int, *, overwrite: bool, geometry_hash_of_files: bool = False) -> None:
+def _peel(dataset: Dataset, num_layers: int, *, overwrite: bool) -> None:
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)
 
 

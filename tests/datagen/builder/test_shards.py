@@ -206,12 +206,3 @@ def test_flags_that_do_not_go_together_are_one_line(
     assert answer.status == (1 if "pip install" in message else 2)
     assert message in answer.err and answer.err.count("error: ") == 1
     assert not list(tmp_path.iterdir())
-
-
-def test_a_part_is_not_put_beside_what_is_no_dataset(scene_folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "images").mkdir()
-    (tmp_path / "images" / "thesis.png").write_text("precious")
-    answer = build(scene_folder, tmp_path, "--shard", "1/2")
-    assert answer.status == 1
-    assert "is not empty (images/thesis.png) and no dataset; choose another --out" in answer.error
-    assert tree(tmp_path) == {"images/thesis.png": b"precious"}

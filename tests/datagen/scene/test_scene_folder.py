@@ -134,32 +134,6 @@ def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, ch
     assert re.search(message, answer.error), answer.err
 
 
-@pytest.mark.parametrize(
-    ("right", "wrong", "message"),
-    [
-        ('"Diffuse"', '"Difuse"', "object floor.material.type: is 'Difuse'"),
-        ('"ior": 1.5', '"ior": "1.5"', "object pane.material: ior: is '1.5'; expected a number"),
-        ('"ior": 1.5', '"ior": 0', "object pane.material: ior: is 0.0; expected"),
-        ('"ior": 1.5', '"iro": 1.5', "object pane.material: unknown key 'iro'"),
-        ('"mesh": "meshes/pane.ply",', "", "object pane: key 'mesh' is missing"),
-        ("meshes/pane.ply", "meshes/pain.ply", "typo/meshes/pain.ply: the file is missing"),
-        ('"version": 1', '"version": 1,', "typo/scene.json: not a JSON file"),
-    ],
-    ids=["type", "text for a number", "range", "unknown key", "missing key", "missing file", "syntax"],
-)
-def test_a_typing_error_in_a_scene_is_one_line(tmp_path: Path, right: str, wrong: str, message: str) -> None:
-    save_scene(synthetic_scene(), tmp_path / "typo")
-    path = tmp_path / "typo" / "scene.json"
-    text = path.read_text()
-    assert right in text
-    path.write_text(text.replace(right, wrong, 1))
-    answer = call("datagen build --scene typo/")
-    assert answer.status == 1
-    progress, error = answer.err.splitlines()
-    assert progress == "scene typo/: reading and checking it"
-    assert error.startswith("error: typo/") and message in error
-
-
 @pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])
 def test_a_foreign_scene_file_is_refused(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "scene.json").write_bytes(data)
