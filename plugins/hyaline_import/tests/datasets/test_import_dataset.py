@@ -201,7 +201,7 @@ def test_blenders_scenes_lie_on_white_and_train_what_needs_no_meshes(blender: Pa
     assert away["extrapolating"].min() > away["interpolating"].max()
     assert verify_dataset(dataset.root).problems == []
     page = look_page(dataset).decode()
-    assert "No meshes were imported" in page and "has no meshes" not in page and "Cameras from in front" in page
+    assert "No meshes were imported" in page and "has no meshes" not in page and "Cameras from above" in page
     assert cameras_figure(dataset, "lego").startswith(b"\x89PNG")
 
 
