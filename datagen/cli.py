@@ -169,22 +169,22 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        out: File to write: a page, or an image if it ends in .png. Default: NAME-look.html.
+        out: Page to write, a .html file. Default: NAME-look.html.
         overwrite: Replace an existing file.
     """
     from datagen.data.dataset import open_dataset
     from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
     from datagen.disk.storage import commit
-    from datagen.look.look import look_page, look_sheet
+    from datagen.look.look import look_page
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
-    if path.suffix not in (".html", ".png"):
-        raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html for a page, or .png for a picture")
     refuse_file(path, overwrite=overwrite)
     refuse_owned(path, DATASET)
+    if path.suffix != ".html":
+        raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html")
     say(f"{opened.root}: writing {path}")
-    commit(path, look_sheet(opened) if path.suffix == ".png" else look_page(opened))
+    commit(path, look_page(opened))
     tell(str(path))
 
 

@@ -1,13 +1,11 @@
 """The page that shows a dataset: its contents, what is missing or damaged, and what it looks like."""
 
-import io
 import os
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
@@ -21,7 +19,7 @@ from datagen.disk.records import Json, to_json
 from datagen.disk.storage import MAKE_AGAIN
 from datagen.look.cameras import draw_cameras
 from datagen.look.light_paths import draw_light_paths
-from datagen.look.view_pictures import FARTHEST, NEAREST, Picture, StoredPicture, object_colors, stored_pictures
+from datagen.look.view_pictures import FARTHEST, NEAREST, StoredPicture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
@@ -30,7 +28,6 @@ from datagen.quantities.surfaces import surfaces_of
 MOST_BYTES = 18_000_000
 SHOWN_VIEWS = 6
 """Pictures shown per split."""
-SHEET_COLUMNS = 6
 UNKNOWN = "unknown"
 STORED = (
     "Glass: everything else is dark. Depth: distance to the first surface, in metres along the ray. Normals: red, "
@@ -64,29 +61,6 @@ def look_page(dataset: Dataset) -> bytes:
         section("What is missing or damaged", _missing(problems, how), id_="missing"),
     ]
     return document(dataset.name, gallery.store(), *parts)
-
-
-def look_sheet(dataset: Dataset) -> bytes:
-    """A PNG with two rows per split: pictures, and the stored data of its first view."""
-    rows: list[list[Picture]] = []
-    for split in dataset.splits:
-        views = _shown(dataset, split)
-        rows.append([dataset.view(split, view).image for view in views[:SHEET_COLUMNS]])
-        if views:
-            stored = list(_stored(dataset, split, views[0]).values())
-            rows.append([item.pixels for item in stored[:SHEET_COLUMNS]])
-    rows = [row for row in rows if row]
-    if not rows:
-        raise HyalineError(f"{dataset.root}: no view is built yet; {MAKE_AGAIN}")
-    (high, wide), gap = dataset.config.resolution.shape, 4
-    sheet = np.full((len(rows) * (high + gap) - gap, SHEET_COLUMNS * (wide + gap) - gap, 3), 255, np.uint8)
-    for place, row in enumerate(rows):
-        for column, picture in enumerate(row):
-            top, left = place * (high + gap), column * (wide + gap)
-            sheet[top : top + high, left : left + wide] = picture
-    buffer = io.BytesIO()
-    Image.fromarray(sheet).save(buffer, format="PNG")
-    return buffer.getvalue()
 
 
 def _summary(dataset: Dataset) -> str:

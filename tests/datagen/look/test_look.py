@@ -1,19 +1,17 @@
 """Tests of the look at a dataset: it shows what is there, names what is not, and stands alone as a page."""
 
-import io
 import os
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from support.commands import run
 from support.pages import ReadPage, read_page
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.look.look import _settings, folder_sizes, look_page, look_sheet, missing_lines
+from datagen.look.look import _settings, folder_sizes, look_page, missing_lines
 from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
 from datagen.pages.html import tag
 
@@ -91,15 +89,6 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(
     assert any("train/0001.exr: the file is missing" in text for text in bad)
     assert any("run the command that made it again" in paragraph.text for paragraph in page.all("p"))
     assert "train view 0: picture" in labels
-
-
-def test_the_sheet_holds_the_pictures_pixel_by_pixel(dataset: Dataset) -> None:
-    with Image.open(io.BytesIO(look_sheet(dataset))) as picture:
-        sheet = np.asarray(picture)
-    side = dataset.config.resolution.width
-    np.testing.assert_array_equal(sheet[:side, :side], dataset.view("train", 0).image)
-    stored = stored_pictures(dataset.view("train", 0), has_layers=True)
-    np.testing.assert_array_equal(sheet[side + 4 : 2 * side + 4, side + 4 : 2 * side + 4], stored["glass"].pixels)
 
 
 def test_masks_depth_and_layers_are_what_the_dataset_stores(dataset: Dataset) -> None:
