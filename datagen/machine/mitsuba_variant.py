@@ -76,8 +76,10 @@ def use_mitsuba(*, threads: int | None = None) -> str:
 
 
 def use_parser() -> None:
-    """Sets up Mitsuba in this process for reading scene files, which needs neither a GPU nor a libLLVM."""
-    _set_variant("scalar_rgb")
+    """Sets up Mitsuba for reading scene files, which needs neither a GPU nor a libLLVM; a variant in use stays."""
+    import mitsuba as mi
+
+    _set_variant(mi.variant() or "scalar_rgb")
 
 
 def _set_variant(variant: str) -> None:
