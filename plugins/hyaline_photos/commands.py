@@ -38,7 +38,8 @@ def capture(
     dataset = write_import(plan, out or DATA_ROOT / plan.config.scene, overwrite=overwrite)
     say_all(list(plan.imported.remarks))
     tell(str(dataset.root))
-    next_command(shlex.join(["datagen", "peel", str(dataset.root)]))
+    root = shlex.quote(str(dataset.root))
+    next_command(f"datagen peel {root} && model fit {root}")
 
 
 def fit(

@@ -8,6 +8,7 @@ FIT/STAGE.png        a picture of it
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import UInt8
@@ -21,8 +22,9 @@ from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, re
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256
 from datagen.terminal.command import say
-from model.run.checkpoint import load_state, save_state
-from model.settings.state import State
+
+if TYPE_CHECKING:
+    from model.settings.state import State
 
 FIT = FolderKind(what="fit", head="fit.json")
 
@@ -61,12 +63,16 @@ class FitFolder:
                 "--name"
             )
 
-    def stage(self, name: str, title: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:
+    def stage(
+        self, name: str, title: str, depends_on: str, make: "Callable[[], dict[str, State]]"
+    ) -> "dict[str, State]":
         """Runs a stage, or reads its stored result.
 
         Args:
             depends_on: digest of what it is found from.
         """
+        from model.run.checkpoint import load_state, save_state  # Torch, which reports of fits do without.
+
         path = self.root / f"{name}.pt"
         key = sha256(dump_json([self.asked, name, depends_on]))
         if path.is_file():

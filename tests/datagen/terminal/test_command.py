@@ -27,7 +27,7 @@ from datagen.terminal.signals import Stopped
 @pytest.mark.parametrize(
     "line",
     [
-        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "model check-method papr"),
+        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "datagen build --preset tyni"),
         *("eval report nowhere", "datagen verify", "model --version"),
     ],
 )

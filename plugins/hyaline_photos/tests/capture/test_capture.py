@@ -211,7 +211,8 @@ def test_it_is_whole_and_can_be_peeled(captured: Dataset, folder: Path) -> None:
     assert verify_dataset(captured.root).problems == []
     again = call(f"datagen capture '{folder}' --out {captured.root}")
     assert again.status == 0, again.error
-    assert call(f"datagen peel {captured.root}").error == f"next: model fit {captured.root}"
+    assert again.error == f"next: datagen peel {captured.root} && model fit {captured.root}"
+    assert call(f"datagen peel {captured.root}").status == 0
     layers = captured.view("train", 0).layers()
     view = captured.view("train", 0)
     assert view.imported_mask is not None and np.array_equal(view.mask("glass"), view.imported_mask)
