@@ -21,7 +21,7 @@ from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_VALUES = 1 << 27
 """Numbers in one array."""
 MAX_JSON_BYTES = 1 << 28
@@ -120,20 +120,19 @@ class GltfFile:
         return self._arrays[index]
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
-        if accessor.sparse is not None or accessor.buffer_view is None:
-            raise HyalineError(f"{accessor.where}: is a sparse array, which is not read; export the file without them")
         if accessor.count * width > MAX_VALUES:
             raise HyalineError(f"{accessor.where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
-        view, stride = self.buffer_view(accessor.buffer_view, where=accessor.where)
-        size = width * dtype.itemsize
-        stride = stride or size  # Each row begins that many bytes after the last one.
-        end = accessor.byte_offset + (accessor.count - 1) * stride + size
-        if stride < size or end > len(view):
-            raise HyalineError(
-                f"{accessor.where}: needs {end:,} of {len(view):,} bytes, {size} every {stride}; export the file again"
-            )
-        raw = np.ndarray((accessor.count, width), dtype, view, accessor.byte_offset, (stride, dtype.itemsize))
+        place = accessor.buffer_view, accessor.byte_offset
+        raw = self._rows(*place, (accessor.count, width), dtype, where=accessor.where)
+        if (sparse := accessor.sparse) is not None:
+            places, values = sparse.indices, sparse.values
+            kind = np.dtype(COMPONENTS[places.component_type])
+            rows = self._rows(places.buffer_view, places.byte_offset, (sparse.count, 1), kind, where=accessor.where)
+            if rows.max() >= len(raw):
+                raise HyalineError(f"{accessor.where}: changes element {rows.max()} of {len(raw)}; export it again")
+            raw, shape = raw.copy(), (sparse.count, width)
+            raw[rows[:, 0]] = self._rows(values.buffer_view, values.byte_offset, shape, dtype, where=accessor.where)
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
@@ -144,6 +143,23 @@ class GltfFile:
             return raw[:, 0].astype(np.int64)
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
+
+    def _rows(
+        self, view: int | None, offset: int, shape: tuple[int, int], dtype: np.dtype, *, where: str
+    ) -> np.ndarray:
+        """Rows of numbers in a buffer view; zeros where an array has none."""
+        if view is None:
+            return np.zeros(shape, dtype)
+        content, stride = self.buffer_view(view, where=where)
+        count, width = shape
+        size = width * dtype.itemsize
+        stride = stride or size  # Each row begins that many bytes after the last one.
+        end = offset + (count - 1) * stride + size
+        if stride < size or end > len(content):
+            raise HyalineError(
+                f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
+            )
+        return np.ndarray(shape, dtype, content, offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:

@@ -33,14 +33,20 @@ class Instance:
 
     node: Node
     mesh: int
+    weights: tuple[float, ...]
+    """Of the mesh's morph targets."""
     world_from_mesh: Float[np.ndarray, "4 4"]
+    """Not for a mesh with a skin, which its joints place."""
 
 
-def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterator[Instance]:
+def instances(
+    file: GltfFile, cameras: list[Taken], worlds: dict[int, np.ndarray], remarks: Remarks
+) -> Iterator[Instance]:
     """Every mesh of the file's scene, once for each place where it is; parents come before children.
 
     Args:
         cameras: takes those of the scene.
+        worlds: takes where each node of the scene is, world_from_node.
     """
     nodes = file.root.nodes
     if len(nodes) > MAX_NODES:
@@ -57,10 +63,13 @@ def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterato
         world_from_node = world_from_parent @ _local(node)
         if not np.abs(world_from_node).max() < MAX_COORDINATE:
             raise HyalineError(f"{node.where}: is larger than can be; export the file again")
+        worlds[index] = world_from_node
         if node.mesh is not None:
-            if node.skin is not None:
-                remarks.approximate(_name(node), "is moved by bones, which are not read; drawn in its rest pose")
-            for world_from_mesh in _copies(file, node, world_from_node):
+            mesh = file.item(file.root.meshes, node.mesh, where=node.where)
+            weights = mesh.weights if node.weights is None else node.weights
+            # A mesh with a skin is where its joints are. Source: glTF 2.0 section 3.7.3.3.
+            copies = _copies(file, node, world_from_node) if node.skin is None else [np.eye(4)]
+            for world_from_mesh in copies:
                 # Scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3.
                 if np.linalg.svd(world_from_mesh[:3, :3], compute_uv=False)[1] < MIN_SCALE:
                     remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
@@ -68,7 +77,7 @@ def instances(file: GltfFile, cameras: list[Taken], remarks: Remarks) -> Iterato
                 count += 1
                 if count > MAX_SURFACES:
                     raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
-                yield Instance(node=node, mesh=node.mesh, world_from_mesh=world_from_mesh)
+                yield Instance(node=node, mesh=node.mesh, weights=weights, world_from_mesh=world_from_mesh)
         if node.camera is not None:
             cameras += _camera(file.item(file.root.cameras, node.camera, where=node.where), world_from_node, remarks)
         if LAMPS in node.extensions:

@@ -38,6 +38,22 @@ class Asset(Entry):
     extras: Any = None
 
 
+class Part(Struct, rename="camel"):
+    """Where the places or the values of a sparse array are."""
+
+    buffer_view: Index
+    byte_offset: Index = 0
+    component_type: Literal[5121, 5123, 5125] = 5123
+
+
+class Sparse(Struct, rename="camel"):
+    """The elements of an array that differ from its base."""
+
+    count: Count
+    indices: Part
+    values: Part
+
+
 class Accessor(Entry):
     component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
     count: Count
@@ -46,7 +62,7 @@ class Accessor(Entry):
     """None for arrays that are compressed."""
     byte_offset: Index = 0
     normalized: bool = False
-    sparse: Any = None
+    sparse: Sparse | None = None
 
 
 class BufferView(Entry):
@@ -159,12 +175,19 @@ class Primitive(Entry):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Meta(ge=0, le=6)] = 4
-    targets: list[Any] = []
+    targets: list[dict[str, Index]] = []
 
 
 class Mesh(Entry):
     primitives: Annotated[list[Primitive], Meta(min_length=1)]
     name: str = ""
+    weights: tuple[float, ...] = ()
+    """Of its morph targets."""
+
+
+class Skin(Entry):
+    joints: Annotated[list[Index], Meta(min_length=1)]
+    inverse_bind_matrices: Index | None = None
 
 
 class Instancing(Struct):
@@ -175,7 +198,8 @@ class Node(Entry):
     name: str = ""
     mesh: Index | None = None
     camera: Index | None = None
-    skin: Any = None
+    skin: Index | None = None
+    weights: tuple[float, ...] | None = None
     children: list[Index] = []
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -216,10 +240,11 @@ class Gltf(Entry):
     nodes: list[Node] = []
     samplers: list[Sampler] = []
     scenes: list[Scene] = []
+    skins: list[Skin] = []
     textures: list[Texture] = []
     extras: Any = None
 
 
 LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
-         "scenes", "textures")  # fmt: skip
+         "scenes", "skins", "textures")  # fmt: skip
 """The lists of `Gltf` whose entries know their places."""

@@ -24,7 +24,8 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.gltf.file import READ_EXTENSIONS, WIDTHS, GltfFile
 from hyaline_import.gltf.materials import TextureUse, clamped, read_material
-from hyaline_import.gltf.nodes import instances
+from hyaline_import.gltf.nodes import Instance, instances
+from hyaline_import.gltf.posing import bend, morph, skin_matrices
 from hyaline_import.gltf.records import Draco, Gltf, Primitive
 
 DRACO = "KHR_draco_mesh_compression"
@@ -38,18 +39,23 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     """The surfaces of a glTF or GLB file."""
     file = GltfFile(path)
     cameras: list[Camera] = []
-    placed = list(instances(file, cameras, remarks))
+    worlds: dict[int, np.ndarray] = {}
+    placed = list(instances(file, cameras, worlds, remarks))
     for extension in sorted({*file.root.extensions_used} - READ_EXTENSIONS):
         remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
     if file.root.animations is not None:
-        remarks.note(path.name, "has animations, which are not read; drawn as the nodes place it")
+        remarks.note(path.name, "has animations, which are not read; drawn as the nodes pose it")
     uses = Counter(instance.mesh for instance in placed)
     _check_size(file, uses)
     materials: Materials = {}
-    surfaces = {mesh: list(_surfaces(file, mesh, materials, remarks)) for mesh in uses}
+    surfaces: dict[tuple, list[ForeignObject]] = {}
     objects = []
     for instance in placed:
-        parts = surfaces[instance.mesh]
+        shape = instance.mesh, instance.weights, instance.node.skin
+        if shape not in surfaces:
+            bones = None if instance.node.skin is None else skin_matrices(file, instance.node.skin, worlds)
+            surfaces[shape] = list(_surfaces(file, instance, bones, materials, remarks))
+        parts = surfaces[shape]
         name = instance.node.name or file.root.meshes[instance.mesh].name
         for index, part in enumerate(parts):
             own = name or part.name or "object"
@@ -87,22 +93,25 @@ def _check_size(file: GltfFile, uses: Counter[int]) -> None:
         )
 
 
-def _surfaces(file: GltfFile, mesh: int, materials: Materials, remarks: Remarks) -> Iterator[ForeignObject]:
-    """The triangles of a mesh, one surface a primitive, where the mesh itself is."""
-    described = file.root.meshes[mesh]
+def _surfaces(
+    file: GltfFile, instance: Instance, bones: np.ndarray | None, materials: Materials, remarks: Remarks
+) -> Iterator[ForeignObject]:
+    """The triangles of a mesh, one surface a primitive, where the mesh itself is; with a skin, where its bones are."""
+    described = file.root.meshes[instance.mesh]
     for primitive in described.primitives:
         where = described.name or described.where
         if primitive.mode != TRIANGLES:
             remarks.approximate(where, "has points, lines, strips or fans, which are left out")
             continue
-        if primitive.targets:
-            remarks.approximate(where, "has morph targets, which are not read; it keeps the shape without them")
         if "COLOR_0" in primitive.attributes:
             remarks.approximate(where, "has colours at its vertices, which are left out")
         if primitive.material not in materials:
             materials[primitive.material] = read_material(file, primitive.material, remarks)
         material, use = materials[primitive.material]
         attributes, corners = _attributes(file, primitive, where=described.where)
+        morph(file, attributes, primitive.targets, instance.weights, where=described.where)
+        if bones is not None:
+            bend(attributes, bones, where=described.where)
         faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
         if not len(faces):
             continue
@@ -124,6 +133,7 @@ def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[At
     """Positions, normals and uv of a primitive's vertices, and the vertices of its corners in order."""
     wanted = {name: "VEC3" for name in ("POSITION", "NORMAL") if name in primitive.attributes}
     wanted |= {name: "VEC2" for name in primitive.attributes if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
+    wanted |= {name: "VEC4" for name in primitive.attributes if re.fullmatch(r"(JOINTS|WEIGHTS)_\d", name)}
     if DRACO in primitive.extensions:
         found, corners = _decompressed(file, primitive.extension(DRACO, Draco), wanted, where=where)
     else:

@@ -5,6 +5,7 @@ Source: the OBJ and MTL specifications of 1995, and MTL's physically based exten
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import pairwise, takewhile
 from pathlib import Path
@@ -94,9 +95,9 @@ class _Text:
     num_faces: int = 0
 
 
-def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
-    """The surfaces of an OBJ file, with the materials of the MTL files that it names."""
-    text, has_colors = _Text(), False
+def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMaterial] | None = None) -> ForeignScene:
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names, or with these."""
+    text, has_colors = _Text(materials=dict(materials or {})), False
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
@@ -112,7 +113,7 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
             _add_face(text, rest, where=where)
         elif key in text.names:
             text.names[key] = " ".join(rest)
-        elif key == "mtllib" and has_materials:
+        elif key == "mtllib" and materials is None:
             _add_materials(text, path, rest, remarks, where=where)
         elif key in ("l", "p", "curv", "surf"):
             remarks.approximate(path.name, "has points, lines or curves, which are left out")
@@ -120,7 +121,10 @@ def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> For
         raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
     if has_colors:
         remarks.approximate(path.name, "has colours at its vertices, which are left out")
-    return ForeignScene(objects=tuple(_objects(text, path, remarks)), up="y")
+    if materials is None:
+        for material in dict.fromkeys(name for _, name in text.faces if name and name not in text.materials):
+            remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
+    return ForeignScene(objects=tuple(_objects(text, path)), up="y")
 
 
 def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
@@ -188,13 +192,11 @@ def _index(word: str, count: int, *, where: str) -> int:
     return index - 1 if index > 0 else count + index
 
 
-def _objects(text: _Text, path: Path, remarks: Remarks) -> list[ForeignObject]:
+def _objects(text: _Text, path: Path) -> list[ForeignObject]:
     objects = []
     arrays = [np.array(listed, np.float64) for listed in text.numbers.values()]
     for (name, material), faces in text.faces.items():
         fans = np.array(text.fans[name, material])
-        if material and material not in text.materials:
-            remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
         corners = np.array(faces, np.int64).reshape(-1, 3)
         used, index = np.unique(corners, axis=0, return_inverse=True)
         has_uv, has_normals = (used[:, 1] >= 0).all(), (used[:, 2] >= 0).all()

@@ -28,6 +28,7 @@ from hyaline_import.foreign import (
     Axis,
     ForeignLight,
     ForeignMap,
+    ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
@@ -91,16 +92,17 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
     if emitter is not None and node.plugin == "rectangle" and emitter.plugin == "area":
         lights.append(_light(node, emitter))
         return
-    bsdf = node.inner("BSDF")
-    found = FoundMaterial(material=PLAIN, image_from_uv=np.eye(4)) if bsdf is None else read_bsdf(bsdf, remarks)
-    if bsdf is None:
-        found = replace(found, material=replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0))
+    grey = replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0)
+    by_name = {name: read_bsdf(bsdf, remarks) for name, bsdf in node.named("BSDF").items()}
+    first = next(iter(by_name.values()), FoundMaterial(material=grey, image_from_uv=np.eye(4)))
     interior = absorption_of(node.child("interior"))
     emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
-    material = replace(found.material, absorption=interior, emission=emission)
-    if max(interior) > 0 and material.transmission == 0:
+    if max(interior) > 0 and all(found.material.transmission == 0 for found in by_name.values()):
         raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
     for item in read_shape(node, remarks):
+        found = by_name.get(item.material.name, first) if isinstance(item.material, ForeignMaterial) else first
+        absorption = interior if found.material.transmission > 0 else (0.0, 0.0, 0.0)
+        material = replace(found.material, absorption=absorption, emission=emission)
         uv = item.uv
         if uv is not None:
             # The transform of a texture is one of Mitsuba's uv, whose v points down.
@@ -247,7 +249,9 @@ def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
 
 
 def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    objects = read_obj(node.file("filename"), remarks, has_materials=False).objects
+    # Of several BSDFs, each is that of the material of its name. Source: the plugin obj of Mitsuba 0.6.
+    materials = {name: replace(PLAIN, name=name) for name in node.named("BSDF")}
+    objects = read_obj(node.file("filename"), remarks, materials=materials).objects
     return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
 
 
@@ -260,7 +264,7 @@ def _named(node: Node, item: ForeignObject, *, flips: bool) -> ForeignObject:
     uv = item.uv
     if uv is not None and flips:
         uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1)
-    return dataclasses.replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv, material=PLAIN)
+    return dataclasses.replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv)
 
 
 def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
