@@ -8,17 +8,18 @@ Pictures and layers are compressed already; another compression of the archive w
 
 import io
 import re
+import shutil
 import tarfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, cast
 
 from datagen.builder.verify import verify_dataset
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layers import DTYPES
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.names import NAME, real_path
+from datagen.disk.names import NAME, check_relative, real_path
 from datagen.disk.ownership import DATASET, refuse_file
 from datagen.disk.records import open_regular
 from datagen.disk.storage import MAKE_AGAIN, read_promised
@@ -117,7 +118,11 @@ def _extract(path: Path, file: BinaryIO, folder: Path) -> int:
                     raise HyalineError(
                         f"{path}: holds {entry.name!r}, which is no file of its dataset; get the archive again"
                     )
-                archive.extract(entry.replace(name=relative, deep=False), folder, set_attrs=False, filter="data")
+                check_relative(relative, where=str(path))
+                (folder / relative).parent.mkdir(parents=True, exist_ok=True)
+                content = cast(BinaryIO, archive.extractfile(entry))  # tarfile's own filters came with Python 3.11.4.
+                with content, (folder / relative).open("xb") as target:
+                    shutil.copyfileobj(content, target)
                 if relative == prefix + HEAD:
                     heads[prefix] = open_dataset(folder / prefix)
     except (tarfile.TarError, ValueError, OverflowError, MemoryError) as error:
