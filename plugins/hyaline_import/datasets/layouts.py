@@ -19,7 +19,7 @@ from typing import Annotated, Literal, TypeVar, get_args
 import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, Struct
-from PIL import ExifTags, Image
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
 from datagen.data.config import Resolution
@@ -200,8 +200,9 @@ def header(path: Path) -> Iterator[Image.Image]:
         raise
     # Pillow answers a broken file with many kinds of exception (OSError, SyntaxError, ValueError, struct.error, ...).
     except Exception as error:
-        what = f"{type(error).__name__}: {error}".replace("\n", " ")
-        raise HyalineError(f"{path}: not a picture that can be read as {', '.join(FORMATS)} ({what})") from error
+        is_other = isinstance(error, UnidentifiedImageError)
+        what = "no PNG, JPEG or WebP" if is_other else f"{type(error).__name__}: {error}".replace("\n", " ")
+        raise HyalineError(f"{path}: not a picture that can be read ({what})") from error
 
 
 def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
