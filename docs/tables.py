@@ -25,7 +25,7 @@ ROW = re.compile(r"^\| (?P<claim>.+?) \| (?P<against>.+?) \| `(?P<cell>.+?)` \|.
 SPLITS = ("interpolating", "extrapolating")
 ANGLES = (10, 20, 40)
 TRACKS = ("pictures", "masks", "proxies", "shapes", "materials")
-"""Of the benchmark, by what methods are told."""
+"""The benchmark's tracks, ordered by what methods are told."""
 DEMO = {
     "light-path": ("`light-path`", "truth", "materials"),
     "paper-best": ("`paper-best`", "truth", ""),

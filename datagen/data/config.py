@@ -192,7 +192,7 @@ def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
 
 
 def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:
-    """The first value in which two configurations differ, as `seed is 0 there and 3 here`; None when equal."""
+    """The first value that differs between two configurations, as `seed is 0 there and 3 here`; None when equal."""
     for item in dataclasses.fields(old):
         before, after = getattr(old, item.name), getattr(new, item.name)
         if before != after:

@@ -224,7 +224,7 @@ def _remove_temporaries(root: Path, kind: FolderKind) -> None:
 
 
 def _first_foreign(root: Path) -> str | None:
-    """A file or a link below a folder that is no temporary of ours, by relative path; None if there is none."""
+    """The relative path of a file or link below a folder, except temporaries of ours; None without any."""
     for place, folders, names in os.walk(root):
         folders.sort()
         links = [name for name in folders if (Path(place) / name).is_symlink()]

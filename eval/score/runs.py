@@ -43,7 +43,7 @@ Kind = TypeVar("Kind")
 Value = TypeVar("Value", int, str)
 
 RUN_VERSION = 5
-"""Of the run.json of `model train` (model/run/run_folder.py)."""
+"""The version of `model train`'s run.json (model/run/run_folder.py)."""
 
 RUN_KEYS = frozenset({
     "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",

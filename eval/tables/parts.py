@@ -38,7 +38,7 @@ class ReportPart:
     """A part of the report."""
 
     head: str
-    """The file by which its folders among those of runs are known, such as fit.json."""
+    """The file that marks its folders among those of runs, such as fit.json."""
     find: Callable[[Sequence[Dataset], Sequence[Path], list[HyalineError]], list[FoundPart | None]]
     """What there is of each dataset in some folders; adds the errors of folders that cannot be read."""
     scene_grids: Callable[[str, Stored], list[Grid]]

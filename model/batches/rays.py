@@ -27,7 +27,7 @@ class PixelSource(Generic[Batch_co]):
     """All pixels of some views, row by row and view by view, and the renderer's inputs for any of them."""
 
     cameras: Cameras
-    """Of these views only."""
+    """Those of these views alone."""
     rgb: UInt8[Tensor, "pixel 3"]
     """8-bit sRGB; black without images."""
     device: torch.device = CPU

@@ -1,4 +1,4 @@
-"""Experiments: files of command lines, in which braces make grids.
+"""Experiments: files of command lines, whose braces make grids.
 
     # What each layer is told of the camera.
     datagen build glass_table

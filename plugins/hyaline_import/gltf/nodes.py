@@ -34,7 +34,7 @@ class Instance:
     node: Node
     mesh: int
     weights: tuple[float, ...]
-    """Of the mesh's morph targets."""
+    """The weights of the mesh's morph targets."""
     world_from_mesh: Float[np.ndarray, "4 4"]
     """Not for a mesh with a skin, which its joints place."""
 

@@ -1,5 +1,5 @@
 # ruff: noqa: D101  (the names are the format's own)
-"""What a glTF file says: the parts of its JSON that are read, and the extensions; all else is passed over.
+"""The parts of a glTF file's JSON and of its extensions that are read; everything else is passed over.
 
 Source: glTF 2.0 section 5, and the READMEs of the extensions in KhronosGroup/glTF.
 """
@@ -182,7 +182,7 @@ class Mesh(Entry):
     primitives: Annotated[list[Primitive], Meta(min_length=1)]
     name: str = ""
     weights: tuple[float, ...] = ()
-    """Of its morph targets."""
+    """The weights of its morph targets."""
 
 
 class Skin(Entry):
