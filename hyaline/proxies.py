@@ -8,8 +8,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.data.paths import PROXY_KINDS
 from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
 from datagen.terminal.distribution import naming_parts
+from datagen.terminal.parsing import choose
 from hyaline.datasets import NUM_LAYERS, open_dataset
 
 if TYPE_CHECKING:
@@ -51,8 +51,7 @@ def make_proxies(
 
     Args:
         dataset: a dataset, its name under data/, or its folder.
-        kind: box, ellipsoid, hull, blocks, wrap, lowpoly, or noise-0.01 with the displacement in parts of each object's
-            diagonal.
+        kind: box, ellipsoid, hull or wrap.
         num_layers: layers kept per ray.
         workers: parallel processes that peel.
         overwrite: replace existing proxies and layers; they are kept otherwise.
@@ -61,12 +60,9 @@ def make_proxies(
         HyalineError: an unknown kind, or an object that cannot have a proxy of it.
     """
     from proxies.make import make_and_peel
-    from proxies.spec import parse_part
 
-    spec = parse_part(kind)
-    if spec is None:
-        raise HyalineError(f"kind {kind!r}: is the scene itself; expected one of {', '.join(PROXY_KINDS)}")
+    choose("kind", kind, PROXY_KINDS)
     if isinstance(dataset, (str, Path)):
         dataset = open_dataset(dataset)
-    reports = make_and_peel(dataset, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
-    return Proxies(dataset=dataset, geometry=spec.geometry, reports=reports)
+    reports = make_and_peel(dataset, kind, num_layers=num_layers, workers=workers, overwrite=overwrite)
+    return Proxies(dataset=dataset, geometry=kind, reports=reports)

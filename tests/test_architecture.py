@@ -60,7 +60,7 @@ FLOORS = {
         "terminal",
         "disk",
     ),
-    "proxies": ("cli", "make", "spec", "kinds", "meshing"),
+    "proxies": ("cli", "make", "kinds", "meshing"),
     "model": ("cli", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
     "eval": ("cli", "page", "analyses", "figures", "tables", "score"),

@@ -4,9 +4,9 @@ scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
-KIND is a geometry's name: a kind of proxy such as box, a kind and its amount such as noise-0.01, or `mixed` and more,
-where `assignment` in proxies.json names each object's stand-in. Fitted glass is stored likewise, as kind `fitted` or
-`fitted-NAME`; `materials` in proxies.json has the materials that were found, by object.
+KIND is a geometry's name: a kind of proxy such as box, or `mixed` and more, where `assignment` in proxies.json names
+each object's stand-in. Fitted glass is stored likewise, as kind `fitted` or `fitted-NAME`; `materials` in proxies.json
+has the materials that were found, by object.
 """
 
 import difflib
@@ -39,10 +39,7 @@ class ProxyStatistics:
     """How well a proxy fits its object."""
 
     volume_ratio: float
-    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy).
-
-    Overlapping boxes of `blocks` count twice. For an open mesh with noise it is meaningless.
-    """
+    """Volume of the proxy over the volume of the object's convex hull (>= 1 for a conservative convex proxy)."""
     mean_distance: float
     """Mean distance in metres from points on the proxy to the object's surface."""
     max_distance: float
@@ -77,7 +74,7 @@ def write_proxies(
     """Commits one proxy mesh per object, in object order; none for objects that an edit removed.
 
     Args:
-        assignment: for a mixture or fitted glass, each object's stand-in: truth, box, noise-0.01, fitted, ...
+        assignment: for a mixture or fitted glass, each object's stand-in: truth, box, fitted, ...
         materials: by name, the materials of objects that do not have those of the scene.
     """
     root = geometry_root(dataset.root, kind)

@@ -19,10 +19,9 @@ FITTED = "fitted"
 MIXED = "mixed"
 """The geometry of a mixture of proxies. Others are called `mixed-NAME`."""
 
-ProxyKind = Literal["box", "ellipsoid", "hull", "lowpoly", "wrap", "blocks", "noise"]
+ProxyKind = Literal["box", "ellipsoid", "hull", "wrap"]
 PROXY_KINDS: tuple[ProxyKind, ...] = get_args(ProxyKind)
-"""All kinds of proxies, which name geometries. `noise` moves the vertices of the true meshes
-(proxies/meshing/noise.py), and its geometry ends in the amount, as in noise-0.01."""
+"""All kinds of proxies, which name geometries."""
 
 
 def is_fitted(geometry: str) -> bool:

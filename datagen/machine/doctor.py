@@ -101,10 +101,10 @@ def _missing(what: str, extra: str, need: str) -> Finding:
 
 
 def _meshlab() -> Finding:
-    """PyMeshLab needs the system's libGL; boxes and ellipsoids are made without it."""
+    """PyMeshLab needs the system's libGL; all proxies but wraps are made without it."""
     version = _version("pymeshlab")
     if version is None:
-        return _missing("PyMeshLab", "proxies", "proxies of the kinds wrap and lowpoly need it")
+        return _missing("PyMeshLab", "proxies", "proxies of the kind wrap need it")
     try:
         import ctypes
 
@@ -112,7 +112,7 @@ def _meshlab() -> Finding:
     except OSError:
         return Finding(
             what="PyMeshLab",
-            found=f"{version}, cannot load: libGL.so.1 is missing (boxes and ellipsoids are made without it)",
+            found=f"{version}, cannot load: libGL.so.1 is missing (all proxies but wraps are made without it)",
             remedy="apt install libgl1",
         )
     return Finding(what="PyMeshLab", found=version, remedy=None)

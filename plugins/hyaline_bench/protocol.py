@@ -191,7 +191,7 @@ def _least_by_geometry(run: Run, tracks: Mapping[str, str]) -> str | None:
     if geometry == NO_GEOMETRY:
         return pictures
     kind = geometry.partition("-")[0]
-    if geometry == TRUTH or kind in (MIXED, "noise"):  # A mixture may hold true meshes; noise may be less than a pixel.
+    if geometry == TRUTH or kind == MIXED:  # A mixture may hold true meshes.
         return shapes
     return proxies if kind in PROXY_KINDS else None
 

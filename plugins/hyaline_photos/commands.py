@@ -60,7 +60,7 @@ def fit(
     """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
 
     Cameras and everything but glass must be known. To train `light-path` on the result, use `--geometry
-    fitted`; to compare it with the truth, `proxies check --name fitted`.
+    fitted`; to compare it with the truth, `proxies check --geometry fitted`.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.

@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh
 from proxies.kinds.ellipsoid import smallest_ellipsoid, sphere_grid
-from proxies.meshing.solid import Solid, gauge, hull_by_scipy, outside_by, planes_of
+from proxies.meshing.solid import Solid, convex_hull, gauge, outside_by, planes_of
 from proxies.meshing.surface import Surface, unwrap_sound
 
 CELLS = 12
@@ -24,7 +24,7 @@ MIN_FACES = (1e-5, 1e-4, 1e-3, 1e-2)
 def fit_hulls(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
     """Each solid's rounded convex hull, with all points inside each facet's plane by the padding in metres."""
     return unwrap_sound(
-        lambda index, place: (rounded_hull(solids[index], padding=paddings[index], min_face=MIN_FACES[place]), place),
+        lambda index, place: rounded_hull(solids[index], padding=paddings[index], min_face=MIN_FACES[place]),
         count=len(solids),
         places=len(MIN_FACES),
     )
@@ -45,14 +45,14 @@ def rounded_hull(solid: Solid, *, padding: float, min_face: float) -> Surface:
     kept = _without_slivers(body, min_face)
     body, normals = body[kept], normals[kept]
     # The ball also moves the flat sides outward: the body shrinks until one of its facets touches the hull.
-    body *= gauge(planes_of(body[hull_by_scipy(body)[1]]), local)
+    body *= gauge(planes_of(body[convex_hull(body)[1]]), local)
     normals_world = np.linalg.solve(root, normals.T).T
     normals_world /= np.linalg.norm(normals_world, axis=-1, keepdims=True)
     outward = np.linalg.solve(root, normals_world.T).T
     offset = padding
     while True:  # Two or three times: a tilted facet moves by less than the offset.
         grown = body + offset * outward
-        used, faces = hull_by_scipy(grown)
+        used, faces = convex_hull(grown)
         assert len(used) == len(grown), "each point is the farthest along its normal"
         vertices = center + grown @ root
         missing = float(outside_by(vertices[faces], solid.hull_points).max()) + padding
@@ -65,7 +65,7 @@ def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
     """Indices of points whose convex hull has no tiny faces: the flattest corner of each such face is removed."""
     kept = np.arange(len(points))
     while True:
-        _, faces = hull_by_scipy(points[kept])
+        _, faces = convex_hull(points[kept])
         corners = points[kept][faces]
         opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=-1)
         areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)

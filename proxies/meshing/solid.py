@@ -6,17 +6,12 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from datagen.data.meshes import Mesh
-from datagen.terminal.command import say
-from proxies.meshing import meshlab
 
 MIN_THICKNESS = 1e-3
 """Flat objects (a floor, a pane, a leaf) are thickened to this part of their extent, at most to this many metres."""
 
 MIN_RELATIVE_TO_COORDINATES = 1e-4
 """Yet never thinner than this part of the largest coordinate: float32 steps (1e-7 of it) must stay far smaller."""
-
-HULL_TOLERANCE = 1e-7
-"""How far, in parts of the extent, points may lie outside a hull that is accepted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,16 +39,13 @@ class Solid:
         return float(np.einsum("fi,fi->", a, np.cross(b, c)) / 6)
 
 
-def make_solids(meshes: tuple[Mesh, ...]) -> tuple[Solid, ...]:
-    """The solid of each mesh, whose arrays must be valid (`datagen.data.meshes.check_mesh`)."""
-    clouds = [thickened(used_positions(mesh)) for mesh in meshes]
-    # In a unit box around the origin: tolerances of hull programs are absolute.
-    normalised = [_in_unit_box(points) for points in clouds]
-    hulls = convex_hulls(normalised)
-    solids = []
-    for mesh, points, (used, faces) in zip(meshes, clouds, hulls, strict=True):
-        solids.append(Solid(mesh=mesh, points=points, hull_points=points[used], hull_faces=faces))
-    return tuple(solids)
+def make_solid(mesh: Mesh) -> Solid:
+    """The solid of a mesh, whose arrays must be valid (`datagen.data.meshes.check_mesh`)."""
+    points = thickened(used_positions(mesh))
+    low, high = points.min(axis=0), points.max(axis=0)
+    # In a unit box around the origin: Qhull's tolerances are absolute.
+    used, faces = convex_hull((points - 0.5 * (low + high)) / (high - low).max())
+    return Solid(mesh=mesh, points=points, hull_points=points[used], hull_faces=faces)
 
 
 def used_positions(mesh: Mesh) -> Float64[np.ndarray, "point 3"]:
@@ -81,27 +73,6 @@ def principal_directions(points: Float64[np.ndarray, "point 3"]) -> Float64[np.n
     return np.linalg.svd(points - points.mean(axis=0), full_matrices=False)[2]
 
 
-def convex_hulls(
-    clouds: list[Float64[np.ndarray, "_ 3"]],
-) -> list[tuple[Int64[np.ndarray, "_"], Int64[np.ndarray, "_ 3"]]]:
-    """For each cloud: which points span its convex hull (sorted), and the hull's outward faces on those.
-
-    By pymeshlab; where that is not to be had, or its hull leaves points out, by SciPy, and a line says so.
-    """
-    if meshlab.meshlab_problem() is not None:
-        return [hull_by_scipy(points) for points in clouds]
-    try:
-        found = meshlab.convex_hulls(clouds)
-    except meshlab.MeshlabError as error:
-        say(f"convex hulls: pymeshlab failed ({error}); SciPy makes them")
-        return [hull_by_scipy(points) for points in clouds]
-    hulls = []
-    for points, (vertices, faces) in zip(clouds, found, strict=True):
-        hull = _hull_on_points(points, vertices, faces)
-        hulls.append(hull_by_scipy(points) if hull is None else hull)
-    return hulls
-
-
 def outside_by(corners: Float64[np.ndarray, "face 3 3"], points: Float64[np.ndarray, "point 3"]) -> np.ndarray:
     """How far each point (point,) lies outside the convex polyhedron of outward triangles; negative inside. Metres."""
     a, b, c = np.moveaxis(corners, 1, 0)
@@ -127,12 +98,10 @@ def gauge(planes: Float64[np.ndarray, "face 3"], points: Float64[np.ndarray, "po
     return max(float((points @ planes[start : start + 256].T).max()) for start in range(0, len(planes), 256))
 
 
-def _in_unit_box(points: np.ndarray) -> np.ndarray:
-    low, high = points.min(axis=0), points.max(axis=0)
-    return (points - 0.5 * (low + high)) / (high - low).max()
-
-
-def hull_by_scipy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def convex_hull(
+    points: Float64[np.ndarray, "point 3"],
+) -> tuple[Int64[np.ndarray, " vertex"], Int64[np.ndarray, "face 3"]]:
+    """Which points span the convex hull (sorted), and the hull's outward faces on those."""
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(points)
@@ -140,27 +109,5 @@ def hull_by_scipy(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     # Qhull winds its triangles at random; its plane equations know what is outside.
     is_inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
     faces = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
-    return _compact(faces)
-
-
-def _hull_on_points(
-    points: np.ndarray, vertices: np.ndarray, faces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """A hull given by positions, on the points themselves; None where it does not enclose them all."""
-    from scipy.spatial import KDTree
-
-    distances, nearest = KDTree(points).query(vertices)
-    used, compact = _compact(np.asarray(nearest)[faces])
-    a, b, c = np.moveaxis(points[used][compact], 1, 0)
-    # Slivers have no plane to test against; the faces around them cover the same points.
-    solid = np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 1e-12
-    if distances.max() > HULL_TOLERANCE or not solid.any():
-        return None
-    if outside_by(points[used][compact[solid]], points).max() > HULL_TOLERANCE:
-        return None
-    return used, compact
-
-
-def _compact(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     used, compact = np.unique(faces, return_inverse=True)
     return used.astype(np.int64), compact.reshape(faces.shape).astype(np.int64)

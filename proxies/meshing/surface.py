@@ -45,27 +45,26 @@ def unwrap_surfaces(surfaces: tuple[Surface, ...]) -> tuple[Mesh, ...]:
     return tuple(_laid_on(surface, mesh) for surface, mesh in zip(surfaces, charted.values(), strict=True))
 
 
-def unwrap_sound(propose: Callable[[int, int], tuple[Surface, int]], *, count: int, places: int) -> tuple[Mesh, ...]:
+def unwrap_sound(propose: Callable[[int, int], Surface], *, count: int, places: int) -> tuple[Mesh, ...]:
     """For each of `count` objects the first surface that xatlas lays out with texels for every face and without folds.
 
     xatlas 0.0.11 may fold a chart of large triangles, and squeeze small ones at sharp edges. Where no surface is laid
     out well, the first stands, and its check says what is wrong with it.
 
     Args:
-        propose: for (object, place), a surface and its place, which is that one or a later one, of `places`.
+        propose: the surface of an object at a place, from 0 to `places` - 1.
     """
     meshes: dict[int, Mesh] = {}
-    start = dict.fromkeys(range(count), 0)
-    while start:
-        found = {index: propose(index, first) for index, first in start.items()}
-        unwrapped = unwrap_surfaces(tuple(surface for surface, _ in found.values()))
-        start = {}
-        for (index, (_, place)), mesh in zip(found.items(), unwrapped, strict=True):
+    unsound = list(range(count))
+    for place in range(places):
+        unwrapped = unwrap_surfaces(tuple(propose(index, place) for index in unsound))
+        tried, unsound = unsound, []
+        for index, mesh in zip(tried, unwrapped, strict=True):
             is_sound = smallest_chart(mesh) >= ATLAS_ROOM and coverage(mesh, COVERAGE_SIZE).max() <= 1
             if is_sound or index not in meshes:
                 meshes[index] = mesh
-            if not is_sound and place + 1 < places:
-                start[index] = place + 1
+            if not is_sound:
+                unsound.append(index)
     return tuple(meshes[index] for index in range(count))
 
 

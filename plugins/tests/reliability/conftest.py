@@ -42,9 +42,6 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
     monkeypatch.setattr(make, "__kwdefaults__", often)
     monkeypatch.setattr(os, "fsync", lambda handle: None)
-    # It would need a process for each call.
-    monkeypatch.setattr("proxies.meshing.meshlab.meshlab_problem", lambda: "left out")
-    monkeypatch.setattr("proxies.make.meshlab_problem", lambda: None)
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     yield tmp_path

@@ -46,8 +46,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def prepare(patch: pytest.MonkeyPatch, folder: Path) -> None:
     patch.chdir(folder)
     patch.setattr(os, "fsync", lambda handle: None)
-    patch.setattr("proxies.meshing.meshlab.meshlab_problem", lambda: "left out")
-    patch.setattr("proxies.make.meshlab_problem", lambda: None)
     fake_renderer.install(patch)
 
 

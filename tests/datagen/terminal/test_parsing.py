@@ -68,7 +68,7 @@ def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
 def test_help_says_the_choices_of_a_flag_and_that_a_scene_has_a_flag_too() -> None:
     text = " ".join(call("datagen build --help").out.split())
     assert "--preset {tiny,small,demo,standard,paper}" in text and "Also as --scene." in text
-    assert "--kind {box,ellipsoid,hull,lowpoly,wrap,blocks,noise}" in call("proxies make --help").out
+    assert "--kind {box,ellipsoid,hull,wrap}" in call("proxies make --help").out
     assert "--format {table,markdown,csv,latex}" in call("report --help").out
 
 

@@ -70,7 +70,7 @@ def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
 def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
     assert fitted.is_dir()
     assert "fitted" in list_geometries(dataset)
-    check = call(f"proxies check {dataset.root} --name fitted")
+    check = call(f"proxies check {dataset.root} --geometry fitted")
     assert check.status == 0, check.err
     run = tmp_path / "run"
     for words in (
