@@ -4,17 +4,13 @@
     sparse/0/cameras.txt                         one PINHOLE camera
     sparse/0/images.txt                          world-to-camera quaternion (w, x, y, z) and translation, OpenCV axes
     sparse/0/points3D.txt                        points, their colours, and in which pictures they are seen
-    train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfbaselines and nerfstudio read them
+    train_list.txt, val_list.txt, test_list.txt  names of pictures by split, as nerfstudio reads them
     sparse/0/test.txt                            the same of the test splits, as Gaussian splatting can read it
 
 A model has no splits: a tool that does not read the lists takes every eighth picture for its test, and trains on the
 test splits.
 
 Pixel (0.5, 0.5) is the centre of the upper left pixel, in COLMAP as in the dataset.
-
-The format nerfbaselines is the same with nb-info.json: loader, scene, and the range of depths in metres. Its loader of
-transforms.json rotates points, as those of nerfstudio's own COLMAP runs need it; that of COLMAP does not, and reads the
-lists of names.
 """
 
 from collections.abc import Iterator
@@ -24,7 +20,6 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import Camera
-from datagen.disk.storage import dump_json
 from hyaline_export.files import rgb_png
 from hyaline_export.formats import Format
 from hyaline_export.source import ROLES, ExportView, PointCloud, Source, tracked
@@ -65,21 +60,7 @@ def _colmap(source: Source) -> Iterator[tuple[str, bytes]]:
         yield f"{role}_list.txt", _text(names[role])
 
 
-def _nerfbaselines(source: Source) -> Iterator[tuple[str, bytes]]:
-    yield from _colmap(source)
-    info = {
-        "loader": "colmap",
-        "id": f"hyaline-{source.dataset.name}",
-        "scene": source.dataset.name,
-        "license": source.dataset.license,
-        "evaluation_protocol": "default",
-        "depth_range": [source.bounds.near, source.bounds.far],
-    }
-    yield "nb-info.json", dump_json(info)
-
-
 COLMAP = Format(files=_colmap, hint="colmap model_analyzer --path OUT/sparse/0")
-NERFBASELINES = Format(files=_nerfbaselines, hint="nerfbaselines train --method nerfacto --data OUT")
 
 
 def _camera_from_world(camera: Camera) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3"]]:

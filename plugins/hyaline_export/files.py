@@ -1,7 +1,5 @@
 """What several formats share: pictures, depth, masks, points, and the keys of transforms.json as NeRF tools read it."""
 
-import math
-
 import numpy as np
 from jaxtyping import Bool, Float32
 
@@ -54,9 +52,6 @@ def ply_points(points: PointCloud) -> bytes:
 MAX_SHIFT = 0.05
 """Pixels by which a principal point may miss the picture's middle and still be taken for it."""
 
-MAX_NGP_SIDE = 128
-"""The largest `aabb_scale`, which must be a power of two."""
-
 
 def check_centered(camera: Camera, form: str) -> None:
     """Refuses cameras that readers of a format would take for others: they know the angle of the lens alone."""
@@ -70,22 +65,7 @@ def check_centered(camera: Camera, form: str) -> None:
 
 def world_keys(source: Source) -> dict[str, Json]:
     """What a transforms file says of the world that its views show, and its licence."""
-    return {"license": source.dataset.license, **bounds_keys(source.bounds), **_ngp_keys(source)}
-
-
-def _ngp_keys(source: Source) -> dict[str, Json]:
-    """Where instant-ngp puts a point p: at scale p + offset, in a cube of side `aabb_scale` around (0.5, 0.5, 0.5).
-
-    The box of all surfaces fills the cube of side 1. So instant-ngp itself places what it finds as `aabb`, and takes
-    these two where a version does not read that. A camera outside the largest cube stays there, which it allows.
-    """
-    low, high = np.array(source.bounds.low), np.array(source.bounds.high)
-    scale = 1 / max(float((high - low).max()), 1e-6)
-    offset = 0.5 - scale * (low + high) / 2
-    places = np.array([item.view.camera.world_from_camera[:3, 3] for item in source.pictures])
-    reach = 2 * float(np.abs(scale * places + offset - 0.5).max())
-    side = min(2 ** math.ceil(math.log2(max(reach, 1))), MAX_NGP_SIDE)
-    return {"aabb_scale": side, "scale": scale, "offset": offset.tolist()}
+    return {"license": source.dataset.license, **bounds_keys(source.bounds)}
 
 
 def bounds_keys(bounds: Bounds) -> dict[str, Json]:

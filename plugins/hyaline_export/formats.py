@@ -26,8 +26,6 @@ class Format:
     """Yields the path of each file in the export, and its bytes."""
     hint: str
     """The command that opens the export, with OUT for the folder."""
-    has_flow: bool = False
-    """The format has a place for refractive flow and takes `Source.flow` into account."""
 
 
 FORMATS: Group[Format] = Group(
@@ -38,7 +36,6 @@ FORMATS: Group[Format] = Group(
         "blender": "hyaline_export.transforms:BLENDER",
         "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
         "colmap": "hyaline_export.colmap:COLMAP",
-        "nerfbaselines": "hyaline_export.colmap:NERFBASELINES",
         "capture": "hyaline_export.transforms:CAPTURE",
         "quantities": "hyaline_export.samples:QUANTITIES",
         "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
@@ -57,26 +54,22 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
     source = Source(dataset=dataset, num_points=num_points, flow=flow)
     out = out or EXPORTS / f"{dataset.name}-{form}"
     refuse_inside(out, dataset.root)
-    if flow and not chosen.has_flow:
+    if flow and form != "quantities":
         raise HyalineError(f"--flow: has no place in the format {form}; leave it out, or use --format quantities")
     say(f"{out}: exporting {dataset.root} as {form}")
     with new_folder(out) as folder:
         for path, data in chosen.files(source):
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(data)
-        (folder / "LICENSE.txt").write_text(_license_text(dataset))
+        more = (
+            f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n" if dataset.license == OWN_LICENSE else ""
+        )
+        (folder / "LICENSE.txt").write_text(f"The data in this folder: {dataset.license}\n{more}")
     roles = ", ".join(f"{len(source.of_role(role))} {role}" for role in ("train", "val", "test"))
     say(f"{out}: {len(source.pictures)} views; {roles}; licence: {dataset.license}")
     if dataset.withheld:
         say(f"{out}: the test pictures are grey, since a verifier keeps the true ones; never train on them")
     return out, chosen.hint.replace("OUT", str(out))
-
-
-def _license_text(dataset: Dataset) -> str:
-    text = f"The data in this folder: {dataset.license}\n"
-    if dataset.license == OWN_LICENSE:
-        text += f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n"
-    return text
 
 
 # New files and folders

@@ -7,19 +7,16 @@ Pictures and layers are compressed already; another compression of the archive w
 """
 
 import io
-import re
 import shutil
 import tarfile
-from collections.abc import Mapping
 from pathlib import Path
 from typing import BinaryIO, cast
 
 from datagen.builder.verify import verify_dataset
-from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.layers import DTYPES
+from datagen.data.dataset import open_dataset
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.names import NAME, check_relative, real_path
+from datagen.disk.names import check_relative, real_path
 from datagen.disk.ownership import DATASET, refuse_file
 from datagen.disk.records import open_regular
 from datagen.disk.storage import MAKE_AGAIN, read_promised
@@ -28,16 +25,7 @@ from hyaline_export.formats import EXPORTS, beside, new_folder, refuse_inside
 
 HEAD = DATASET.head
 
-_PROXIES = rf"proxies/{NAME.pattern}/"
-_LAYERS = rf"({_PROXIES})?layers/straight/"
-_ENDINGS = "|".join(f"{name}.npy.blosc" for name in DTYPES) + "|png|exr|mask.png|objects.png|depth.npy|json"
-_VIEWS = re.compile(
-    rf"(images|records|edit-masks|{_LAYERS}(arrays|records))/(?P<split>[\w-]+)/(?P<view>[0-9]{{4,9}})\.({_ENDINGS})"
-)
-_OTHERS = re.compile(
-    rf"{_LAYERS}layers\.json|{_PROXIES}(proxies\.json|meshes/{NAME.pattern}\.ply)|edit-masks/edit-masks\.json"
-)
-"""Files that a dataset may hold besides its metadata and the files that this lists."""
+"""The file that an archive begins with."""
 
 
 def pack_dataset(root: Path, out: Path | None, *, overwrite: bool) -> Path:
@@ -92,62 +80,39 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
     into = into or DATA_ROOT / path.stem
     with open_regular(path) as file, new_folder(into) as folder:
         count = _extract(path, file, folder)
-        found = verify_dataset(folder)
-        for line in (*found.problems, *(found.remarks if found.verified < count else [])):
-            raise _refusal(path, folder, line)
+        try:
+            found = verify_dataset(folder)
+            problems = found.problems or (found.remarks if found.verified < count else [])
+        except HyalineError as error:
+            problems = [str(error)]
+        if problems:
+            reason = problems[0].replace(f"{folder}/", "").removeprefix(f"{folder}: ").split("; ")[0]
+            raise HyalineError(f"{path}: holds no finished dataset ({reason}); get the archive again")
     say(f"{into}: {count:,} files; licence: {open_dataset(into).license}")
     return into
 
 
 def _extract(path: Path, file: BinaryIO, folder: Path) -> int:
-    """Writes an archive's files into an empty folder, if the dataset may hold each of them; returns their number."""
-    heads: dict[str, Dataset] = {}
+    """Writes the plain files of an archive into an empty folder; returns their number."""
     count = 0
     try:
         with tarfile.open(fileobj=file, mode="r:") as archive:
             for count, entry in enumerate(archive, start=1):
                 relative = entry.name.partition("/")[2]
-                prefix = (re.match(rf"variants/{NAME.pattern}/", relative) or [""])[0]
-                if count == 1 and relative != HEAD:
-                    raise HyalineError(
-                        f"{path}: begins with {entry.name!r}; expected {HEAD}, as `datagen pack` writes it (`tar -xf` "
-                        "opens other archives)"
-                    )
                 is_plain = entry.type in (tarfile.REGTYPE, tarfile.AREGTYPE) and not entry.issparse() and entry.size > 0
-                if not is_plain or not _may_hold(heads, prefix, relative.removeprefix(prefix)):
+                if not is_plain or (count == 1 and relative != HEAD):
                     raise HyalineError(
-                        f"{path}: holds {entry.name!r}, which is no file of its dataset; get the archive again"
+                        f"{path}: holds {entry.name!r}; expected plain files, {HEAD} first, as `datagen pack` writes it"
                     )
                 check_relative(relative, where=str(path))
                 (folder / relative).parent.mkdir(parents=True, exist_ok=True)
                 content = cast(BinaryIO, archive.extractfile(entry))  # tarfile's own filters came with Python 3.11.4.
                 with content, (folder / relative).open("xb") as target:
                     shutil.copyfileobj(content, target)
-                if relative == prefix + HEAD:
-                    heads[prefix] = open_dataset(folder / prefix)
     except (tarfile.TarError, ValueError, OverflowError, MemoryError) as error:
         raise HyalineError(f"{path}: is damaged, or no tar archive ({error}); get the archive again") from None
-    except HyalineError as error:
-        raise _refusal(path, folder, str(error)) from None
+    except (FileExistsError, NotADirectoryError):
+        raise HyalineError(f"{path}: holds two things of one name; get the archive again") from None
     if not count:
         raise HyalineError(f"{path}: is empty; expected an archive of `datagen pack`")
     return count
-
-
-def _may_hold(heads: Mapping[str, Dataset], prefix: str, path: str) -> bool:
-    """Whether a dataset or variant may hold a file, by its metadata, which is unpacked before all else."""
-    if path == HEAD:
-        return prefix not in heads
-    if (dataset := heads.get(prefix)) is None:
-        return False
-    if (view := _VIEWS.fullmatch(path)) is not None:
-        views: dict[str, int] = {**dataset.num_views}
-        return int(view["view"]) < views.get(view["split"], 0)
-    return path in dataset.files or _OTHERS.fullmatch(path) is not None
-
-
-def _refusal(path: Path, folder: Path, reason: str) -> HyalineError:
-    if reason.startswith(str(path)):
-        return HyalineError(reason)
-    reason = reason.replace(f"{folder}/", "").removeprefix(f"{folder}: ").split("; ")[0]
-    return HyalineError(f"{path}: holds no finished dataset ({reason}); get the archive again")

@@ -14,7 +14,6 @@ nerfstudio, read by `ns-train METHOD --data OUT` (nerfstudio-data):
 blender, as NeRF's synthetic scenes, and 3dgs, the same with points:
 
     transforms_train.json, transforms_val.json, transforms_test.json    camera_angle_x, frames without file endings
-    transforms_interpolating.json, transforms_extrapolating.json        the two halves of test
     train/NAME.png, val/NAME.png, test/NAME.png                         RGBA, alpha 255
     points3d.ply                                                        3dgs: points of the surfaces to start from
 
@@ -30,7 +29,6 @@ capture, as `datagen capture` and people's own captures have it, without shapes,
 import functools
 from collections.abc import Iterator
 
-from datagen.data.config import TEST_SPLITS
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
@@ -78,13 +76,10 @@ def _blender(source: Source, form: str) -> Iterator[tuple[str, bytes]]:
     check_centered(source.lens, form)
     for item in tracked(source.views):
         yield f"{item.role}/{item.name}.png", rgba_png(item)
-    lists = {role: source.of_role(role) for role in ROLES} | {
-        split: tuple(item for item in source.of_role("test") if item.view.split == split) for split in TEST_SPLITS
-    }
     about = {"convention": CONVENTION, **lens_keys(source.lens), **world_keys(source)}
-    for name, views in lists.items():
-        frames: list[Json] = [frame(item, f"./{item.role}/{item.name}") for item in views]
-        yield f"transforms_{name}.json", dump_json({**about, "frames": frames})
+    for role in ROLES:
+        frames: list[Json] = [frame(item, f"./{role}/{item.name}") for item in source.of_role(role)]
+        yield f"transforms_{role}.json", dump_json({**about, "frames": frames})
     if form == "3dgs":  # Its reader takes this format where there is no folder `sparse`.
         yield "points3d.ply", ply_points(source.points)
 

@@ -16,7 +16,6 @@ def export(
     *,
     out: Path = Path("scene.html"),
     quality: Literal["small", "exact"] = "small",
-    truths: Literal["all", "test", "none"] = "all",
     dataset: str | None = None,
     overwrite: bool = False,
 ) -> None:
@@ -26,7 +25,6 @@ def export(
         run: A trained run (its folder, or SCENE/NAME under runs/) whose method has a web page, such as light-path.
         out: File to write.
         quality: small stores numbers in few bits; exact keeps all of them, in about five times the bytes.
-        truths: Path-traced views that the page can fade over its own: all, only those of the test splits, or none.
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         overwrite: Replace an existing file.
     """
@@ -41,7 +39,7 @@ def export(
     say(f"{run}: writing {out}")
     from hyaline_web.page.export import export_run
 
-    export_run(run, record, opened, out, quality, truths)
+    export_run(run, record, opened, out, quality)
     tell(str(out))
 
 

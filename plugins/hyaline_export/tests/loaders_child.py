@@ -112,30 +112,6 @@ def _nerfstudio_rays(cameras, index: int, places: np.ndarray) -> tuple[np.ndarra
     return rays.origins.double().numpy(), rays.directions.double().numpy()
 
 
-def read_nerfbaselines(root: Path, questions: Questions) -> Answer:
-    """The loader that `nerfbaselines train --data` finds by itself."""
-    from nerfbaselines.cameras import unproject
-    from nerfbaselines.datasets import load_dataset
-
-    answer = Answer()
-    for split in ("train", "test"):
-        features = frozenset(("color", "points3D_xyz", "points3D_rgb"))
-        dataset = load_dataset(str(root), split, features=features)
-        names = [Path(file).stem for file in dataset["image_paths"]]
-        for index, name in enumerate(names):
-            camera = dataset["cameras"][index]
-            origins, directions = unproject(camera[None], questions[name].astype(np.float32))
-            answer.pictures[name] = {
-                "colors": dataset["images"][index],
-                "origins": origins.astype(np.float64),
-                "directions": directions.astype(np.float64),
-            }
-        answer.splits[split] = names
-        answer.points, answer.colors = dataset["points3D_xyz"].astype(np.float64), dataset["points3D_rgb"]
-        answer.near_far = tuple(dataset["metadata"]["depth_range"])
-    return answer
-
-
 def read_pycolmap(root: Path, questions: Questions) -> Answer:
     """COLMAP's own reader; it knows no splits."""
     import pycolmap
@@ -200,7 +176,6 @@ LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
     "nerfstudio-data": read_nerfstudio_data,
     "nerfstudio-blender": read_nerfstudio_blender,
     "nerfstudio-colmap": read_nerfstudio_colmap,
-    "nerfbaselines": read_nerfbaselines,
     "pycolmap": read_pycolmap,
     "datasets": read_datasets,
 }

@@ -132,9 +132,8 @@ def test_near_far_and_box_keep_every_surface(dataset: Dataset, exports: dict[str
 @pytest.mark.parametrize("form", ["blender", "3dgs"])
 def test_blender_reads_every_split(form: str, dataset: Dataset, exports: dict[str, Path]) -> None:
     root = exports[form]
-    splits = {split: read_blender(root, split) for split in ("train", "val", "test", *dataset.splits[1:])}
-    assert [len(views) for views in splits.values()] == [8, 2, 4, 2, 2]
-    assert {**splits["interpolating"], **splits["extrapolating"]}.keys() == splits["test"].keys()
+    splits = {split: read_blender(root, split) for split in ("train", "val", "test")}
+    assert [len(views) for views in splits.values()] == [8, 2, 4]
     for views in splits.values():
         for name, read in views.items():
             check_picture(dataset, name, read.file, channels=4)
@@ -142,9 +141,8 @@ def test_blender_reads_every_split(form: str, dataset: Dataset, exports: dict[st
     check_vertices(dataset, splits["test"])
 
 
-@pytest.mark.parametrize("form", ["colmap", "nerfbaselines"])
-def test_colmap_reads_cameras_points_and_tracks(form: str, dataset: Dataset, exports: dict[str, Path]) -> None:
-    root = exports[form]
+def test_colmap_reads_cameras_points_and_tracks(dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["colmap"]
     views, points, seen = read_colmap_text(root)
     check_vertices(dataset, views)
     assert len(views) == 14 and len(points) == POINTS
@@ -165,9 +163,6 @@ def test_colmap_reads_cameras_points_and_tracks(form: str, dataset: Dataset, exp
     assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "val": 2, "test": 4}
     # Each picture is in one list: nerfstudio refuses a split whose list is missing while another's is there.
     assert sorted(name for listed in lists.values() for name in listed) == sorted(f"{name}.png" for name in views)
-    if form == "nerfbaselines":
-        info = json.loads((root / "nb-info.json").read_text())
-        assert (info["loader"], info["scene"]) == ("colmap", "glasses")
 
 
 def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict[str, Path]) -> None:
@@ -262,31 +257,6 @@ def test_what_cannot_be_exported_is_said(
     assert not place.exists()
 
 
-@pytest.mark.parametrize("form", ["nerfstudio", "blender", "3dgs"])
-def test_instant_ngp_finds_glass_and_cameras_in_its_cube(form: str, dataset: Dataset, tmp_path: Path) -> None:
-    run(f"datagen export {dataset.root} --format {form} --points 20 --out {tmp_path}")
-    glass = np.concatenate([found.position[found.glass] for found in map(quantities, _all_views(dataset))])
-    everywhere = np.array([view.camera.world_from_camera[:3, 3] for view in _all_views(dataset)])
-    files = sorted(tmp_path.glob("transforms*.json"))
-    assert files
-    for file in files:
-        meta = json.loads(file.read_text())
-        scale, offset, side = meta["scale"], np.array(meta["offset"]), meta["aabb_scale"]
-        # What its loader makes of `aabb`, where it reads that (src/nerf_loader.cu).
-        low, high = np.array(meta["aabb"])
-        assert scale == pytest.approx(1 / max(high - low))
-        assert offset == pytest.approx(0.5 - (low + high) / 2 * scale)
-        assert side in {2**power for power in range(8)}
-        places = np.array([frame["transform_matrix"] for frame in meta["frames"]])[:, :3, 3]
-        assert np.abs(glass * scale + offset - 0.5).max() < 0.5
-        assert np.abs(places * scale + offset - 0.5).max() <= side / 2
-        assert side == 1 or np.abs(everywhere * scale + offset - 0.5).max() > side / 4  # No larger than needed.
-
-
-def _all_views(dataset: Dataset) -> list[View]:
-    return [view for split in dataset.splits for view in dataset.views(split)]
-
-
 def test_hugging_face_finds_every_split_with_its_cameras(dataset: Dataset, tmp_path: Path) -> None:
     run(f"datagen export {dataset.root} --format huggingface --out {tmp_path}")
     _, head, text = (tmp_path / "README.md").read_text().split("---\n", 2)
@@ -310,10 +280,5 @@ def test_hugging_face_finds_every_split_with_its_cameras(dataset: Dataset, tmp_p
     assert len(names) == len(set(names)) == 14
     # What `imagefolder` goes by when it is not given the card.
     assert all(re.search(r"(?<![a-z])(train|validation|test)(?![a-z])", folder) for _, folder in listed)
-    assert "| `interpolating` | 2 | 49.0 dB |" in text and "OpenGL" in text
+    assert "| `interpolating` | 2 |" in text and "OpenGL" in text
     assert f"exported by hyaline {VERSION} from the dataset `{dataset.seal}`" in text
-    cite = (Path(__file__).parents[3] / "CITATION.cff").read_text()
-    said = dict(re.findall(r"^(title|version): \"?([^\"\n]+)", cite, re.MULTILINE))
-    author = re.search(r"- name: (.+)", cite)
-    assert author is not None
-    assert all(f"= {{{value}}}" in text for value in (said["title"], said["version"], f"{{{author[1]}}}"))

@@ -111,7 +111,7 @@ def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path:
         assert terms in (tmp_path / form / "LICENSE.txt").read_text()
     heads = [path for form in FORMATS.built_in for path in _heads(tmp_path / form)]
     said = [json.loads(path.read_text()).get("license") for path in heads]
-    assert len(said) == 1 + 5 + 5 + 1 + 1 + 1 and set(said) == {terms}
+    assert len(said) == 1 + 3 + 3 + 1 + 1 and set(said) == {terms}
     assert CARD_LICENSES[terms] in (tmp_path / "huggingface" / "README.md").read_text()
     run(f"datagen import-dataset {tmp_path / 'nerfstudio'} --out {tmp_path / 'again'}")
     assert open_dataset(tmp_path / "again").license == terms
@@ -119,7 +119,7 @@ def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path:
 
 def _heads(export: Path) -> list[Path]:
     """The files of an export that tell of all its views."""
-    return [path for name in ("transforms*.json", "nb-info.json", "dataset.json") for path in export.glob(name)]
+    return [path for name in ("transforms*.json", "dataset.json") for path in export.glob(name)]
 
 
 def test_pictures_from_elsewhere_have_no_licence_that_nobody_stated(scene_folder: Path, tmp_path: Path) -> None:

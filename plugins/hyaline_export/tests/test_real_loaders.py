@@ -25,7 +25,6 @@ REAL = (
     ("nerfstudio-blender", "blender"),
     ("nerfstudio-blender", "3dgs"),
     ("nerfstudio-colmap", "colmap"),
-    ("nerfbaselines", "nerfbaselines"),
     ("pycolmap", "colmap"),
     ("datasets", "huggingface"),
 )

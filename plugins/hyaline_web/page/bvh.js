@@ -150,31 +150,7 @@ async function buildTrees(scene) {
     });
     await pause();
   }
-  return { nodes: new Float32Array(nodes), roots, bounds, triangles, walls: manifest.objects.map(() => 1) };
-}
-
-const WALLS = { least: 0.25, most: 1.75 };
-
-// Makes the wall of a vessel `factor` times as thick: moves its inner side, and the boxes of its tree with it.
-function moveWall({ manifest, arrays }, trees, index, factor) {
-  const { wall, firstVertex, firstFace, numFaces } = manifest.objects[index], { nodes, roots, triangles } = trees;
-  for (let at = 12 * firstFace; at < 12 * (firstFace + numFaces); at += 4) {
-    const vertex = triangles[at + 3], shift = 3 * (wall.first + vertex - firstVertex);
-    for (let axis = 0; axis < 3; axis++)
-      triangles[at + axis] = arrays.vertices[3 * vertex + axis] + (factor - 1) * arrays.walls[shift + axis];
-  }
-  const first = 16 * (roots[index] - 2 * TOP_NODES), last = index + 1 < roots.length ? 16 * (roots[index + 1] - 2 * TOP_NODES) : nodes.length;
-  // From the last half node to the first: what a node holds lies behind it.
-  for (let at = last - 8; at >= first; at -= 8) {
-    if (nodes[at] > nodes[at + 4]) continue;  // It is empty.
-    const box = emptyBox(), held = nodes[at + 3], count = nodes[at + 7];
-    const corners = count ? Array.from({ length: 3 * count }, (_, corner) => 12 * held + 4 * corner) : [];
-    for (const corner of corners) grow(box, [...triangles.subarray(corner, corner + 3), ...triangles.subarray(corner, corner + 3)], 0);
-    const next = 16 * (held - 2 * TOP_NODES);
-    for (const half of count ? [] : [next, next + 8])
-      if (nodes[half] <= nodes[half + 4]) grow(box, [...nodes.subarray(half, half + 3), ...nodes.subarray(half + 4, half + 7)], 0);
-    nodes.set(box.slice(0, 3), at), nodes.set(box.slice(3), at + 4);
-  }
+  return { nodes: new Float32Array(nodes), roots, bounds, triangles };
 }
 
 // The tree over some rows of the table of objects, given with their boxes in the world.

@@ -12,7 +12,7 @@ import re
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
 
 import numpy as np
 from jaxtyping import UInt8
@@ -41,24 +41,17 @@ SCRIPTS = (
     "objects.js",
     "tracer.js",
     "frames.js",
-    "film.js",
-    "gizmo.js",
     "paths.js",
     "gestures.js",
     "panel.js",
     "page.js",
 )
 
-Truths = Literal["all", "test", "none"]
-"""Views whose path-traced pictures the page contains."""
-
 MAX_PICTURE = 1 << 26
 """Largest still picture in bytes."""
 
 
-def export_run(
-    run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality, truths: Truths = "all"
-) -> None:
+def export_run(run: Path, record: RunRecord, dataset: Dataset, out: Path, quality: Quality) -> None:
     """Writes the page of a trained run."""
     if not record.config.net.page:
         raise HyalineError(f"{run}: its method, {record.method}, has no web page; docs/browser.md lists those that do")
@@ -74,7 +67,6 @@ def export_run(
         quality,
         label=record.label,
         still=read_regular(still, at_most=MAX_PICTURE),
-        truths=truths,
     )
     commit(out, page)
 
@@ -88,17 +80,15 @@ def scene_page(
     *,
     label: str,
     still: bytes,
-    truths: Truths = "all",
 ) -> bytes:
     """The page of a renderer.
 
     Args:
         label: the run's label.
         still: a PNG, shown until the first picture is drawn, and where WebGL is missing.
-        truths: path-traced pictures that can be blended with the page's own.
     """
     scene = web_scene(renderer, config, dataset, geometry, quality)
-    manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset, truths))}
+    manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset))}
     script = f'"use strict";\n(() => {{\n{package_text("hyaline_web.page", *SCRIPTS)}}})();\n'
     style = package_text("hyaline_web.page", "page.css")
     title = f"{dataset.name}: {label}"
@@ -126,25 +116,21 @@ def scene_page(
     ).encode()
 
 
-def _truths(dataset: Dataset, truths: Truths) -> dict[str, str]:
+def _truths(dataset: Dataset) -> dict[str, str]:
     """The path tracer's picture of each view that is built, by split/view."""
-    splits = {"all": dataset.splits, "test": [split for split in dataset.splits if split != "train"], "none": []}
     return {
-        f"{split}/{view.index}": _training_picture(view.image) if split == "train" else _test_picture(view.image)
-        for split in splits[truths]
+        f"{split}/{view.index}": _picture(view.image, is_small=split == "train")
+        for split in dataset.splits
         for view in dataset.views(split)
         if view.is_built
     }
 
 
-def _test_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """The eye sees no difference; a view of the demo takes 9 kB."""
+def _picture(image: UInt8[np.ndarray, "h w 3"], *, is_small: bool) -> str:
+    """Without visible loss, 9 kB for a view of the demo; small: a quarter of the bytes, at 31 dB."""
+    if is_small:
+        return data_uri(image, "webp", quality=75, method=6)
     return data_uri(image, "jpeg", quality=92, subsampling=0)
-
-
-def _training_picture(image: UInt8[np.ndarray, "h w 3"]) -> str:
-    """A quarter of the bytes, at 31 dB, because there are many."""
-    return data_uri(image, "webp", quality=75, method=6)
 
 
 def fill(template: str, parts: Mapping[str, str]) -> str:

@@ -114,13 +114,6 @@ class Frames {
     this.tell({ width, height, rays });
   }
 
-  // A picture of a film, within `alone`.
-  async compose(width, height, rays) {
-    await this.rays(width, height, rays, this.tracer.scene.manifest.samples);
-    this.tracer.show();
-    return createImageBitmap(new ImageData(new Uint8ClampedArray(this.tracer.bytes()), width, height));
-  }
-
   // A picture of its own size, of the rays that the product takes.
   picture(width, height, samples) {
     return this.alone(async () => {

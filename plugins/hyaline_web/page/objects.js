@@ -20,7 +20,7 @@ class Objects {
   fresh(of, name) {
     const item = this.listed[of];
     return {
-      of, name, shown: item.numFaces > 0, offset: [0, 0, 0], turn: [0, 0, 0], wall: 1,
+      of, name, shown: item.numFaces > 0, offset: [0, 0, 0], turn: [0, 0, 0],
       material: this.materials.findIndex((known) => isSame(known, item)), ...opticsOf(item),
     };
   }
@@ -91,12 +91,11 @@ class Objects {
   }
 
   readOne(index, numbers) {
-    const [shown, x, y, z, turnX, turnY, turnZ, material, ior, mediumIor, red, green, blue, wall = 1] = numbers;
+    const [shown, x, y, z, turnX, turnY, turnZ, material, ior, mediumIor, red, green, blue] = numbers;
     if (blue === undefined || !numbers.every(Number.isFinite)) return;
     if (this.materialsFor(index).includes(material)) this.wear(index, material);
     const change = { shown: shown === 1, offset: [x, y, z], turn: [turnX, turnY, turnZ], ior, mediumIor, absorption: [red, green, blue] };
     Object.assign(this.all[index], change);
-    if (this.listed[this.all[index].of].wall) this.all[index].wall = Math.min(WALLS.most, Math.max(WALLS.least, wall));
   }
 }
 
@@ -112,7 +111,7 @@ function freeName(name, items) {
 const short = (value) => Number(value.toPrecision(6)).toString();
 
 function textOf(item) {
-  return [item.shown ? 1 : 0, ...item.offset, ...item.turn, item.material, item.ior, item.mediumIor, ...item.absorption, item.wall].map(short).join(" ");
+  return [item.shown ? 1 : 0, ...item.offset, ...item.turn, item.material, item.ior, item.mediumIor, ...item.absorption].map(short).join(" ");
 }
 
 function opticsOf(item) {

@@ -17,9 +17,7 @@ class Page {
     await this.tracer.start();
     this.frames = new Frames(this.tracer, this.camera, (drawn) => this.drew(drawn));
     this.gestures = new Gestures(this);
-    this.gizmo = new Gizmo(element("gizmo"), this.camera, (event) => this.gestures.at(event), (change) => this.edit(this.chosen, change));
     this.rays = new RayView(element("rays"), element("met"), this);
-    this.film = new Film(this);
     this.panel = new Panel(this);
     if (!this.readLink()) this.goTo(this.scene.manifest.start), this.panel.listObjects();
     this.listen();
@@ -43,7 +41,7 @@ class Page {
   resized() {
     this.fit();
     this.frames.changed();
-    this.overlay();
+    this.rays.draw();
   }
 
   // A window that moves to another screen keeps its size in CSS pixels.
@@ -93,13 +91,6 @@ class Page {
     this.canvas.height = Math.max(1, Math.round(box.height * ratio));
   }
 
-  // What is drawn over the picture.
-  overlay() {
-    const object = this.objects.all[this.chosen], { clientWidth, clientHeight } = this.canvas;
-    this.gizmo.show(object && object.shown ? object : null, object && middleOf(object, this.trees.bounds[object.of]), clientWidth, clientHeight);
-    this.rays.draw();
-  }
-
   // ---- What has changed
 
   // An object.
@@ -118,7 +109,7 @@ class Page {
 
   changed() {
     this.frames.changed();
-    this.overlay();
+    this.rays.draw();
     this.writeLink();
   }
 
@@ -133,7 +124,6 @@ class Page {
   choose(index) {
     this.chosen = index;
     this.panel.describe();
-    this.overlay();
   }
 
   copy() {
@@ -248,7 +238,7 @@ class Page {
     }
   }
 
-  // ---- Pictures and films
+  // ---- Pictures
 
   // For tests and scripts: a picture of a view as bytes, red, green, blue and 255, rows from above. Edits are
   // by name; that of a copy says whose `copyOf` it is.
@@ -272,28 +262,9 @@ class Page {
   }
 
   savePicture() {
-    save(`${this.scene.manifest.name}.png`, this.canvas.toDataURL("image/png"));
+    const link = { download: `${this.scene.manifest.name}.png`, href: this.canvas.toDataURL("image/png") };
+    Object.assign(document.createElement("a"), link).click();
   }
-
-  // A second click stops it.
-  async saveFilm() {
-    if (this.film.isWanted) return void (this.film.isWanted = false);
-    element("film").textContent = "Stop the film";
-    try {
-      const film = await this.film.turntable();
-      if (film) save(`${this.scene.manifest.name}.webm`, URL.createObjectURL(film));
-    } catch (error) {
-      this.answer(error.message);
-    } finally {
-      element("film").textContent = "Film a turn";
-    }
-  }
-}
-
-function save(name, address) {
-  const link = Object.assign(document.createElement("a"), { download: name, href: address });
-  link.click();
-  if (address.startsWith("blob:")) setTimeout(() => URL.revokeObjectURL(address), 60000);
 }
 
 function fail(error) {

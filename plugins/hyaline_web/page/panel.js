@@ -19,7 +19,6 @@ class Panel {
     on("fly", "click", () => page.command("f"));
     on("picture", "click", () => page.savePicture());
     on("link", "click", () => page.copyLink());
-    on("film", "click", () => page.saveFilm());
     on("follow", "change", () => page.rays.clear());
   }
 
@@ -46,7 +45,7 @@ class Panel {
     const { page } = this, object = page.objects.all[page.chosen], fields = element("chosen");
     fields.hidden = !object;
     if (object) {
-      const shape = [...this.placeSliders(object), ...this.wallSlider(object), ...this.materialFields(object)];
+      const shape = [...this.placeSliders(object), ...this.materialFields(object)];
       const all = [made("legend", { textContent: object.name }), ...shape, this.buttons()];
       keepingFocus(fields, () => fields.replaceChildren(...all));
     } else if (fields.contains(document.activeElement)) element("objects").querySelector("button").focus();
@@ -68,14 +67,6 @@ class Panel {
       ...axes.map((name, axis) => this.slider(`Turn ${name}, °`, -180, 180, 1,
         () => object.turn[axis], (value) => (object.turn = object.turn.map((old, i) => (i === axis ? value : old))))),
     ];
-  }
-
-  // Of a vessel; its copies have the same shape.
-  wallSlider({ of }) {
-    const { wall } = this.page.scene.manifest.objects[of], original = this.page.objects.all[of];
-    if (!wall) return [];
-    const { least, most } = WALLS, mm = 1000 * wall.thickness;
-    return [this.slider("Wall, mm", least * mm, most * mm, mm / 50, () => original.wall * mm, (value) => (original.wall = value / mm))];
   }
 
   materialFields(object) {

@@ -51,3 +51,9 @@ class RayView {
     this.group.replaceChildren(...lines, ...dots);
   }
 }
+
+function drawn(kind, attributes) {
+  const made = document.createElementNS(element("overlay").namespaceURI, kind);
+  for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+  return made;
+}

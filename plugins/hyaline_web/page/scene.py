@@ -34,7 +34,6 @@ from hyaline_web.page.packing import (
     residuals,
     zigzag,
 )
-from hyaline_web.page.walls import find_wall
 from model.methods.page import MethodPage, fours, package_text
 from model.methods.protocol import MethodConfig
 from model.methods.renderer import Renderer
@@ -176,7 +175,6 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
     page = config.draw_page(renderer, scene)
     packed = Packed()
     boxes = _add_meshes(packed, meshes, quality, with_normals=page.has_normals)
-    walls = _add_walls(packed, scene, meshes, quality)
     with torch.inference_mode():
         # A learned relief can shift look-ups to any texel.
         charted = None if page.relief else [mesh for mesh in meshes for _ in range(page.shells)]
@@ -210,8 +208,7 @@ def web_scene(renderer: Renderer, config: MethodConfig, dataset: Dataset, geomet
         "defines": cast(Json, defines),
         "edits": [{"name": "matt", **_optics(GREY)}, {"name": "clear glass", **_optics(CLEAR_GLASS)}],
         "objects": [
-            {**item, **box, "wall": wall}
-            for item, box, wall in zip(_objects(scene, meshes, page, places, tints), boxes, walls, strict=True)
+            {**item, **box} for item, box in zip(_objects(scene, meshes, page, places, tints), boxes, strict=True)
         ],
     }
     parts = (
@@ -325,16 +322,3 @@ def _add_meshes(
         packed.add("normals", quantize_normals(normals) if is_small else fold_normals(normals), differences=is_small)
     packed.add("uv", quantize_uv(uv) if is_small else uv, differences=is_small)
     return boxes
-
-
-def _add_walls(packed: Packed, scene: Scene, meshes: tuple[Mesh, ...], quality: Quality) -> list[Json]:
-    """Adds how the inner sides of vessels move; returns the first row and the thickness of each, None for others."""
-    found, shifts = [], [np.zeros((0, 3), np.float32)]
-    for item, mesh in zip(scene.objects, meshes, strict=True):
-        wall = find_wall(mesh) if item.material.medium is not None else None
-        first = sum(map(len, shifts))
-        found.append(None if wall is None else {"first": first, "thickness": wall.thickness})
-        shifts.append(shifts[0] if wall is None else wall.shifts)
-    joined = np.concatenate(shifts)
-    packed.add("walls", round_mantissa(joined) if quality == "small" else joined)
-    return found

@@ -124,13 +124,6 @@ class Tracer {
     this.triangles = this.table(1, gl.RGBA32F, trees.triangles);
   }
 
-  // Gives vessels the walls that are asked for.
-  bend(objects) {
-    const { walls } = this.trees, changed = walls.map((_, index) => index).filter((index) => objects[index].wall !== walls[index]);
-    for (const index of changed) moveWall(this.scene, this.trees, index, (walls[index] = objects[index].wall));
-    if (changed.length) this.fillTrees();
-  }
-
   // A texture of as many rows as it takes.
   table(unit, format, values) {
     const { gl } = this, height = Math.max(1, Math.ceil(values.length / (4 * TEXTURE_WIDTH)));
@@ -148,7 +141,6 @@ class Tracer {
   place(objects) {
     const { gl, trees } = this, { manifest } = this.scene, table = this.objectTable, row = 4 * this.objectWidth;
     const ranks = mediumRanks(objects);
-    this.bend(objects);
     table.fill(0);
     objects.forEach((object, index) => {
       const bounds = trees.bounds[object.of], { texels, relief } = manifest.objects[object.of];

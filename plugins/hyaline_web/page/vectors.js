@@ -19,15 +19,3 @@ function turnOf(angles) {
   const columns = UNIT_AXES.map((vector) => angles.reduce((turned, angle, axis) => rotate(turned, UNIT_AXES[axis], radians(angle)), vector));
   return UNIT_AXES.map((_, row) => columns.map((column) => column[row]));
 }
-
-// The angles in degrees of a rotation, given by its rows.
-function anglesOf(turn) {
-  const y = Math.asin(Math.max(-1, Math.min(1, -turn[2][0])));
-  return [Math.atan2(turn[2][1], turn[2][2]), y, Math.atan2(turn[1][0], turn[0][0])].map((angle) => (angle * 180) / Math.PI);
-}
-
-// A rotation, given by its rows, after which all is turned about an axis of the world.
-function turnedFurther(turn, axis, angle) {
-  const columns = UNIT_AXES.map((_, column) => rotate(turn.map((row) => row[column]), axis, angle));
-  return UNIT_AXES.map((_, row) => columns.map((column) => column[row]));
-}

@@ -3,7 +3,6 @@
 import re
 import threading
 from collections.abc import Callable, Iterator
-from typing import Literal
 
 import numpy as np
 import viser
@@ -20,9 +19,8 @@ from hyaline_web.view.schedule import window_pose
 
 Triple = tuple[float, float, float]
 
-COLORS: dict[str, tuple[int, int, int]] = {"train": (90, 140, 230), "interpolating": (70, 180, 110)}
-"""Colours of camera frames by split; the other splits are extrapolating, and red."""
-OTHERS = (220, 90, 80)
+COLORS = {"train": (90, 140, 230), "interpolating": (70, 180, 110), "extrapolating": (220, 90, 80)}
+"""Colours of camera frames by split."""
 FRAME_SHARE = 0.05
 """Size of a camera's frame, relative to its distance from the centre of the scene."""
 MOST_PIXELS = 160
@@ -58,9 +56,7 @@ class Stage:
         # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
         self._place(server.initial_camera)
         server.initial_camera.up = (0.0, 0.0, 1.0)
-        self._frames: dict[Split, list[viser.CameraFrustumHandle]] = {
-            split: [self._add_frame(view) for view in dataset.views(split)] for split in dataset.splits
-        }
+        self._frames = [(view, self._add_frame(view)) for split in dataset.splits for view in dataset.views(split)]
         self._meshes: list[viser.MeshHandle] = []
 
     def restart(self, client: viser.ClientHandle) -> None:
@@ -68,9 +64,9 @@ class Stage:
         with client.atomic():
             self._place(client.camera)
 
-    def show_cameras(self, split: Split, *, visible: bool) -> None:
-        for frame in self._frames[split]:
-            frame.visible = visible
+    def show_cameras(self, is_shown: bool) -> None:
+        for _, frame in self._frames:
+            frame.visible = is_shown
 
     def show_meshes(self, geometry: str | None) -> None:
         """Replaces the shown meshes by those of this geometry; None: shows none."""
@@ -93,15 +89,14 @@ class Stage:
 
     def pictures(self) -> Iterator[None]:
         """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
-        for split, frames in self._frames.items():
-            for view, frame in zip(self._dataset.views(split), frames, strict=True):
-                try:
-                    picture = view.image
-                except HyalineError:
-                    continue
-                step = -(-max(picture.shape[:2]) // MOST_PIXELS)
-                frame.image = picture[::step, ::step]
-                yield
+        for view, frame in self._frames:
+            try:
+                picture = view.image
+            except HyalineError:
+                continue
+            step = -(-max(picture.shape[:2]) // MOST_PIXELS)
+            frame.image = picture[::step, ::step]
+            yield
 
     def _add_frame(self, view: View) -> viser.CameraFrustumHandle:
         camera = view.camera
@@ -113,7 +108,7 @@ class Stage:
             scale=FRAME_SHARE * float(np.linalg.norm(position - self.middle)),
             thickness=1.5,
             thickness_units="screen",
-            color=COLORS.get(view.split, OTHERS),
+            color=COLORS.get(view.split, COLORS["extrapolating"]),
             wxyz=wxyz,
             position=position,
         )
@@ -159,9 +154,7 @@ def _triple(point: np.ndarray) -> Triple:
     return x, y, z
 
 
-Sight = Literal["prediction", "layer", "nothing"]
-
-NO_MESHES = "none"
+PREDICTION, LAYER, NOTHING, NONE = "prediction", "layer", "nothing", "none"
 USUAL_LAYERS = 8
 """Layers to choose from if none were peeled."""
 
@@ -176,55 +169,50 @@ class Panel:
         *,
         has_run: bool,
         on_sight: Callable[[], None],
-        on_cameras: Callable[[Split, bool], None],
+        on_cameras: Callable[[bool], None],
         on_meshes: Callable[[str | None], None],
     ) -> None:
         """
         Args:
             on_sight: called when the free camera shows something else.
-            on_cameras: called with a split, and whether to show its cameras.
+            on_cameras: called with whether to show the dataset's cameras.
             on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
         """
         gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
-        layer: list[Sight] = ["layer"] if geometries else []
-        sights: list[Sight] = [*(["prediction"] if has_run else []), *layer, "nothing"]
-        first: Sight = "prediction" if has_run else "nothing"
-        self._sight = gui.add_dropdown("the camera sees", sights, initial_value=first)
+        sights = [*([PREDICTION] if has_run else []), *([LAYER] if geometries else []), NOTHING]
+        self._sight = gui.add_dropdown("the camera sees", sights, initial_value=PREDICTION if has_run else NOTHING)
         self._layer = gui.add_slider("layer", 0, _num_layers(dataset) - 1, 1, 0, visible=False)
         self._geometry = gui.add_dropdown("layers of", geometries or (TRUTH,), initial_value=TRUTH, visible=False)
-        shown = NO_MESHES if has_run or not geometries else TRUTH
-        meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
-        self._pause = gui.add_checkbox("pause", False, hint="Draw nothing, and leave the machine alone.")
-        for split in dataset.splits:
-            box = gui.add_checkbox(f"{split} cameras", not has_run)  # Frames would cover the prediction.
-            box.on_update(lambda event, split=split: on_cameras(split, event.target.value))
-            on_cameras(split, not has_run)
+        shown = NONE if has_run or not geometries else TRUTH  # Meshes and frames would cover the prediction.
+        meshes = gui.add_dropdown("meshes", (NONE, *geometries), initial_value=shown)
+        cameras = gui.add_checkbox("cameras", not has_run)
         self._view = gui.add_markdown("Click a camera to look through it.")
         self._truth: viser.GuiImageHandle | None = None
         self._gui = gui
 
         def show_sight(_: object) -> None:
-            self._layer.visible = self._geometry.visible = self.sight == "layer"
+            self._layer.visible = self._geometry.visible = self.sight == LAYER
             on_sight()
 
-        self._sight.on_update(show_sight)
-        for control in (self._layer, self._geometry, self._pause):
-            control.on_update(lambda _: on_sight())
+        for control in (self._sight, self._layer, self._geometry):
+            control.on_update(show_sight)
         choosing = threading.Lock()
 
         def show_meshes(_: object) -> None:
             with choosing:  # Two threads would remove the same meshes, and the last choice might not be the last shown.
                 try:
-                    on_meshes(None if meshes.value == NO_MESHES else meshes.value)
+                    on_meshes(None if meshes.value == NONE else meshes.value)
                 except HyalineError as error:
                     self.tell_trouble(str(error))
 
         meshes.on_update(show_meshes)
-        on_meshes(None if shown == NO_MESHES else shown)
+        on_meshes(None if shown == NONE else shown)
+        cameras.on_update(lambda _: on_cameras(cameras.value))
+        on_cameras(cameras.value)
 
     @property
-    def sight(self) -> Sight:
+    def sight(self) -> str:
         """What the free camera shows."""
         return self._sight.value
 
@@ -241,21 +229,13 @@ class Panel:
         """The geometry whose layers are shown."""
         return self._geometry.value
 
-    @property
-    def is_paused(self) -> bool:
-        return self._pause.value
-
     def tell_run(self, status: str) -> None:
         """Shows the run's progress."""
-        status = as_text(status)
-        if self._status.content != status:
-            self._status.content = status
+        self._status.content = as_text(status)
 
     def tell_trouble(self, trouble: str) -> None:
         """Shows why there is no picture; empty: hides the message."""
-        trouble = as_text(trouble)
-        if self._trouble.content != trouble:
-            self._trouble.content, self._trouble.visible = trouble, bool(trouble)
+        self._trouble.content, self._trouble.visible = as_text(trouble), bool(trouble)
 
     def show_view(self, view: View) -> None:
         """Shows the true picture of a view."""

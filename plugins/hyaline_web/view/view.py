@@ -13,17 +13,16 @@ import viser
 from jaxtyping import UInt8
 
 from datagen.data.cameras import Camera
-from datagen.data.config import Split
-from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.look.view_pictures import object_colors
 from datagen.terminal.command import say, tell
 from datagen.terminal.signals import Held, hold_signals
 from hyaline_web.view.live_run import LiveRun, MovedOn, Picture
-from hyaline_web.view.schedule import Budget, Job, Pose, Schedule
+from hyaline_web.view.schedule import Job, Pose, Schedule
 from hyaline_web.view.server import HOST, Server, serving
-from hyaline_web.view.stage import Panel, Stage
+from hyaline_web.view.stage import LAYER, PREDICTION, Panel, Stage
 from model.batches.layers import peel_cameras
 from model.run.run_folder import RUN, open_trained
 from model.settings.run_flags import RUNS, Device
@@ -42,44 +41,21 @@ JPEG_QUALITY = 85
 """Quality of pictures while a camera moves; the others are sent losslessly."""
 
 
-def view(dataset: Dataset, run: LiveRun | None, *, port: int, announce: Callable[[str], None]) -> None:
-    """Shows a dataset, and a run's predictions, until a signal arrives.
-
-    The run is only read from its folder; another process may be training it.
-
-    Args:
-        announce: called once with the address to open.
-
-    Raises:
-        HyalineError: the port is taken, or what is shown is missing or damaged.
-        Stopped: a signal has arrived, which is how it ends.
-    """
-    if run is not None:
-        run.refresh()
-    with serving(port, dataset.name) as server:
-        viewer = Viewer(server, dataset, run)
-        with hold_signals() as held:
-            announce(f"http://{HOST}:{server.get_port()}")
-            while held.number is None:
-                viewer.step(held)
-
-
 class Viewer:
     """Serves the connected browsers."""
 
     def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
         self._server, self._dataset, self._run = server, dataset, run
         self._schedule = Schedule()
-        self._budget = Budget(TRAINING_SHARE)
-        self._looked_at = -math.inf
+        self._ready_at = self._looked_at = -math.inf
         self._news = threading.Event()
-        self._stage = Stage(server, dataset, self._show_view, back=BACK if run is None else 0.0)
+        self._stage = Stage(server, dataset, lambda view: self.panel.show_view(view), back=BACK if run is None else 0.0)
         self.panel = Panel(
             server,
             dataset,
             has_run=run is not None,
             on_sight=self._redraw,
-            on_cameras=self._show_cameras,
+            on_cameras=self._stage.show_cameras,
             on_meshes=self._stage.show_meshes,
         )
         self._pictures: Iterator[None] = self._stage.pictures()
@@ -94,7 +70,7 @@ class Viewer:
             self._wait(IDLE_S)
             return
         started, processor = time.monotonic(), time.process_time()
-        if self.panel.is_paused or not self._budget.is_ready(started):
+        if started < self._ready_at:
             self._wait(WAIT_S)
             return
         if started - self._looked_at >= LOOK_EVERY_S:
@@ -107,7 +83,7 @@ class Viewer:
         elif next(self._pictures, self) is self:
             self._wait(WAIT_S)
         if self._run is not None and not self._run.is_trained:
-            self._budget.spend(time.process_time() - processor, time.monotonic())
+            self._ready_at = time.monotonic() + (time.process_time() - processor) * (1 / TRAINING_SHARE - 1)
 
     def _look(self) -> None:
         """Reads newer weights, if there are any."""
@@ -138,9 +114,9 @@ class Viewer:
 
     def _picture(self, job: Job, is_wanted: Callable[[], bool]) -> Picture | None:
         panel = self.panel
-        if panel.sight == "prediction" and self._run is not None:
+        if panel.sight == PREDICTION and self._run is not None:
             return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
-        if panel.sight == "layer":
+        if panel.sight == LAYER:
             return draw_layer(self._dataset, panel.geometry, job.camera, panel.layer, panel.num_layers)
         return None
 
@@ -167,22 +143,18 @@ class Viewer:
         self._schedule.redraw()
         self._news.set()
 
-    def _show_cameras(self, split: Split, visible: bool) -> None:
-        self._stage.show_cameras(split, visible=visible)
-
-    def _show_view(self, view: View) -> None:
-        self.panel.show_view(view)
-
     def _wait(self, seconds: float) -> None:
         self._news.wait(seconds)
         self._news.clear()
 
 
 def show(what: str, *, port: int, device: Device) -> None:
-    """Shows it until a signal arrives.
+    """Shows a dataset, or a run's predictions as well, until a signal arrives.
+
+    The run is only read from its folder; another process may be training it.
 
     Raises:
-        HyalineError: neither a run nor a dataset is there, or what is there cannot be shown.
+        HyalineError: neither a run nor a dataset is there, it cannot be shown, or the port is taken.
         Stopped: a signal has arrived.
     """
     run = next((place for place in (Path(what), RUNS / what) if (place / RUN).is_file()), None)
@@ -198,16 +170,16 @@ def show(what: str, *, port: int, device: Device) -> None:
             )
         opened, live = open_dataset(place), None
 
-    def announce(address: str) -> None:
-        tell(address)
-        sys.stdout.flush()
-        say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
-
-    view(opened, live, port=port, announce=announce)
-
-
-CHECKS = 24
-"""Width of a texture in squares of a checkerboard, which shows uv on surfaces."""
+    if live is not None:
+        live.refresh()
+    with serving(port, opened.name) as server:
+        viewer = Viewer(server, opened, live)
+        with hold_signals() as held:
+            tell(f"http://{HOST}:{server.get_port()}")
+            sys.stdout.flush()
+            say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
+            while held.number is None:
+                viewer.step(held)
 
 
 def draw_layer(
@@ -215,9 +187,5 @@ def draw_layer(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """The surfaces of one layer along a camera's rays, each object in a colour of its own; layer 0 is the nearest."""
     pixels = peel_cameras(dataset, geometry, num_layers, camera.alone)
-    ids = pixels.object_id[:, layer].numpy()
-    uv = pixels.uv[:, layer].numpy().view(np.uint16)
-    is_light = (uv.astype(np.int64) * CHECKS // 65536).sum(axis=-1) % 2 == 0
-    colors = object_colors(len(dataset.objects))[ids]
-    checked = np.where((is_light | (ids == 0))[:, None], colors, (0.8 * colors).astype(np.uint8))
-    return checked.reshape(camera.height, camera.width, 3)
+    colors = object_colors(len(dataset.objects))[pixels.object_id[:, layer].numpy()]
+    return colors.reshape(camera.height, camera.width, 3)

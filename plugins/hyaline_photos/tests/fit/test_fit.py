@@ -75,7 +75,7 @@ def test_other_commands_take_the_geometry(dataset: Dataset, fitted: Path, tmp_pa
     run = tmp_path / "run"
     for words in (
         f"model train light-path {dataset.root} --geometry fitted --steps 2 --batch 64 --device cpu --out {run}",
-        f"model export {run} --out {tmp_path / 'page.html'} --truths none",
+        f"model export {run} --out {tmp_path / 'page.html'}",
         f"datagen verify {dataset.root}",
     ):
         answer = call(words)

@@ -76,15 +76,6 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     assert "render it with `model predict" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("truths", "views"), [("test", ALL_VIEWS[:4]), ("none", [])])
-def test_a_page_has_the_truths_that_are_asked_for(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truths: str, views: list[str]
-) -> None:
-    run, page = trained(LIGHT_PATH, dataset, tmp_path / "run"), tmp_path / "page.html"
-    assert call(monkeypatch, "export", str(run), "--out", str(page), "--truths", truths) == 0
-    assert truths_of(page.read_bytes()) == views
-
-
 def test_a_run_of_a_method_without_a_page_is_refused(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -45,7 +45,7 @@ def test_the_page_of_the_guides_method_draws_what_its_run_predicts(browser: "Bro
     run, page = tmp_path / "run", tmp_path / "page.html"
     trained = call(f"model train first-surface --dataset {dataset.root} --out {run} --steps 100 --batch 256 --lr 0.05")
     assert trained.status == 0, trained.err
-    assert call(f"model export {run} --out {page} --quality exact --truths none").status == 0
+    assert call(f"model export {run} --out {page} --quality exact").status == 0
     predicted = np.asarray(Image.open(run / "predictions" / "interpolating" / "0000.png"))
     assert predicted.std() > 10
     with watched_page(browser) as watched:

@@ -25,7 +25,6 @@ from support.web_scenes import (
     every_surface,
     noisy_light_path,
     opened_page,
-    placed,
     post,
     psnr,
     solid_surfaces,
@@ -48,7 +47,6 @@ from datagen.scene.modelling import transformed
 from datagen.trace import branches, surface_hits, surface_tables
 from hyaline_web.page import scene
 from hyaline_web.page.export import fill, scene_page
-from hyaline_web.page.walls import find_wall
 from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
@@ -378,30 +376,6 @@ def test_an_edited_scene_is_that_of_python(
     # In a few of the 1,584 pixels a ray meets the other one of two faces that share an edge.
     assert psnr(drawn, drawn_by_python(renderer, dataset, objects=objects())) >= 43
     assert psnr(drawn, drawn_by_python(renderer, dataset)) < 35
-
-
-def with_vessel(thicker: float) -> Scene:
-    """The scene with a vessel for its glass, each point of whose inner side was moved by a share of the wall there."""
-    profile = np.array([(0, 0), (0.4, 0), (0.45, 0.9), (0.37, 0.9), (0.34, 0.1), (0, 0.1)])
-    vessel = placed(trimesh.creation.revolve(profile, sections=24), 0.2, 0.1, 0.05)
-    wall = find_wall(vessel)
-    assert wall is not None and 0.06 < wall.thickness < 0.08
-    moved = dataclasses.replace(vessel, vertices=vessel.vertices + np.float32(thicker) * wall.shifts)
-    drink = placed(trimesh.creation.cylinder(0.2, 0.5, sections=24), 0.2, 0.1, 0.5)
-    return with_other("drink", mesh=drink, scene=with_other("glass", mesh=moved))
-
-
-@pytest.mark.parametrize("quality", ["exact", pytest.param("small", marks=pytest.mark.full)])
-def test_a_wall_that_was_made_thicker_and_back_is_that_of_python(
-    browser: "Browser", renderer: LightPathRenderer, tmp_path: Path, quality: str
-) -> None:
-    dataset = write_scene(tmp_path / "vessel", with_vessel(0))
-    before, after = (drawn_by_python(renderer, dataset, objects=with_vessel(part).objects) for part in (0, 0.6))
-    with opened_page(browser, tmp_path, renderer, dataset, quality) as page:
-        thicker, again = (page.picture(VIEW, SHAPE, 1, {"glass": {"wall": wall}}) for wall in (1.6, 1))
-    assert psnr(thicker, after) >= 45
-    assert psnr(again, before) >= 45
-    assert psnr(before, after) < 35
 
 
 COPY = ("duplicate:metal:0.7,-0.6,0.1", "move:metal:0,0,0.2", "remove:pane", "glass:plastic")

@@ -22,9 +22,9 @@ pytestmark = pytest.mark.usefixtures("at_home")
 def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_ends_the_viewer_quietly() -> None:
     require_viewer()
     run = hyaline.open_run("one/paper", device="cpu")
-    pose = pose_of(run.dataset, (48, 32))
+    pose = pose_of(run.dataset, (64, 48))
     torch.set_num_threads(1)
-    truth = run.render(camera_in_window(pose.position, pose.wxyz, pose.fov_y, 48, 32))
+    truth = run.render(camera_in_window(pose.position, pose.wxyz, pose.fov_y, 64, 48))
     with viewer("one/paper") as (process, address):
         assert address.startswith("http://127.0.0.1:")
         with open_window(address) as window:
