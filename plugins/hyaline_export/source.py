@@ -25,9 +25,6 @@ MAX_HELD_OUT = 4
 MARGIN = 0.01
 """Share by which near and far planes and the scene's box are wider than what is seen."""
 
-NO_SURFACE = (0.1, 10.0)
-"""Near and far of a dataset in which no ray meets anything, in metres."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportView:
@@ -149,27 +146,24 @@ class Source:
     @functools.cached_property
     def bounds(self) -> Bounds:
         """Reads the layers of every view."""
-        nears, fars, lows, highs = [], [], [], []
+        depths, positions = [], []
         for item in self.pictures:
             found = item.quantities
             seen = [(found.depth_along_ray, found.position), (found.opaque_depth_along_ray, found.opaque_position)]
             for depth, position in seen:
                 there = depth > 0
                 if there.any():
-                    nears.append(depth[there].min())
-                    fars.append(depth[there].max())
-                    lows.append(position[there].min(axis=0))
-                    highs.append(position[there].max(axis=0))
-        if not nears:
-            near, far = NO_SURFACE
-            return Bounds(near=near, far=far, low=(-far, -far, -far), high=(far, far, far))
-        low, high = np.min(lows, axis=0).astype(float), np.max(highs, axis=0).astype(float)
+                    depths += [depth[there].min(), depth[there].max()]
+                    positions += [position[there].min(axis=0), position[there].max(axis=0)]
+        if not depths:
+            raise HyalineError(f"{self.dataset.root}: no view shows a surface; expected one")
+        low, high = np.min(positions, axis=0).astype(float), np.max(positions, axis=0).astype(float)
         cameras = self.dataset.cameras("train")
         pad = MARGIN * (high - low).max()
         return Bounds(
             # Datasets of format version 1 do not record it; then it is what the pixels' centre rays meet.
-            near=float((1 - MARGIN) * min(nears)) if cameras.near is None else cameras.near,
-            far=float((1 + MARGIN) * max(fars)) if cameras.far is None else cameras.far,
+            near=float((1 - MARGIN) * min(depths)) if cameras.near is None else cameras.near,
+            far=float((1 + MARGIN) * max(depths)) if cameras.far is None else cameras.far,
             low=tuple((low - pad).tolist()),
             high=tuple((high + pad).tolist()),
         )

@@ -7,7 +7,7 @@ its top; and nothing but a ground in a drawn map of the environment.
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, TypedDict
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -26,13 +26,6 @@ Support = Literal["floor", "plinth", "table"]
 GAP = 0.001
 """Metres between stacked things."""
 SKY_PATH = "maps/environment.exr"
-
-
-class Light(TypedDict):
-    """The map of the environment, and its file."""
-
-    environment: EnvironmentMap
-    files: Mapping[str, bytes]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,7 +141,8 @@ def _room(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
             SceneObject(name="panel", mesh=panel, material=Plastic(color=art, roughness=0.2)),
         ),
         azimuth_deg=(-150.0, 60.0),
-        **_lit_by_cards(rng),
+        environment=_turned_sky(rng),
+        files={SKY_PATH: draw_cards(rng=rng)},
     )
 
 
@@ -166,7 +160,8 @@ def _screen(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
             _disc("floor", 1.5 * far, below, Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3)),
             SceneObject(name="screen", mesh=wall, material=Diffuse(color=texture)),
         ),
-        **_lit_by_cards(rng),
+        environment=_turned_sky(rng),
+        files={SKY_PATH: draw_cards(rng=rng)},
     )
 
 
@@ -178,7 +173,7 @@ def _open(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
     return Backdrop(
         words=f"in a {shows}",
         objects=(_disc("ground", 2.2 * radius, below, ground),),
-        environment=EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1)),
+        environment=_turned_sky(rng),
         files={SKY_PATH: exr},
     )
 
@@ -188,12 +183,8 @@ def _disc(name: str, radius: float, top: float, material: Plastic) -> SceneObjec
     return SceneObject(name=name, mesh=mesh, material=material)
 
 
-def _lit_by_cards(rng: np.random.Generator) -> Light:
-    """Bright cards above, which the open top of a room lets in, and glass mirrors."""
-    return {
-        "environment": EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1)),
-        "files": {SKY_PATH: draw_cards(rng=rng)},
-    }
+def _turned_sky(rng: np.random.Generator) -> EnvironmentMap:
+    return EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1))
 
 
 def _muted(color: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -32,43 +32,30 @@ ROUND = 96
 """Points around a section that has no corners."""
 
 
+def _upright(radius: Callable[[np.ndarray], np.ndarray]) -> Around:
+    """The same section at every height: the factor of the outline's radius by angle."""
+    return lambda angles, outline: np.tile(radius(angles), (len(outline), 1))
+
+
 def polygon(sides: int) -> Around:
     """A regular polygon whose flat sides have the outline's radius; a corner is at angle 0."""
     step = 2 * np.pi / sides
-
-    def factors(angles: np.ndarray, outline: np.ndarray) -> np.ndarray:
-        return np.tile(1 / np.cos(angles % step - step / 2), (len(outline), 1))
-
-    return factors
+    return _upright(lambda angles: 1 / np.cos(angles % step - step / 2))
 
 
 def soft_square(power: float) -> Around:
     """A square with round corners (a superellipse): a circle at power 2, sharper with more."""
-
-    def factors(angles: np.ndarray, outline: np.ndarray) -> np.ndarray:
-        sums = np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power
-        return np.tile(sums ** (-1 / power), (len(outline), 1))
-
-    return factors
+    return _upright(lambda angles: (np.abs(np.cos(angles)) ** power + np.abs(np.sin(angles)) ** power) ** (-1 / power))
 
 
 def flutes(count: int, depth: float) -> Around:
     """Round ribs with narrow grooves between them; `depth` is a share of the radius."""
-
-    def factors(angles: np.ndarray, outline: np.ndarray) -> np.ndarray:
-        ribs = np.abs(np.sin(count * angles / 2))
-        return np.tile(1 - depth * (1 - ribs), (len(outline), 1))
-
-    return factors
+    return _upright(lambda angles: 1 - depth * (1 - np.abs(np.sin(count * angles / 2))))
 
 
 def star(points: int, depth: float) -> Around:
     """Waves around the axis, like a star with soft points; `depth` is a share of the radius."""
-
-    def factors(angles: np.ndarray, outline: np.ndarray) -> np.ndarray:
-        return np.tile(1 - depth * (0.5 - 0.5 * np.cos(points * angles)), (len(outline), 1))
-
-    return factors
+    return _upright(lambda angles: 1 - depth * (0.5 - 0.5 * np.cos(points * angles)))
 
 
 def outside_only(around: Around, count: int, *, low: float, high: float) -> Around:

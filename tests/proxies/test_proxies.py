@@ -165,18 +165,6 @@ def test_the_polyhedron_costs_less_than_half_a_percent_over_the_ellipsoid() -> N
     assert signed_volume(ellipsoid.fit_ellipsoid(own, padding=0)) == pytest.approx(smooth, rel=5e-3)
 
 
-def test_ellipsoid_normals_are_those_of_the_ellipsoid() -> None:
-    own = make_solid(cloud_mesh(np.random.default_rng(1).normal(size=(50, 3)) * [2, 1, 0.2]))
-    proxy = ellipsoid.fit_ellipsoid(own, padding=1e-5)
-    smooth = proxy.vertices - proxy.vertices.mean(axis=0)
-    faces_on = vertex_normals(*_shared(proxy))
-    positions, _ = _shared(proxy)
-    index = {tuple(p): i for i, p in enumerate(positions)}
-    by_faces = np.array([faces_on[index[tuple(p)]] for p in proxy.vertices])
-    assert np.einsum("vi,vi->v", by_faces, proxy.normals).min() > np.cos(np.radians(8))
-    assert np.einsum("vi,vi->v", smooth, proxy.normals).min() > 0
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_rounded_hull_is_convex_and_its_normals_are_those_of_its_facets(seed: int) -> None:
     own = make_solid(shapes(seed)[0])
@@ -201,11 +189,6 @@ def test_the_rounded_hull_of_a_box_is_a_fifth_larger_and_the_hull_of_a_ball_a_th
     ball *= [1, 1, flatness] / np.linalg.norm(ball, axis=-1, keepdims=True)
     own = make_solid(cloud_mesh(ball))
     assert signed_volume(fit("hull", own, padding=1e-6)) == pytest.approx(1.03 * own.hull_volume, rel=0.02)
-
-
-def _shared(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    positions, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    return positions, index.reshape(-1)[mesh.faces]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,8 +10,6 @@ from support.commands import Answer, call
 from support.disk import failing_from, observe, read_state
 from support.synthetic import write_synthetic_dataset
 
-from datagen.terminal.signals import Stopped
-
 
 @pytest.fixture
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -55,14 +53,6 @@ def test_only_a_new_or_empty_folder_is_written(what: str, here: Path) -> None:
     assert tree(here) == before
 
 
-def test_an_empty_folder_and_a_link_to_one_are_filled(here: Path) -> None:
-    (here / "out").mkdir()
-    (here / "disk").mkdir()
-    (here / "link").symlink_to("disk")
-    assert export().status == export(out="link").status == 0
-    assert (here / "link").is_symlink() and tree(here / "disk") == tree(here / "out")
-
-
 def test_a_killed_export_leaves_no_folder_and_does_not_hinder_the_next(here: Path) -> None:
     seen = observe(here, lambda: export())
     whole = {path: data for path, data in seen.states[-1].files.items() if path.startswith("out/")}
@@ -88,13 +78,3 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(place: float, here: Path) ->
     assert refused and answer.status == 1
     assert answer.error.startswith("error: out: ") and os.strerror(errno.ENOSPC).lower()[:8] in answer.error
     assert read_state(here).files == before.files and read_state(here).folders == before.folders
-
-
-def test_a_signal_leaves_nothing(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def stop(*_: object) -> None:
-        raise Stopped(15)
-
-    monkeypatch.setattr("hyaline_export.transforms.ply_points", stop)
-    before = read_state(here)
-    assert export().status == 143
-    assert read_state(here) == before

@@ -13,9 +13,7 @@ from support.synthetic import synthetic_scene
 from datagen.data.dataset import open_dataset
 from datagen.disk.storage import load_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.builtin import SCENES
 from datagen.scene.folder import save_scene
-from datagen.scene.textures import ImageTexture
 from hyaline_export.formats import FORMATS
 
 
@@ -56,13 +54,6 @@ def test_datasets_of_scenes_that_code_makes_may_be_used_for_anything(tmp_path: P
     assert json.loads((tmp_path / "data" / "scene" / "scene.json").read_text())["license"] == "CC0-1.0"
 
 
-def test_built_in_scenes_hold_no_image_that_somebody_made() -> None:
-    for make in SCENES.values():
-        scene = make()
-        images = [image for item in scene.objects for image in item.material.images().values()]
-        assert not any(isinstance(image, ImageTexture) for image in images) and not scene.baked and scene.folder is None
-
-
 def test_a_scene_of_ones_own_has_the_licence_that_it_states(scene_folder: Path, tmp_path: Path) -> None:
     build_whole(scene_folder, tmp_path / "silent")
     assert open_dataset(tmp_path / "silent").license == "unknown; ask the author of scene synthetic"
@@ -80,12 +71,6 @@ RIGHTS = {
         {"extras": {"author": "Ann (https://x.org)", "license": "CC-BY-4.0 (http://y.org)", "title": "Cup"}},
         None,
         "CC-BY-4.0 (http://y.org); by Ann (https://x.org)",
-    ),
-    "nothing": ({"extras": {"author": "Ann"}}, None, "unknown; ask the author of cup.glb"),
-    "nonsense": (
-        {"copyright": 5, "extras": [1], "extensions": {"KHR_xmp_json_ld": {"packet": -7}}},
-        {"KHR_xmp_json_ld": {"packets": {"dc:rights": 1}}},
-        "unknown; ask the author of cup.glb",
     ),
 }
 
@@ -120,12 +105,3 @@ def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path:
 def _heads(export: Path) -> list[Path]:
     """The files of an export that tell of all its views."""
     return [path for name in ("transforms*.json", "dataset.json") for path in export.glob(name)]
-
-
-def test_pictures_from_elsewhere_have_no_licence_that_nobody_stated(scene_folder: Path, tmp_path: Path) -> None:
-    build_whole(scene_folder, tmp_path / "data")
-    run(f"datagen export {tmp_path / 'data'} --format nerfstudio --points 20 --out {tmp_path / 'theirs'}")
-    file = tmp_path / "theirs" / "transforms.json"
-    file.write_text(json.dumps({**json.loads(file.read_text()), "license": None}))
-    run(f"datagen import-dataset {tmp_path / 'theirs'} --out {tmp_path / 'again'}")
-    assert load_sealed(tmp_path / "again" / "dataset.json")["license"] == "unknown; ask the author of theirs"

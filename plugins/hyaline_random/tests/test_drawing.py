@@ -66,14 +66,6 @@ def test_the_same_seed_draws_the_same_bytes_and_another_one_others() -> None:
     assert scene_files(drawn(1).scene)["scene.json"] != scene_files(drawn(2).scene)["scene.json"]
 
 
-def test_a_chosen_family_has_its_own_name_and_draws_as_its_turn_does() -> None:
-    chosen = draw_scene(RandomName(seed=2, chosen="nested")).scene
-    assert chosen.name == "random-nested-0002"
-    same = dataclasses.replace(chosen, name="random-0002", description=drawn(2).scene.description)
-    assert scene_files(same) == scene_files(drawn(2).scene)
-    assert draw_scene(RandomName(seed=2, chosen="object")).scene.description != drawn(2).scene.description
-
-
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_share_of_glass_is_what_an_independent_tracer_sees(seed: int) -> None:
     scene = drawn(seed).scene
@@ -91,19 +83,6 @@ def test_the_share_of_glass_is_what_an_independent_tracer_sees(seed: int) -> Non
         sees = [hit >= 0 and scene.objects[owner[hit]].material.is_glass for hit in first]
         assert 0.02 < counted[view]
         assert counted[view] == pytest.approx(np.mean(sees), abs=2 / 40**2)  # Up to two rays that meet an edge.
-
-
-def test_a_refused_draw_is_told_and_the_next_one_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse_the_first(things: list, *, where: str) -> None:
-        if not asked:
-            asked.append(where)
-            raise HyalineError(f"{where}: ice reaches into glass")
-
-    asked: list[str] = []
-    monkeypatch.setattr(drawing, "check_inside", refuse_the_first)
-    found = draw_scene(RandomName(seed=6))
-    assert found.refused == ("ice reaches into glass",)
-    assert found.scene.description.endswith("; draws refused before: ice reaches into glass")
 
 
 def test_a_seed_whose_draws_are_all_refused_says_why(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,11 +1,9 @@
-"""Tests `datagen build --scene random`: names, many at once, repairs, and which flags go together."""
+"""Tests `datagen build --scene random`: names, many at once, and which flags go together."""
 
-import shlex
 from pathlib import Path
 
 import pytest
 from support import fake_renderer
-from support.builds import tree
 from support.commands import call, run
 
 from datagen.data.dataset import open_dataset
@@ -55,38 +53,6 @@ def test_a_scene_that_fails_is_named_and_does_not_stop_the_others(here: Path) ->
     assert call(line).status == 0
 
 
-def test_the_launcher_gives_each_job_a_run_of_seeds(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    seen: dict[str, int] = {}
-
-    def run_here(program: str, jobs: dict[str, list[str]], folder: Path, _: object) -> dict[str, str]:
-        assert folder == Path("many-jobs")
-        for name, words in jobs.items():
-            answer = call(shlex.join([program, *words]))
-            assert answer.status == 0, answer.err
-            seen[name] = len(answer.out.split())
-        return {}
-
-    monkeypatch.setattr("datagen.builder.build_command.run_in_jobs", run_here)
-    line = f"datagen build random --family object --seed 3 --count 3 {SIZE} --out many"
-    answer = call(f"{line} --launcher local --shards 2")
-    assert seen == {"seeds 3 to 4": 2, "seeds 5 to 5": 1}
-    assert answer.out.split() == [f"many/random-object-000{seed}" for seed in range(3, 6)]
-    built = tree(here / "many")
-    run(line)
-    assert tree(here / "many") == built
-
-
-def test_a_lost_file_of_a_random_scene_comes_back_by_its_name(here: Path) -> None:
-    run(f"datagen build --scene random --family object --seed 12 {SIZE}")
-    root = Path("data/random-object-0012")
-    lost = root / "scene/scene.json"
-    before = lost.read_bytes()
-    lost.unlink()
-    assert call(f"datagen verify {root}").status == 1
-    run(f"datagen build --scene random-object-0012 --seed 12 {SIZE}")
-    assert lost.read_bytes() == before
-
-
 @pytest.mark.parametrize(
     ("flags", "status", "error"),
     [
@@ -101,7 +67,3 @@ def test_flags_that_do_not_go_together_are_refused(here: Path, flags: str, statu
     answer = call(f"datagen build {flags} {SIZE}")
     assert answer.status == status and error in answer.error
     assert not (here / "data").exists()
-
-
-def test_scenes_lists_the_random_ones() -> None:
-    assert "random         Glassware from --seed N" in call("datagen scenes").out

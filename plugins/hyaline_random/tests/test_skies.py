@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.sky import radiance_of_map
 from datagen.scene.images import read_map
-from hyaline_random.backdrop import SKIES, draw_cards, draw_sky, map_directions, paper_radiance
+from hyaline_random.backdrop import SKIES, draw_sky, map_directions, paper_radiance
 
 
 def test_pixels_lie_in_the_directions_in_which_maps_are_looked_up() -> None:
@@ -26,10 +26,3 @@ def test_a_sky_has_the_light_that_is_told_and_bright_places_in_it(shows: str) ->
     assert radiance.shape == (256, 512, 3)
     assert 0.799 < paper_radiance(radiance, map_directions(256)) < 1.001
     assert radiance.max() > 3
-
-
-def test_cards_are_bright_and_leave_most_of_the_dome_dim() -> None:
-    radiance = read_map(draw_cards(rng=np.random.default_rng(0)), where="cards").mean(axis=-1)
-    up = radiance[:128]
-    assert (up > 4 * np.median(radiance)).mean() > 0.05
-    assert (up < 1.5 * np.median(radiance)).mean() > 0.4

@@ -1,7 +1,7 @@
 """A run in its current state, trained or still training: its newest weights, and pictures rendered with them."""
 
 import contextlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
@@ -89,9 +89,9 @@ class LiveRun:
         if self._renderer is None:
             return None
         net = self.config.net.hurried() if is_quick else self.config.net
-        with self._wanting(is_wanted):
-            pixels = net.load_cameras(self.inputs, camera.alone)
-            return predict_pixels(self._renderer, pixels.to(self.device)).reshape(camera.height, camera.width, 3)
+        self._is_wanted = is_wanted
+        pixels = net.load_cameras(self.inputs, camera.alone)
+        return predict_pixels(self._renderer, pixels.to(self.device)).reshape(camera.height, camera.width, 3)
 
     def _newest(self) -> tuple[tuple[str, int, int], Path] | None:
         for name in (WEIGHTS, CHECKPOINT):
@@ -109,14 +109,6 @@ class LiveRun:
         check_parameters(renderer.state_dict(), state.get("renderer"), where=str(path))
         renderer.load_state_dict(cast(dict[str, Tensor], state["renderer"]))
         return renderer, cast(int, state["step"])
-
-    @contextlib.contextmanager
-    def _wanting(self, is_wanted: Callable[[], bool]) -> Iterator[None]:
-        before, self._is_wanted = self._is_wanted, is_wanted
-        try:
-            yield
-        finally:
-            self._is_wanted = before
 
     def _check_wanted(self, *_: object) -> None:
         """Called before every module's forward pass, many times per picture."""

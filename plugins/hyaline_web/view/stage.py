@@ -8,7 +8,6 @@ import numpy as np
 import viser
 
 from datagen.data.cameras import Camera
-from datagen.data.config import Split
 from datagen.data.dataset import Dataset, View
 from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.meshes import is_there
@@ -16,8 +15,6 @@ from datagen.data.paths import TRUTH, view_name
 from datagen.disk.errors import HyalineError
 from datagen.look.view_pictures import object_colors
 from hyaline_web.view.schedule import window_pose
-
-Triple = tuple[float, float, float]
 
 COLORS = {"train": (90, 140, 230), "interpolating": (70, 180, 110), "extrapolating": (220, 90, 80)}
 """Colours of camera frames by split."""
@@ -36,33 +33,25 @@ def as_text(text: str) -> str:
 class Stage:
     """Shows a dataset in the viewer's scene."""
 
-    def __init__(
-        self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None], *, back: float
-    ) -> None:
+    def __init__(self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None]) -> None:
         """Adds the cameras without pictures; meshes are only added by `show_meshes`.
 
         Args:
             on_click: called in a viser thread when a camera was clicked and the browser looks through it.
-            back: how much farther away than the first test view to start, relative to the distance.
         """
         self._server, self._dataset, self._on_click = server, dataset, on_click
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
         corners = [mesh.vertices for mesh in meshes if is_there(mesh)] or [_places(dataset)]
         low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
         self.middle = (low + high).astype(np.float64) / 2
-        first: Split = "interpolating" if "interpolating" in dataset.splits else dataset.splits[0]
-        self._start = self._find_start(dataset.view(first, 0).camera, back)
+        first = dataset.view("interpolating" if "interpolating" in dataset.splits else dataset.splits[0], 0).camera
         # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, when
         # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
-        self._place(server.initial_camera)
+        server.initial_camera.position, _, server.initial_camera.fov = window_pose(first)
+        server.initial_camera.look_at = self._ahead(first)
         server.initial_camera.up = (0.0, 0.0, 1.0)
         self._frames = [(view, self._add_frame(view)) for split in dataset.splits for view in dataset.views(split)]
         self._meshes: list[viser.MeshHandle] = []
-
-    def restart(self, client: viser.ClientHandle) -> None:
-        """Moves a browser's camera to the start."""
-        with client.atomic():
-            self._place(client.camera)
 
     def show_cameras(self, is_shown: bool) -> None:
         for _, frame in self._frames:
@@ -121,15 +110,6 @@ class Stage:
 
         return frame
 
-    def _find_start(self, camera: Camera, back: float) -> tuple[Triple, Triple, float]:
-        """The starting position, look-at point and vertical field of view in radians."""
-        position, _, fov_y = window_pose(camera)
-        ahead = self._ahead(camera)
-        return _triple(position + back * (position - ahead)), _triple(ahead), fov_y
-
-    def _place(self, camera: viser.CameraHandle | viser.InitialCameraConfig) -> None:
-        camera.position, camera.look_at, camera.fov = self._start
-
     def _look_through(self, client: viser.ClientHandle, camera: Camera) -> None:
         position, wxyz, fov_y = window_pose(camera)
         with client.atomic():
@@ -149,14 +129,7 @@ def _places(dataset: Dataset) -> np.ndarray:
     return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
 
 
-def _triple(point: np.ndarray) -> Triple:
-    x, y, z = map(float, point)
-    return x, y, z
-
-
-PREDICTION, LAYER, NOTHING, NONE = "prediction", "layer", "nothing", "none"
-USUAL_LAYERS = 8
-"""Layers to choose from if none were peeled."""
+NO_MESHES = "none"
 
 
 class Panel:
@@ -174,60 +147,39 @@ class Panel:
     ) -> None:
         """
         Args:
-            on_sight: called when the free camera shows something else.
+            on_sight: called when the prediction is switched on or off.
             on_cameras: called with whether to show the dataset's cameras.
             on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
         """
         gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
-        sights = [*([PREDICTION] if has_run else []), *([LAYER] if geometries else []), NOTHING]
-        self._sight = gui.add_dropdown("the camera sees", sights, initial_value=PREDICTION if has_run else NOTHING)
-        self._layer = gui.add_slider("layer", 0, _num_layers(dataset) - 1, 1, 0, visible=False)
-        self._geometry = gui.add_dropdown("layers of", geometries or (TRUTH,), initial_value=TRUTH, visible=False)
-        shown = NONE if has_run or not geometries else TRUTH  # Meshes and frames would cover the prediction.
-        meshes = gui.add_dropdown("meshes", (NONE, *geometries), initial_value=shown)
+        self._prediction = gui.add_checkbox("prediction", has_run, visible=has_run)
+        self._prediction.on_update(lambda _: on_sight())
+        shown = NO_MESHES if has_run or not geometries else TRUTH  # Meshes and frames would cover the prediction.
+        meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
         cameras = gui.add_checkbox("cameras", not has_run)
         self._view = gui.add_markdown("Click a camera to look through it.")
         self._truth: viser.GuiImageHandle | None = None
         self._gui = gui
 
-        def show_sight(_: object) -> None:
-            self._layer.visible = self._geometry.visible = self.sight == LAYER
-            on_sight()
-
-        for control in (self._sight, self._layer, self._geometry):
-            control.on_update(show_sight)
         choosing = threading.Lock()
 
         def show_meshes(_: object) -> None:
             with choosing:  # Two threads would remove the same meshes, and the last choice might not be the last shown.
                 try:
-                    on_meshes(None if meshes.value == NONE else meshes.value)
+                    on_meshes(None if meshes.value == NO_MESHES else meshes.value)
                 except HyalineError as error:
                     self.tell_trouble(str(error))
 
         meshes.on_update(show_meshes)
-        on_meshes(None if shown == NONE else shown)
+        on_meshes(None if shown == NO_MESHES else shown)
         cameras.on_update(lambda _: on_cameras(cameras.value))
         on_cameras(cameras.value)
 
     @property
-    def sight(self) -> str:
-        """What the free camera shows."""
-        return self._sight.value
-
-    @property
-    def layer(self) -> int:
-        return self._layer.value
-
-    @property
-    def num_layers(self) -> int:
-        return int(self._layer.max) + 1
-
-    @property
-    def geometry(self) -> str:
-        """The geometry whose layers are shown."""
-        return self._geometry.value
+    def shows_prediction(self) -> bool:
+        """Whether the free camera shows what the run predicts."""
+        return self._prediction.value
 
     def tell_run(self, status: str) -> None:
         """Shows the run's progress."""
@@ -248,10 +200,3 @@ class Panel:
         if self._truth is None:
             self._truth = self._gui.add_image(picture, format="png")
         self._truth.image = picture
-
-
-def _num_layers(dataset: Dataset) -> int:
-    try:
-        return dataset.layer_store().head.num_layers
-    except HyalineError:
-        return USUAL_LAYERS

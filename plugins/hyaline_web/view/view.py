@@ -10,20 +10,16 @@ from pathlib import Path
 
 import numpy as np
 import viser
-from jaxtyping import UInt8
 
-from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
-from datagen.look.view_pictures import object_colors
 from datagen.terminal.command import say, tell
 from datagen.terminal.signals import Held, hold_signals
 from hyaline_web.view.live_run import LiveRun, MovedOn, Picture
 from hyaline_web.view.schedule import Job, Pose, Schedule
 from hyaline_web.view.server import HOST, Server, serving
-from hyaline_web.view.stage import LAYER, PREDICTION, Panel, Stage
-from model.batches.layers import peel_cameras
+from hyaline_web.view.stage import Panel, Stage
 from model.run.run_folder import RUN, open_trained
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device
@@ -35,8 +31,6 @@ LOOK_EVERY_S = 2.0
 """Seconds between two checks for newer weights."""
 WAIT_S, IDLE_S = 0.05, 0.5
 """Seconds to wait for work with a connected browser, and without one."""
-BACK = 0.4
-"""How much farther away than a dataset's cameras to start without a prediction, relative to the distance."""
 JPEG_QUALITY = 85
 """Quality of pictures while a camera moves; the others are sent losslessly."""
 
@@ -45,11 +39,11 @@ class Viewer:
     """Serves the connected browsers."""
 
     def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
-        self._server, self._dataset, self._run = server, dataset, run
+        self._server, self._run = server, run
         self._schedule = Schedule()
         self._ready_at = self._looked_at = -math.inf
         self._news = threading.Event()
-        self._stage = Stage(server, dataset, lambda view: self.panel.show_view(view), back=BACK if run is None else 0.0)
+        self._stage = Stage(server, dataset, lambda view: self.panel.show_view(view))
         self.panel = Panel(
             server,
             dataset,
@@ -59,7 +53,6 @@ class Viewer:
             on_meshes=self._stage.show_meshes,
         )
         self._pictures: Iterator[None] = self._stage.pictures()
-        self._was_visited = False
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
         server.is_open = True
@@ -113,12 +106,9 @@ class Viewer:
         self._schedule.finish(job, time.monotonic() - started)
 
     def _picture(self, job: Job, is_wanted: Callable[[], bool]) -> Picture | None:
-        panel = self.panel
-        if panel.sight == PREDICTION and self._run is not None:
-            return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
-        if panel.sight == LAYER:
-            return draw_layer(self._dataset, panel.geometry, job.camera, panel.layer, panel.num_layers)
-        return None
+        if self._run is None or not self.panel.shows_prediction:
+            return None
+        return self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
 
     # Callbacks in viser's threads.
 
@@ -133,9 +123,6 @@ class Viewer:
             self._schedule.move(client.client_id, pose, time.monotonic())
             self._news.set()
 
-        if not self._was_visited:  # A page left open by an earlier viewer keeps its camera.
-            self._was_visited = True
-            self._stage.restart(client)
         client.camera.on_update(moved)
         moved(client.camera)
 
@@ -180,12 +167,3 @@ def show(what: str, *, port: int, device: Device) -> None:
             say(f"{what}: open the address in a browser; Ctrl-C stops the viewer")
             while held.number is None:
                 viewer.step(held)
-
-
-def draw_layer(
-    dataset: Dataset, geometry: str, camera: Camera, layer: int, num_layers: int
-) -> UInt8[np.ndarray, "h w 3"]:
-    """The surfaces of one layer along a camera's rays, each object in a colour of its own; layer 0 is the nearest."""
-    pixels = peel_cameras(dataset, geometry, num_layers, camera.alone)
-    colors = object_colors(len(dataset.objects))[pixels.object_id[:, layer].numpy()]
-    return colors.reshape(camera.height, camera.width, 3)

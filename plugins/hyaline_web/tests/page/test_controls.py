@@ -71,28 +71,6 @@ def test_a_click_chooses_the_object_under_it_and_a_drag_moves_that_over_the_grou
     assert offset[2] == 0
 
 
-def test_keys_fly_and_look_around(page: "Page") -> None:
-    before, _ = state(page)
-    page.focus("#view")
-    page.keyboard.down("w")
-    place = before[:, 3].tolist()
-    script = f"async () => Math.hypot(...(await hyaline).camera.place.map((x, i) => x - {place}[i])) > 0.01"
-    wait_until(page, script)
-    page.keyboard.up("w")
-    after = state(page)[0]
-    step = after[:, 3] - before[:, 3]
-    assert np.array_equal(after[:, :3], before[:, :3])
-    assert -step @ before[:, 2] == pytest.approx(np.linalg.norm(step))  # Straight ahead.
-    assert np.linalg.norm(step) > 0.01  # And some way, as soon as this machine draws.
-    page.keyboard.press("f")
-    assert page.get_by_role("button", name="Fly").get_attribute("aria-pressed") == "true"
-    page.keyboard.press("ArrowLeft")
-    turned, _ = state(page)
-    assert np.array_equal(turned[:, 3], after[:, 3])
-    assert not np.allclose(turned[:, :3], after[:, :3])
-    page.keyboard.press("f")
-
-
 def test_a_copy_comes_and_goes_and_materials_are_those_of_the_scene(page: "Page") -> None:
     page.get_by_role("button", name="metal").click()
     assert page.get_by_label("Material of").locator("option").all_inner_texts() == [
@@ -133,22 +111,6 @@ def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
         assert one["offset"] == pytest.approx(other["offset"], abs=1e-5)
         assert {**one, "offset": 0} == {**other, "offset": 0}
     assert np.allclose(restored[0], camera, atol=1e-4)
-
-
-def test_a_link_keeps_a_copy_of_which_an_earlier_one_was_taken_away(page: "Page") -> None:
-    kept, restored = page.evaluate(
-        """async () => {
-            const { objects } = await hyaline;
-            objects.copy(4, [0.1, 0, 0]);
-            objects.copy(4, [0.2, 0, 0]);
-            objects.remove(7);
-            const kept = objects.all[7].offset, parts = new URLSearchParams();
-            objects.write(parts);
-            objects.read(parts);
-            return [kept, objects.all.slice(7).map((item) => item.offset)];
-        }"""
-    )
-    assert restored == [kept] and kept[0] == pytest.approx(0.2)
 
 
 def test_a_click_tells_the_layers_that_python_peels_and_the_branches_of_light(page: "Page") -> None:
@@ -222,19 +184,6 @@ def view_of(touched: Watched) -> tuple[np.ndarray, np.ndarray]:
     return np.array(place), np.array(pivot)
 
 
-def under(touched: Watched, place: tuple[float, float]) -> int | None:
-    """The object that is seen at a place of the picture."""
-    found = touched.evaluate(
-        """async ([right, down]) => {
-            const { tracer, camera, canvas } = await hyaline, box = canvas.getBoundingClientRect();
-            const at = [box.width / 2 + right, box.height / 2 + down];
-            return tracer.pick(camera, ...at, box.width, box.height);
-        }""",
-        list(place),
-    )
-    return found and found["object"]
-
-
 def distance(state: tuple[np.ndarray, np.ndarray]) -> float:
     return float(np.linalg.norm(state[0] - state[1]))
 
@@ -249,16 +198,6 @@ def test_one_finger_turns_the_camera_about_what_it_looks_at(touched: Watched, sc
     assert np.linalg.norm(after[0] - before[0]) > 0.1 * distance(before)
 
 
-def test_two_fingers_side_by_side_shift_the_scene_and_zoom_little(touched: Watched, screen: "CDPSession") -> None:
-    before = view_of(touched)
-    touch(touched, screen, [(-50, 0), (50, 0)], [(-50, 60), (50, 60)])
-    after = view_of(touched)
-    shift = after[1] - before[1]
-    assert np.linalg.norm(shift) > 0.05 * distance(before)
-    assert shift[2] > 0  # The fingers take the scene down with them, so the camera rises.
-    assert distance(after) == pytest.approx(distance(before), rel=0.02)
-
-
 @pytest.mark.parametrize(("start", "end"), [(40, 80), (80, 40)], ids=["apart", "together"])
 def test_two_fingers_zoom_by_as_much_as_they_part(
     touched: Watched, screen: "CDPSession", start: float, end: float
@@ -268,22 +207,3 @@ def test_two_fingers_zoom_by_as_much_as_they_part(
     after = view_of(touched)
     assert distance(after) == pytest.approx(distance(before) * start / end, rel=0.02)
     assert np.linalg.norm(after[1] - before[1]) < 0.05 * distance(before)
-
-
-def test_a_tap_chooses_what_is_under_it_and_turns_nothing(touched: Watched, screen: "CDPSession") -> None:
-    before, aimed_at = view_of(touched), under(touched, (0, 0))
-    assert aimed_at is not None
-    touch(touched, screen, [(0, 0)], [(0, 0)])
-    assert touched.evaluate("async () => (await hyaline).chosen") == aimed_at
-    assert np.allclose(view_of(touched)[0], before[0])
-
-
-def test_one_finger_drags_the_chosen_object_over_the_ground(touched: Watched, screen: "CDPSession") -> None:
-    chosen = under(touched, (0, 0))
-    touch(touched, screen, [(0, 0)], [(0, 0)])
-    before = view_of(touched)
-    touch(touched, screen, [(0, 0)], [(40, 0)])
-    offset = touched.evaluate("async (index) => (await hyaline).objects.all[index].offset", chosen)
-    assert np.linalg.norm(offset[:2]) > 0.05
-    assert offset[2] == pytest.approx(0, abs=1e-6)
-    assert np.allclose(view_of(touched)[0], before[0])

@@ -1,6 +1,5 @@
 """Tests that the page of a trained scene draws in a browser what Python draws, edited or not, and keeps to itself."""
 
-import base64
 import dataclasses
 import importlib
 import re
@@ -12,8 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from support.browser import require, wait_until
-from support.firefox import find_firefox, running_firefox
+from support.browser import wait_until
 from support.meshes import box
 from support.reference import fresnel_reflectance
 from support.synthetic import look_at
@@ -35,7 +33,6 @@ from benchmarks.browser import Watched, open_file, watched_page
 from benchmarks.compare import page_edits
 from datagen.data import meshes
 from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.scene import contact, media
@@ -46,7 +43,7 @@ from datagen.scene.materials.optics import Event, Medium, Surface
 from datagen.scene.modelling import transformed
 from datagen.trace import branches, surface_hits, surface_tables
 from hyaline_web.page import scene
-from hyaline_web.page.export import fill, scene_page
+from hyaline_web.page.export import scene_page
 from model.methods.light_path import net, pixels
 from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
@@ -195,48 +192,6 @@ def test_a_small_page_is_close_to_python(
         assert page.page.get_attribute("#status", "aria-live") == "polite"
 
 
-SLOW = """async () => {
-    const { frames, canvas } = await hyaline, tell = frames.tell;
-    frames.held = true;
-    await frames.busy;
-    canvas.classList.remove("drawn");
-    frames.sizeFor = (milliseconds) => frames.scaled(milliseconds > 1000 ? 0.25 : 0.125);
-    window.told = [];
-    frames.tell = (drawn) => {
-        tell(drawn);
-        window.told.push([drawn.width, drawn.rays, canvas.classList.contains("drawn")]);
-    };
-    frames.held = false;
-    frames.changed();
-}"""
-"""A page that opens anew on a machine that can draw a quarter of the width in the time of a still frame."""
-
-
-@pytest.mark.full
-def test_a_slow_machine_refines_to_the_whole_size_before_it_averages(
-    browser: "Browser", small_page: Path, tmp_path: Path
-) -> None:
-    still = png_bytes(np.full((42, 56, 3), 90, np.uint8))
-    data = small_page.read_bytes().replace(base64.b64encode(STILL), base64.b64encode(still))
-    assert data != small_page.read_bytes()
-    file = tmp_path / "page.html"
-    file.write_bytes(data)
-    with watched_page(browser, width=160, height=130) as page:
-        open_file(page, file)
-        page.evaluate(SLOW)
-        page.page.wait_for_function("() => told.some(([width, rays]) => width === 160 && rays === 3)")
-        told = [(width, rays, is_shown) for width, rays, is_shown in page.evaluate("() => told")]
-        sizes = list(dict.fromkeys((width, rays) for width, rays, _ in told))
-        assert sizes[:6] == [(20, 1), (40, 1), (80, 1), (160, 1), (160, 2), (160, 3)]
-        # On this stage the still picture is worth 93 pixels of width; nothing coarser takes its place.
-        assert all(is_shown == (width == 160) for width, _, is_shown in told)
-    with watched_page(browser, width=160, height=130) as page:
-        open_file(page, file, link="view=extrapolating/0")
-        page.evaluate(SLOW)
-        page.page.wait_for_function("() => told.length > 0")
-        assert page.evaluate("() => told[0]") == [20, 1, True]  # The still picture is of another view.
-
-
 def test_a_browser_without_webgl_says_so_and_shows_a_still_picture(
     browser: "Browser", renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path
 ) -> None:
@@ -301,15 +256,6 @@ def test_a_constant_that_changes_in_python_changes_in_the_shader(
     assert changed.isdisjoint(before)
     assert changed <= set(after)
     assert lines() == before
-
-
-def test_a_template_whose_places_are_not_those_of_the_parts_is_no_page() -> None:
-    assert fill("a {{b}} {{c}}", {"b": "{{c}}", "c": "d"}) == "a {{c}} d"
-    for parts in ({"b": "x"}, {"b": "x", "c": "y", "d": "z"}):
-        with pytest.raises(AssertionError):
-            fill("{{b}}{{c}}", parts)
-    with pytest.raises(AssertionError):
-        fill("{{b}}{{b}}", {"b": "x"})
 
 
 # Edits
@@ -390,17 +336,3 @@ def test_copies_and_objects_that_trade_places_are_those_of_python(
     objects = edit_scene(every_surface(), parsed).scene.objects
     assert psnr(drawn, drawn_by_python(make(), dataset, objects=objects)) >= 45
     assert psnr(drawn, drawn_by_python(noisy_light_path(), dataset)) < 35
-
-
-# Firefox
-
-
-@pytest.mark.full
-def test_firefox_draws_what_python_draws(renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path) -> None:
-    require(find_firefox)
-    file = tmp_path / "page.html"
-    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
-    with running_firefox() as firefox:
-        firefox.open_file(file)
-        drawn = firefox.picture(VIEW, SHAPE, 1)
-    assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45

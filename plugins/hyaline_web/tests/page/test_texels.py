@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from datagen.data.images import linear_from_srgb
-from datagen.data.meshes import Mesh, no_mesh
+from datagen.data.meshes import Mesh
 from hyaline_web.page.packing import Packed, residuals, zigzag
 from hyaline_web.page.scene import add_tints, touched_texels
 from model.nets.texture import bilinear_taps, object_layout
@@ -40,10 +40,6 @@ def test_every_texel_that_a_look_up_reads_counts_and_most_others_do_not(size: in
     assert not counts[~near[2:-2, 2:-2].ravel()].any()
 
 
-def test_of_a_mesh_without_faces_no_texel_counts() -> None:
-    assert not touched_texels(no_mesh(), 9).any()
-
-
 def guess(known: np.ndarray, y: int, x: int, c: int) -> int:
     """From the neighbours of a texel that are read before it."""
     if y == 0 or x == 0:
@@ -68,17 +64,6 @@ def test_texels_are_read_back_from_what_their_guesses_leave_and_of_others_nothin
     assert zigzag(left_over).max() < 1 << 16
 
 
-def test_of_upright_stripes_nothing_is_left_but_their_first_row() -> None:
-    codes = np.tile(np.random.default_rng(1).integers(-90, 90, 7), (6, 1))[..., None].astype(np.int32)
-    left_over = residuals(codes, np.ones((6, 7), bool))
-    assert left_over[0].any()
-    assert not left_over[1:].any()
-
-
-def test_little_numbers_of_both_signs_become_little_numbers() -> None:
-    assert zigzag(np.array([0, -1, 1, -2, 2], np.int32)).tolist() == [0, 1, 2, 3, 4]
-
-
 def test_each_image_is_stored_once_as_it_is() -> None:
     packed = Packed()
     assert add_tints(packed, (None, IMAGE, TURNED, IMAGE.copy()), "exact") == [None, [0, 7, 5], [35, 5, 7], [0, 7, 5]]
@@ -95,9 +80,3 @@ def test_a_small_page_stores_the_numbers_of_an_8_bit_image() -> None:
     steps = np.frombuffer(packed.parts[0], np.uint8).reshape(3, 35).T
     differences = (steps >> 1) ^ -(steps & 1)
     assert np.array_equal(np.cumsum(differences, axis=0, dtype=np.uint8), CODES.reshape(-1, 3))
-
-
-def test_where_every_metal_has_one_colour_nothing_is_stored() -> None:
-    packed = Packed()
-    assert add_tints(packed, (None, None), "small") == [None, None]
-    assert packed.entries == []

@@ -1,6 +1,5 @@
 """Tests `model view` from outside: a run and a dataset in a browser, the end by Ctrl-C, and what is refused."""
 
-import dataclasses
 import signal
 import socket
 import sys
@@ -62,25 +61,6 @@ def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_me
                     break
     assert pictures == len(views) == 6
     assert names == {f"/cameras/{split}/{view:04d}" for split, view in views} | {"/meshes/pane", "/meshes/floor"}
-
-
-def test_pictures_that_were_imported_without_meshes_are_shown_with_their_cameras() -> None:
-    require_viewer()
-    from hyaline_web.view.server import serving
-    from hyaline_web.view.view import Viewer
-
-    bare = dataclasses.replace(hyaline.open_dataset("one"), objects=())
-    names: set[str] = set()
-    with serving(0, "one") as server:
-        Viewer(server, bare, None)
-        with open_window(f"http://127.0.0.1:{server.get_port()}") as window:
-            for message, _ in window.messages(PATIENCE_S):
-                if message["type"] == "ReplayDoneMessage":
-                    break
-                names.add(message.get("name", ""))
-    trained = {name for name in names if name.startswith("/cameras/train/")}
-    assert trained == {"/cameras/train/0000", "/cameras/train/0001"}
-    assert not any(name.startswith("/meshes/") for name in names)
 
 
 @pytest.mark.parametrize(
