@@ -407,7 +407,6 @@ def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Pa
         ("fitted-materials", True, (), "shapes"),
         ("ellipsoid", False, None, "proxies"),
         ("ellipsoid", True, None, "materials"),
-        ("noise-0.001", False, None, "shapes"),
         ("mixed-b", False, None, "shapes"),
         ("truth", False, None, "shapes"),
         ("truth", True, None, "materials"),
