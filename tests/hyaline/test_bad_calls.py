@@ -179,7 +179,6 @@ CALLS: dict[str, Callable[[Given], object]] = {
     "make_proxies of the kind None": lambda g: hy.make_proxies(g.dataset, None),  # pyright: ignore
     "make_proxies of the kind 3": lambda g: hy.make_proxies(g.dataset, 3),  # pyright: ignore
     "make_proxies of an unknown kind": lambda g: hy.make_proxies(g.dataset, "sphere"),
-    "make_proxies of noise nan": lambda g: hy.make_proxies(g.dataset, "noise-nan"),
     "make_proxies with -1 layers": lambda g: hy.make_proxies(g.dataset, "box", num_layers=-1),
     "make_proxies with workers None": lambda g: hy.make_proxies(g.dataset, "box", workers=None),  # pyright: ignore
     # Training and reports.

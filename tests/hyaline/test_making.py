@@ -158,7 +158,7 @@ def test_a_setting_that_is_none_is_refused_with_the_nearest_one(dataset: hy.Data
             hy.train("paper", dataset, **settings)
     with pytest.raises(hy.HyalineError, match="did you mean 'paper'"):
         hy.train("papre", dataset)
-    with pytest.raises(hy.HyalineError, match="kind 'truth': is the scene itself"):
+    with pytest.raises(hy.HyalineError, match="no kind 'truth'; choose from box"):
         hy.make_proxies(dataset, "truth")
 
 
