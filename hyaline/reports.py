@@ -84,8 +84,9 @@ def report(
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
     """
-    from eval.page.report import score_runs, write_page
     from eval.page.report_folder import check_report_folder
+
+    from eval.page.report import score_runs, write_page
     from eval.score.runs import has_predictions, list_run_folders, open_run
 
     if not 1 <= views <= MAX_VIEWS:

@@ -14,8 +14,7 @@ from support.soon import soon
 
 from datagen.scene.sources import SOURCES
 from datagen.terminal.plugins import COMMANDS
-from eval.tables.named import TABLES
-from eval.tables.parts import REPORT_PARTS
+from eval.tables.plugins import REPORT_PARTS, TABLES
 from model.methods.table import METHODS
 
 ROOT = Path(__file__).parent.parent

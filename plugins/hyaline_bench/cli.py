@@ -137,7 +137,7 @@ def leaderboard(
         out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
     from eval.page.page import PAGE
-    from eval.page.report_folder import write_report
+    from eval.page.report import write_report
     from hyaline_bench.leaderboard import leaderboard_page, results_page
     from hyaline_bench.protocol import load_protocol
     from hyaline_bench.score import read_scores
@@ -152,8 +152,7 @@ def leaderboard(
         sys.stdout.write(results_page(found, protocol))
         return
     place = out or BENCH / found[0].preset / "leaderboard"
-    for path in write_report(place, {PAGE: lambda: leaderboard_page(found, protocol)}):
-        say(f"wrote {path}: {len(found)} submissions")
+    write_report(place, {PAGE: leaderboard_page(found, protocol)})
     tell(str(place / PAGE))
 
 

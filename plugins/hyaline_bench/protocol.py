@@ -172,21 +172,23 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     least = _least_by_geometry(run, tracks)
     if run.seal is not None:
         return least  # `model train` words its knowledge by the same geometry and materials.
-    words = (run.knowledge or "").lower()
+    words = (run.record.knowledge or "").lower()
     named = [track for track, parts in TOLD.items() if any(part in words for part in parts)]
     return max([*named, *([] if least is None else [least])], key=list(tracks).index, default=None)
 
 
 def _least_by_geometry(run: Run, tracks: Mapping[str, str]) -> str | None:
     pictures, masks, proxies, shapes, materials = tracks
-    geometry, told = run.geometry, run.told
+    geometry, told, uses_materials = run.record.geometry, run.record.told, run.record.uses_materials
+    if uses_materials is None:
+        uses_materials = run.record.method == "light-path"
     if geometry is None:
         return None
     if is_fitted(geometry):
-        if run.uses_materials and (told is None or told):
+        if uses_materials and (told is None or told):
             return materials  # Of other objects at least, such as varnish on a floor.
         return shapes if told or geometry == FITTED_MATERIALS else masks
-    if run.uses_materials:
+    if uses_materials:
         return materials
     if geometry == NO_GEOMETRY:
         return pictures
@@ -204,7 +206,7 @@ def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
     least = least_track(run, tracks)
     if asked is None:
         is_own = run.seal is not None
-        if least is None or not (is_own or run.geometry == NO_GEOMETRY):
+        if least is None or not (is_own or run.record.geometry == NO_GEOMETRY):
             raise HyalineError(
                 f"{run.folder}: run.json does not show all inputs of the method; name the track with --track, "
                 f"one of {', '.join(tracks)}"
@@ -214,7 +216,7 @@ def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
     order = list(tracks)
     if least is not None and order.index(asked) < order.index(least):
         raise HyalineError(
-            f"{run.folder}: uses inputs ({run.knowledge or run.geometry}) that the track {asked} does not allow; "
-            f"submit it to {least}"
+            f"{run.folder}: uses inputs ({run.record.knowledge or run.record.geometry}) that the track {asked} does "
+            f"not allow; submit it to {least}"
         )
     return asked

@@ -152,8 +152,8 @@ def score_runs(
         preset=preset,
         name=first.name,
         track=track,
-        method=None if first.method is None else first.method[:MAX_WORDS],
-        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
+        method=None if first.record.method is None else first.record.method[:MAX_WORDS],
+        knowledge=None if first.record.knowledge is None else first.record.knowledge[:MAX_WORDS],
         submission=submission,
         scored_by=code_version(),
         scenes=scenes,
@@ -220,8 +220,8 @@ def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
         splits[f"{home}{split}"] = _result(part, split, truth, scores)
     return SceneResult(
         dataset=run.dataset.seal,
-        seed=run.seed,
-        num_parameters=run.num_parameters,
+        seed=run.record.seed,
+        num_parameters=run.record.num_parameters,
         costs={key: value for key, value in _costs(run).items() if key in COSTS},
         splits=splits,
     )

@@ -13,8 +13,8 @@ from datagen.data.paths import list_datasets
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from eval.analyses.variants import run_of_variant
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run
+from eval.variants import run_of_variant
 from hyaline_bench.protocol import Protocol, is_of_preset, left_out
 
 
