@@ -62,7 +62,7 @@ FLOORS = {
     "proxies": ("cli", "make", "spec", "kinds", "meshing"),
     "model": ("cli", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
-    "eval": ("cli", "page", "analyses", "figures", "tables", "score"),
+    "eval": ("cli", "page", "variants", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 
