@@ -56,7 +56,7 @@ def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.Mo
     folders = sorted(path for path in Path("docs/results").iterdir() if path.is_dir())
     assert sorted(Path("docs/results").glob("*.md")) == [folder.with_suffix(".md") for folder in folders]
     for folder in folders:
-        bench = f"hyaline-bench leaderboard {folder} --markdown"
+        bench = f"hyaline-bench leaderboard {folder}"
         answer = call(bench if folder.name == "bench" else f"report --results {folder}")
         assert folder.with_suffix(".md").read_text() == answer.out, "write it with `make results`"
         assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()
