@@ -56,10 +56,11 @@ def _joined(parts: list[str]) -> str:
 @cache
 def _tree(module: str) -> ast.Module:
     path = ROOT / module.replace(".", "/")
-    path = path / "__init__.pyi" if path.is_dir() else path.with_suffix(".py")  # The stub of `hyaline`.
-    if not path.is_file():
+    places = path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py")  # `hyaline` has a stub.
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
         raise LookupError(f"{module} is not part of hyaline")
-    return ast.parse(path.read_text())
+    return ast.parse(found.read_text())
 
 
 @cache

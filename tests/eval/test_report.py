@@ -26,7 +26,6 @@ from datagen.machine.doctor import code_version
 from eval.page.report import make_report
 from eval.score.runs import Record, list_run_folders
 from eval.tables.grids import CEILING
-from eval.tables.looks import latex_escaped
 from eval.tables.pages import results_page
 from model.run.run_folder import RunRecord
 
@@ -166,10 +165,6 @@ def test_every_format_has_all_cells_and_marks_the_best(
         best = r"\textbf{$\infty$}"
     assert best in rows["perfect"] and best not in rows["grey"]
     assert list(rows).index("perfect") < list(rows).index("grey")
-
-
-def test_latex_escapes_what_would_break_it() -> None:
-    assert latex_escaped(r"a_b & 5% {x}\y") == r"a\_b \& 5\% \{x\}\textbackslash{}y"
 
 
 def test_a_partly_identical_split_says_so(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -322,12 +317,10 @@ def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     "form",
     [
         ["report"],
-        ["env", "eval", "report"],
-        ["env", "eval"],
         [sys.executable, "-m", "eval", "report"],
         ["bash", "-c", "eval report --help"],
     ],
-    ids=["report", "eval-report", "eval", "python-m", "bash"],
+    ids=["report", "python-m", "bash"],
 )
 def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
     done = command(*form, "--help", cwd=tmp_path)

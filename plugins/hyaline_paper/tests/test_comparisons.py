@@ -22,7 +22,6 @@ from eval.score.runs import open_run
 from eval.score.scores import SceneScores, Truth, read_truth, score_run
 from eval.score.seeds import spread
 from eval.tables.grids import MISSING
-from eval.tables.pages import results_page
 from hyaline_paper import claims
 from hyaline_paper.known import known_to
 from model.methods.light_path.config import default_light_path
@@ -238,19 +237,6 @@ def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
     gain = decibels(3) - floors[0]
     verdict = "works" if gain >= 3 else "fails"
     assert f"DeepVoxels, small {verdict} on synthetic (glass, {gain:+.2f} dB)" in text
-
-
-def test_the_tables_as_json_make_the_page_of_the_same_tables(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    write_run(dataset, tmp_path, "view", paper(), 17, 25)
-    tables(dataset, tmp_path, "claims", "table1", output_format="json")
-    stored = tmp_path / "paper.json"
-    stored.write_text(capsys.readouterr().out)
-    tables(dataset, tmp_path, "claims", "table1")
-    page = results_page(stored)
-    assert page.rstrip().endswith(capsys.readouterr().out.rstrip()) and "report --table claims --table table1" in page
-    assert "PSNR wrapped (authors' script): " in page.partition("###")[0]
 
 
 # The claims
