@@ -220,8 +220,7 @@ def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
 ) -> None:
     write_run(dataset, tmp_path, "voxels", "deepvoxels", 3, 4, geometry="none")
     tables(dataset, tmp_path, "deepvoxels")
-    text = capsys.readouterr().out
-    rows = rows_of(text)[1:]
+    rows = rows_of(capsys.readouterr().out)[1:]
     (view,) = (view.image.astype(np.float64) for view in dataset.views("train"))
     floors = [
         statistics.fmean(
@@ -234,9 +233,6 @@ def test_deep_voxels_stands_beside_the_mean_picture_with_and_without_glass(
         ["glass", "DeepVoxels", "not run", *[MISSING] * 4],
         ["glass", "mean of the training pictures", MISSING, *(f"{floor:.2f}" for floor in floors), *rows[2][-2:]],
     ]
-    gain = decibels(3) - floors[0]
-    verdict = "works" if gain >= 3 else "fails"
-    assert f"DeepVoxels, small {verdict} on synthetic (glass, {gain:+.2f} dB)" in text
 
 
 # The claims
