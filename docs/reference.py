@@ -56,9 +56,11 @@ def _joined(parts: list[str]) -> str:
 @cache
 def _tree(module: str) -> ast.Module:
     path = ROOT / module.replace(".", "/")
-    if not (path.is_dir() or path.with_suffix(".py").is_file()):
+    places = path / "__init__.pyi", path / "__init__.py", path.with_suffix(".py")  # `hyaline` has a stub.
+    found = next((place for place in places if place.is_file()), None)
+    if found is None:
         raise LookupError(f"{module} is not part of hyaline")
-    return ast.parse((path / "__init__.py" if path.is_dir() else path.with_suffix(".py")).read_text())
+    return ast.parse(found.read_text())
 
 
 @cache
@@ -68,9 +70,10 @@ def _imports(module: str) -> dict[str, str]:
     for node in ast.walk(_tree(module)):
         if isinstance(node, ast.ImportFrom) and node.module:
             for alias in node.names:
-                inner = f"{node.module}.{alias.name}"
+                home = f"{module}.{node.module}" if node.level else node.module
+                inner = f"{home}.{alias.name}"
                 is_module = (ROOT / (inner.replace(".", "/") + ".py")).is_file()
-                found[alias.asname or alias.name] = inner if is_module else node.module
+                found[alias.asname or alias.name] = inner if is_module else home
     return found
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hyaline_paper.claims import DROP, FAR, NEAR, Interval, bootstrap
+from hyaline_paper.comparisons import PUBLISHED
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs/results"
@@ -214,7 +215,7 @@ def larger(run: str, pictures: str = "at that size") -> Found:
 
 def published(split: str) -> Found:
     """The lowest and the highest score in the paper's tables."""
-    found = [row[f"{split}_db"] for row in _read("demo")["published"]["rows"]]
+    found = [getattr(row, f"{split}_db") for row in PUBLISHED]
     return Found(numbers=(min(found), max(found)), unit="the paper's tables")
 
 

@@ -22,8 +22,6 @@ def report(
     format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
-    full: bool = False,
-    published: bool = False,
     shown_views: int = 3,
     results: Path | None = None,
     quiet: bool = False,
@@ -40,15 +38,13 @@ def report(
         data: Folder with the datasets, DATA/SCENE, for runs that do not name their dataset.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
         format: Format of the tables on stdout.
-        out: Folder for index.html, results.json and pictures. Default: RUNS/report.
-        table: Print only this table, beside the paper's numbers, with contact sheets of its runs: table1 (extrinsics),
-            table2 (DNR), square (layers or network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs
-            `model sweep` trains; or known (scores by prior knowledge of the glass). May be repeated. With --json, these
-            tables are part of the results.
-        full: Also describe each run, and print quality by angle and by number of training views.
-        published: Also print the paper's own numbers, and the numbers of its authors' script for these runs.
+        out: Folder for index.html and results.json. Default: RUNS/report.
+        table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
+            network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or known
+            (scores by prior knowledge of the glass). May be repeated. With --json, these tables are part of the
+            results.
         shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
-            page would exceed 20 MB, it shows fewer.
+            pictures would exceed 20 MB, it shows fewer.
         results: Instead of scoring runs, print a results.json, or those of a folder, as a page of Markdown; `make
             results` writes docs/results/*.md this way.
         quiet: Print no progress.
@@ -64,21 +60,12 @@ def report(
     from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables
 
-    place = out if out is not None else runs / "report"
     only = None if dataset is None else find_dataset(dataset, data)
     if table:
-        make_tables(runs, data, place, tables=table, output_format=output_format, only=only)
-        return
-    make_report(
-        runs,
-        data,
-        place,
-        output_format=output_format,
-        only=only,
-        is_full=full,
-        is_published=published,
-        most_views=shown_views,
-    )
+        make_tables(runs, data, tables=table, output_format=output_format, only=only)
+    else:
+        place = out if out is not None else runs / "report"
+        make_report(runs, data, place, output_format=output_format, only=only, most_views=shown_views)
 
 
 def main() -> None:

@@ -19,102 +19,19 @@ inf
 
 Lengths are metres, +z is up, cameras are world_from_camera in the OpenGL convention. Everything is read from disk when
 it is accessed, and verified by its checksum. Whatever is wrong raises a `HyalineError`, which says what to do.
-PyTorch and Mitsuba are imported when something needs them.
+Everything is imported when it is first used: `__init__.pyi` lists all names and their homes.
 """
 
-from typing import TYPE_CHECKING
+import lazy_loader
 
-from datagen.data.cameras import Camera, Cameras, look_at
-from datagen.data.config import SPLITS, TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, View
-from datagen.data.layers import Layers
-from datagen.data.meshes import Mesh
-from datagen.disk.errors import HyalineError
-from datagen.quantities.view_quantities import LightEnds, ViewQuantities, quantities
-from datagen.scene.description import CameraRig, Card, EnvironmentMap, Lobe, RectangleLight, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture, SolidTexture
 from datagen.terminal.distribution import VERSION, naming_parts
-from hyaline.cameras import camera_from_intrinsics, orbit
-from hyaline.datasets import build, layers, list_datasets, open_dataset
-from hyaline.pictures import show
-from hyaline.proxies import Proxies, make_proxies
-from hyaline.reports import Report, report
-from hyaline.runs import Run, list_runs, open_run, train
-from hyaline.scenes import Hemisphere, Object, Scene
-from hyaline.scores import Scores, score
-
-if TYPE_CHECKING:
-    from hyaline.tensors import RayDataset, ViewDataset
 
 __version__ = VERSION
 
-__all__ = [
-    "SPLITS",
-    "TEST_SPLITS",
-    "Camera",
-    "CameraRig",
-    "Cameras",
-    "Card",
-    "Conductor",
-    "Dataset",
-    "Dielectric",
-    "Diffuse",
-    "EnvironmentMap",
-    "Hemisphere",
-    "HyalineError",
-    "ImageTexture",
-    "Layers",
-    "LightEnds",
-    "Lobe",
-    "Mesh",
-    "Object",
-    "Plastic",
-    "Proxies",
-    "RayDataset",
-    "RectangleLight",
-    "Report",
-    "RoughDielectric",
-    "Run",
-    "Scene",
-    "Scores",
-    "SoftEnvironment",
-    "SolidTexture",
-    "Split",
-    "ThinDielectric",
-    "View",
-    "ViewDataset",
-    "ViewQuantities",
-    "WalkPoint",
-    "__version__",
-    "build",
-    "camera_from_intrinsics",
-    "layers",
-    "list_datasets",
-    "list_runs",
-    "look_at",
-    "make_proxies",
-    "open_dataset",
-    "open_run",
-    "orbit",
-    "quantities",
-    "report",
-    "score",
-    "show",
-    "train",
-]
+_load, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
 
 def __getattr__(name: str) -> object:
-    """Imports PyTorch when `RayDataset` or `ViewDataset` is accessed."""
-    if name in ("RayDataset", "ViewDataset"):
-        with naming_parts(f"hyaline.{name}"):
-            from hyaline import tensors
-
-        return getattr(tensors, name)
-    raise AttributeError(f"module 'hyaline' has no attribute {name!r}")
-
-
-def __dir__() -> list[str]:
-    """The public names only, so that completion offers no modules beside the functions of the same names."""
-    return __all__
+    """What the stub lists by this name; where a part of the distribution is missing, the error says how to get it."""
+    with naming_parts(f"hyaline.{name}"):
+        return _load(name)

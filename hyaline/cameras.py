@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Float, Real
 
 from datagen.data.cameras import Camera, look_at
+from datagen.data.cameras import Cameras as Cameras
 from datagen.data.config import MAX_VIEWS
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError

@@ -8,12 +8,21 @@ from typing import TYPE_CHECKING
 from datagen.data import dataset as contract
 from datagen.data import paths as finding
 from datagen.data.cameras import Camera
+from datagen.data.config import SPLITS as SPLITS
+from datagen.data.config import TEST_SPLITS as TEST_SPLITS
+from datagen.data.config import Split as Split
 from datagen.data.dataset import Dataset, has_layers
+from datagen.data.dataset import View as View
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layer_writing import check_settings
 from datagen.data.layers import Layers, round_mantissa
+from datagen.data.meshes import Mesh as Mesh
 from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.disk.checked import checked
+from datagen.disk.errors import HyalineError as HyalineError
+from datagen.quantities.view_quantities import LightEnds as LightEnds
+from datagen.quantities.view_quantities import ViewQuantities as ViewQuantities
+from datagen.quantities.view_quantities import quantities as quantities
 from datagen.terminal.command import choose, say_all
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of

@@ -1,4 +1,4 @@
-"""Pictures that notebooks show, of scenes, datasets, views, proxies and runs."""
+"""Pictures that notebooks show, of scenes, datasets, views and runs."""
 
 from collections.abc import Sequence
 
@@ -8,11 +8,8 @@ from PIL import Image
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.paths import TRUTH
 from datagen.disk.checked import checked
 from datagen.terminal.distribution import naming_parts
-from hyaline.datasets import layers
-from hyaline.proxies import Proxies
 from hyaline.runs import Run
 from hyaline.scenes import Scene
 
@@ -24,16 +21,15 @@ SPP = 64
 
 
 @checked
-def show(item: Scene | Dataset | View | Proxies | Run) -> Image.Image:
-    """A picture of a scene, dataset, view, proxies or run, which notebooks show.
+def show(item: Scene | Dataset | View | Run) -> Image.Image:
+    """A picture of a scene, dataset, view or run, which notebooks show.
 
     >>> from hyaline import open_dataset
     >>> show(open_dataset("glass_table").view("train", 0)).height     # the picture, glass, depth, normals, each layer
     256
 
-    A scene is path-traced from its first training camera. Proxies are coloured by object beside the true objects, both
-    from the first training camera. A dataset shows the first view of each split, a run that of each test split: the
-    truth, and beside it what the run predicts.
+    A scene is path-traced from its first training camera. A dataset shows the first view of each split, a run that of
+    each test split: the truth, and beside it what the run predicts.
     """
     if isinstance(item, Scene):
         return _in_a_row([_scene_picture(item)])
@@ -44,12 +40,6 @@ def show(item: Scene | Dataset | View | Proxies | Run) -> Image.Image:
 
         stored = stored_pictures(item, has_layers=has_layers(item.dataset))
         return _in_a_row([picture.pixels for picture in stored.values()])
-    if isinstance(item, Proxies):
-        from datagen.look.view_pictures import object_colors
-
-        view, colors = item.dataset.view("train", 0), object_colors(len(item.dataset.objects))
-        both = (layers(item.dataset, view.camera, geometry, 1).object_id[0] for geometry in (TRUTH, item.geometry))
-        return _in_a_row([view.image, *(colors[ids] for ids in both)])
     views = [item.dataset.view(split, 0) for split in TEST_SPLITS]
     return _in_a_row([picture for view in views for picture in (view.image, item.prediction(view))])
 

@@ -15,8 +15,6 @@ from datagen.terminal.command import say
 from hyaline.runs import RUNS, Run
 
 if TYPE_CHECKING:
-    import pandas  # pyright: ignore[reportMissingImports]
-
     from eval.page.report import Scored
 
 
@@ -31,32 +29,16 @@ class Report:
 
     @property
     def rows(self) -> list[dict[str, str]]:
-        """What `report --format csv` prints: a row for each run, two for each group of seeds (mean and deviation), and
-        one for each scene's noise ceiling."""
-        return list(csv.DictReader(io.StringIO(self._csv())))
-
-    def to_frame(self) -> "pandas.DataFrame":
-        """The same as a DataFrame of pandas.
-
-        Raises:
-            HyalineError: pandas is not installed.
-        """
-        try:
-            import pandas  # pyright: ignore[reportMissingImports]
-        except ModuleNotFoundError:
-            raise HyalineError("hyaline.Report.to_frame: needs pandas; `pip install pandas` brings it") from None
-        return pandas.read_csv(io.StringIO(self._csv()))
-
-    def _csv(self) -> str:
+        """What `report --format csv` prints: a row for each run, and one for each scene's noise ceiling. pandas makes a
+        frame of them: `pandas.DataFrame(report.rows)`."""
         from eval.tables.results import results_csv
 
-        return results_csv(self.scored.scenes)
+        return list(csv.DictReader(io.StringIO(results_csv(self.scored.scenes))))
 
     def _repr_html_(self) -> str:
         from eval.tables.looks import html_table
-        from eval.tables.scenes import scene_grids
 
-        return "".join(html_table(grid) for scene in self.scored.results["scenes"] for grid in scene_grids(scene)[:1])
+        return "".join(html_table(part.grids[0]) for part in self.scored.parts)
 
 
 @checked
@@ -84,38 +66,31 @@ def report(
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
     """
-    from eval.page.report import score_runs, write_page
-    from eval.page.report_folder import check_report_folder
+
+    from datagen.disk.ownership import refuse_others
+    from eval.page.report import REPORT, score_runs, write_page
     from eval.score.runs import has_predictions, list_run_folders, open_run
 
     if not 1 <= views <= MAX_VIEWS:
         raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
+    root, others = Path(root), []
     if runs is None:
-        every = list_run_folders(Path(root), besides=Path(out or Path(root) / "report"))
-        given = list(filter(has_predictions, every))
-    else:
-        given = [runs] if isinstance(runs, (Run, str, Path)) else list(runs)
-    if not given:
-        raise HyalineError(f"{root}: no run there has pictures; make one with hyaline.train")
-    folders = [item.folder if isinstance(item, Run) else _folder(item, Path(root)) for item in given]
-    for folder in folders:
+        others = list_run_folders(root, besides=Path(out or root / "report"))
+        runs = list(filter(has_predictions, others))
+    opened = []
+    for item in [runs] if isinstance(runs, (Run, str, Path)) else runs:
+        folder = item.folder if isinstance(item, Run) else Path(item) if Path(item).is_dir() else root / item
         if not has_predictions(folder):
             raise HyalineError(f"{folder}: has no predictions; expected predictions/SPLIT/0000.png, ...")
-    datasets = [item.dataset if isinstance(item, Run) else None for item in given]
-    beside = Path(root) if runs is None else folders[0].parent.parent
-    place = Path(out) if out is not None else beside / "report"
-    check_report_folder(place)
-    errors = []
-    opened = [open_run(folder, Path(data), dataset) for folder, dataset in zip(folders, datasets, strict=True)]
-    others = list_run_folders(Path(root), besides=place) if runs is None else []
-    scored = score_runs(opened, errors, others, made_by={"command": "hyaline.report"})
+        opened.append(open_run(folder, Path(data), item.dataset if isinstance(item, Run) else None))
+    if not opened:
+        raise HyalineError(f"{root}: no run there has pictures; make one with hyaline.train")
+    place = Path(out or (root if others else opened[0].folder.parent.parent) / "report")
+    refuse_others(place, REPORT)
+    errors: list[HyalineError] = []
+    scored = score_runs(opened, errors, others, command="hyaline.report")
     for error in errors[:-1] if scored is None else errors:
         say(f"error: {error}")
     if scored is None:
         raise errors[-1]
-    page = write_page(scored, place, most_views=views)
-    return Report(page=page, scored=scored)
-
-
-def _folder(name: Path | str, root: Path) -> Path:
-    return Path(name) if Path(name).is_dir() else root / name
+    return Report(page=write_page(scored, place, most_views=views), scored=scored)

@@ -55,11 +55,6 @@ class Run:
         return self.record.method
 
     @property
-    def label(self) -> str:
-        """What the list of runs and pages add to the run's name."""
-        return self.record.label
-
-    @property
     def geometry(self) -> str:
         """`truth`, or the kind of proxy whose surfaces it was trained on."""
         return self.record.geometry
@@ -82,11 +77,6 @@ class Run:
             return self.config.steps
         return max((int(line.get("step") or 0) for line in self.metrics), default=0)
 
-    @property
-    def has_radiance(self) -> bool:
-        """True when the method predicts linear radiance."""
-        return self.config.net.has_radiance
-
     @checked
     @naming_parts("hyaline.Run.render")
     def render(self, camera: Camera) -> UInt8[np.ndarray, "h w 3"]:
@@ -106,9 +96,9 @@ class Run:
         """Linear radiance (Rec. 709), unclipped. Training images are clipped at white, so values above it are guesses.
 
         Raises:
-            HyalineError: as `render`, or the method predicts display-referred colours (`has_radiance` is False).
+            HyalineError: as `render`, or the method predicts display-referred colours.
         """
-        if not self.has_radiance:
+        if not self.config.net.has_radiance:
             raise HyalineError(
                 f"{self.folder}: {self.method} predicts display-referred colours, not radiance; use render"
             )

@@ -9,7 +9,6 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Integer, Real
 
-from datagen.data.meshes import Mesh
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
@@ -24,8 +23,20 @@ from datagen.scene.description import (
     SceneObject,
     image_bytes,
 )
+from datagen.scene.description import Card as Card
+from datagen.scene.description import Lobe as Lobe
+from datagen.scene.description import SoftEnvironment as SoftEnvironment
+from datagen.scene.description import WalkPoint as WalkPoint
+from datagen.scene.materials import Conductor as Conductor
+from datagen.scene.materials import Dielectric as Dielectric
+from datagen.scene.materials import Diffuse as Diffuse
 from datagen.scene.materials import Material, check_material
+from datagen.scene.materials import Plastic as Plastic
+from datagen.scene.materials import RoughDielectric as RoughDielectric
+from datagen.scene.materials import ThinDielectric as ThinDielectric
 from datagen.scene.soundness import check_names
+from datagen.scene.textures import ImageTexture as ImageTexture
+from datagen.scene.textures import SolidTexture as SolidTexture
 from datagen.scene.values import Vector, check_positive
 from datagen.terminal.command import say
 
@@ -34,15 +45,10 @@ from datagen.terminal.command import say
 class Triangles(Protocol):
     """A mesh of trimesh, or any other object with these two arrays; the uv of a textured `visual` are used, too."""
 
-    @property
-    def vertices(self) -> np.ndarray:
-        """(vertex, 3) positions in metres, +z up."""
-        ...
-
-    @property
-    def faces(self) -> np.ndarray:
-        """(face, 3) vertex indices, counter-clockwise seen from outside."""
-        ...
+    vertices: np.ndarray
+    """(vertex, 3) positions in metres, +z up."""
+    faces: np.ndarray
+    """(face, 3) vertex indices, counter-clockwise seen from outside."""
 
 
 Arrays = tuple[Real[np.ndarray, "vertex 3"], Integer[np.ndarray, "face 3"]]
@@ -148,42 +154,35 @@ class Scene:
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
         """
-        return _described_scene(self)
+        from datagen.scene.images import read_map
+        from datagen.scene.mending import mend_scene
+        from datagen.scene.soundness import check_scene
+        from datagen.scene.staging import LIGHT
+
+        read = [_described(item) for item in self.objects]
+        objects = tuple(item for item, _ in read)
+        scene = description.Scene(
+            name=self.name,
+            license=self.license,
+            objects=objects,
+            environment=self.light or LIGHT,
+            lights=tuple(self.lamps),
+            cameras=_rig(self.cameras, objects) if isinstance(self.cameras, Hemisphere) else self.cameras,
+            folder=Path(self.folder),
+        )
+        check_names(scene)
+        if isinstance(self.light, EnvironmentMap):
+            read_map(image_bytes(scene, self.light), where=f"scene {self.name}: {self.light.path}")
+        scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
+        check_scene(scene)
+        return scene
 
 
-def _described_scene(given: Scene) -> description.Scene:
-    from datagen.scene.images import read_map
-    from datagen.scene.mending import mend_scene
-    from datagen.scene.soundness import check_scene
-    from datagen.scene.staging import LIGHT
-
-    read = [_described(item) for item in given.objects]
-    objects = tuple(item for item, _ in read)
-    scene = description.Scene(
-        name=given.name,
-        license=given.license,
-        objects=objects,
-        environment=given.light or LIGHT,
-        lights=tuple(given.lamps),
-        cameras=_rig(given, objects),
-        folder=Path(given.folder),
-    )
-    check_names(scene)
-    if isinstance(given.light, EnvironmentMap):
-        read_map(image_bytes(scene, given.light), where=f"scene {given.name}: {given.light.path}")
-    scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
-    check_scene(scene)
-    return scene
-
-
-def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
-    """The scene's cameras; those of a hemisphere are fitted around its objects."""
+def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:
+    """The cameras of a hemisphere, fitted around a scene's objects."""
     from datagen.scene.remarks import Remarks
     from datagen.scene.staging import make_rig
 
-    cameras = given.cameras
-    if not isinstance(cameras, Hemisphere):
-        return cameras
     fitted = make_rig(
         objects,
         Remarks(),
@@ -197,24 +196,20 @@ def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList
 
 def _described(item: Object) -> tuple[SceneObject, bool]:
     """An object with a mesh of ours, and whether that came with uv."""
+    from datagen.scene.finding import find_source
     from datagen.scene.remarks import Remarks
     from datagen.scene.surfaces import made_sound, mesh_of
 
-    where, remarks = f"object {printable(item.name)}", Remarks()
-    if isinstance(item.mesh, Mesh):
-        return SceneObject(name=item.name, mesh=item.mesh, material=item.material), bool(item.mesh.uv.any())
-    if isinstance(item.mesh, (str, Path)):
-        vertices, faces, uv = _read_file(Path(item.mesh))
-    elif isinstance(item.mesh, tuple):
-        (vertices, faces), uv = item.mesh, None
-    elif not isinstance(item.mesh, Triangles):
-        raise HyalineError(
-            f"{where}: its mesh is a {type(item.mesh).__name__}; expected one mesh with vertices and faces (of a "
-            "trimesh.Scene, its to_mesh()), a pair of arrays, or a file"
-        )
+    where, given, remarks = f"object {printable(item.name)}", item.mesh, Remarks()
+    if isinstance(given, (str, Path)):
+        source = find_source(str(given), is_of_files=True)
+        if source is None or source.read_mesh is None:
+            raise HyalineError(f"{given}: reading mesh files needs the plug-in hyaline_import; give vertices and faces")
+        vertices, faces, uv = source.read_mesh(Path(given))
+    elif isinstance(given, tuple):
+        (vertices, faces), uv = given, None
     else:
-        vertices, faces = item.mesh.vertices, item.mesh.faces
-        uv = getattr(getattr(item.mesh, "visual", None), "uv", None)
+        vertices, faces, uv = given.vertices, given.faces, getattr(getattr(given, "visual", None), "uv", None)
     vertices, faces = _checked(vertices, faces, where=where)
     has_uv = uv is not None and np.shape(uv) == (len(vertices), 2) and bool(np.any(uv))
     mesh = mesh_of(vertices, faces, None, np.asarray(uv, np.float64) if has_uv else None, where=where)
@@ -238,13 +233,3 @@ def _checked(
     if corners.min() < 0 or corners.max() >= len(places):
         raise HyalineError(f"{where}: a face names vertex {corners.max()}; expected 0 to {len(places) - 1}")
     return places.astype(np.float64), corners.astype(np.int64)
-
-
-def _read_file(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Vertices, faces and uv of all objects in a file as one mesh."""
-    from datagen.scene.finding import find_source
-
-    source = find_source(str(path), is_of_files=True)
-    if source is None or source.read_mesh is None:
-        raise HyalineError(f"{path}: reading mesh files needs the plug-in hyaline_import; give vertices and faces")
-    return source.read_mesh(path)

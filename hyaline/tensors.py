@@ -1,39 +1,27 @@
 """Views and rays of a dataset for PyTorch's data loaders."""
 
 import dataclasses
-from typing import TypedDict
 
 import numpy as np
 import torch
-from jaxtyping import Float32, UInt8
+from jaxtyping import Float32
 from torch import Tensor
 from torch.utils import data
 
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, View
+from datagen.data.dataset import Dataset
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
-
-
-class ViewItem(TypedDict):
-    """One view."""
-
-    image: Float32[Tensor, "3 h w"]
-    """sRGB, 0 to 1."""
-    origin: Float32[Tensor, "3"]
-    """The camera's centre in metres."""
-    directions: Float32[Tensor, "3 h w"]
-    """Unit vectors through the pixels' centres, in the world."""
-    uv: Float32[Tensor, "layer 2 h w"]
-    """Atlas coordinates of the surfaces along each ray, 0 to 1, nearest first."""
-    object_id: UInt8[Tensor, "layer h w"]
-    """Objects that these surfaces belong to; 0 where a layer is empty."""
 
 
 @checked
 @dataclasses.dataclass(frozen=True)
 class ViewDataset(data.Dataset):
     """The views of a split, one per item, read when they are accessed.
+
+    An item has `image` (3, h, w), sRGB from 0 to 1; `origin` (3), the camera's centre in metres; `directions`
+    (3, h, w), unit vectors through the pixels' centres in the world; `uv` (layer, 2, h, w), atlas coordinates of the
+    surfaces along each ray from 0 to 1, nearest first; `object_id` (layer, h, w), 0 where a layer is empty.
 
     >>> from hyaline import open_dataset
     >>> views = ViewDataset(open_dataset("glass_table"), "train")
@@ -52,33 +40,26 @@ class ViewDataset(data.Dataset):
     def __len__(self) -> int:
         return self.dataset.num_views[self.split]
 
-    def __getitem__(self, index: int) -> ViewItem:
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
         if not 0 <= index < len(self):
             raise IndexError(f"{self.split}: view {index}; expected 0 to {len(self) - 1}")
         view = self.dataset.view(self.split, index)
         origin, directions = view.camera.rays()
         layers = view.layers(self.geometry)
-        return ViewItem(
-            image=_channels_first(view.image.astype(np.float32) / 255),
-            origin=torch.from_numpy(origin),
-            directions=_channels_first(directions),
-            uv=_channels_first(layers.uv.astype(np.float32) / 65535),
-            object_id=torch.from_numpy(layers.object_id),
-        )
-
-
-class RayItem(TypedDict):
-    """One pixel's centre ray."""
-
-    origin: Float32[Tensor, "3"]
-    direction: Float32[Tensor, "3"]
-    color: Float32[Tensor, "3"]
-    """sRGB, 0 to 1."""
+        return {
+            "image": _channels_first(view.image.astype(np.float32) / 255),
+            "origin": torch.from_numpy(origin),
+            "directions": _channels_first(directions),
+            "uv": _channels_first(layers.uv.astype(np.float32) / 65535),
+            "object_id": torch.from_numpy(layers.object_id),
+        }
 
 
 @checked
 class RayDataset(data.Dataset):
     """All pixels of a split with their centre rays, view by view and row by row, in memory (36 bytes a pixel).
+
+    An item has `origin`, `direction` and `color` (sRGB from 0 to 1), three numbers each.
 
     >>> from hyaline import open_dataset
     >>> rays = RayDataset(open_dataset("glass_table"), "train")
@@ -94,21 +75,17 @@ class RayDataset(data.Dataset):
         views = dataset.views(split)
         if not views:
             raise HyalineError(f"{dataset.root}: has no {split} views")
-        columns = [_rays_of(view) for view in views]
-        self.origin, self.direction, self.color = (torch.cat(column) for column in zip(*columns, strict=True))
+        rays = [view.camera.rays() for view in views]
+        self.direction = torch.cat([torch.from_numpy(ways.reshape(-1, 3)) for _, ways in rays])
+        self.color = torch.cat([torch.from_numpy(view.image.reshape(-1, 3).astype(np.float32) / 255) for view in views])
+        centres = torch.stack([torch.from_numpy(origin) for origin, _ in rays])
+        self.origin = centres.repeat_interleave(len(self.color) // len(centres), dim=0)
 
     def __len__(self) -> int:
         return len(self.color)
 
-    def __getitem__(self, index: int) -> RayItem:
-        return RayItem(origin=self.origin[index], direction=self.direction[index], color=self.color[index])
-
-
-def _rays_of(view: View) -> tuple[Tensor, Tensor, Tensor]:
-    origin, directions = view.camera.rays()
-    direction = torch.from_numpy(directions.reshape(-1, 3))
-    color = torch.from_numpy(view.image.reshape(-1, 3).astype(np.float32) / 255)
-    return torch.from_numpy(origin).expand(len(color), 3).clone(), direction, color
+    def __getitem__(self, index: int) -> dict[str, Tensor]:
+        return {"origin": self.origin[index], "direction": self.direction[index], "color": self.color[index]}
 
 
 def _channels_first(values: Float32[np.ndarray, "... h w c"]) -> Float32[Tensor, "... c h w"]:

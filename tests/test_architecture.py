@@ -14,8 +14,7 @@ from support.soon import soon
 
 from datagen.scene.sources import SOURCES
 from datagen.terminal.plugins import COMMANDS
-from eval.tables.named import TABLES
-from eval.tables.parts import REPORT_PARTS
+from eval.tables.plugins import REPORT_PARTS, TABLES
 from model.methods.table import METHODS
 
 ROOT = Path(__file__).parent.parent
@@ -63,7 +62,7 @@ FLOORS = {
     "proxies": ("cli", "make", "kinds", "meshing"),
     "model": ("cli", "run", "methods", "losses", "batches", "nets", "settings"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
-    "eval": ("cli", "page", "analyses", "figures", "tables", "score"),
+    "eval": ("cli", "page", "variants", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
 

@@ -1,4 +1,9 @@
-"""The report: finds the runs, scores them, prints tables, writes results.json and pictures."""
+"""The report: finds the runs, scores them, prints tables, and writes a folder of two files.
+
+REPORT/report.json     with checksum, written first: marks the folder
+REPORT/results.json    every score (eval/tables/results.py)
+REPORT/index.html      the page (eval/page/page.py)
+"""
 
 import dataclasses
 import shlex
@@ -6,36 +11,34 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
+from typing import cast
 
 from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import file_name
+from datagen.disk.ownership import FolderKind, begin, holding, refuse_others
 from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
+from datagen.disk.storage import commit, dump_json, seal_bytes
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
-from eval.analyses.edits import object_psnr, score_edits
-from eval.analyses.variants import score_variants
-from eval.page.further import Further, analyse, figures_of
-from eval.page.page import PAGE, USUAL_VIEWS, report_page
-from eval.page.report_folder import check_report_folder, write_report
+from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
-from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
-from eval.tables.grids import TABLE_WIDTH
-from eval.tables.looks import grid_text, tables_text
-from eval.tables.named import TABLES, EditedPsnr
-from eval.tables.parts import FoundPart, report_parts
-from eval.tables.published import published_grid, published_json
+from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, Truth, read_truth, score_run
+from eval.tables.grids import TABLE_WIDTH, Grid
+from eval.tables.looks import grid_text, paragraphs
+from eval.tables.plugins import TABLES, EditedPsnr, FoundPart, report_parts
 from eval.tables.results import grid_json, results_csv, results_data
-from eval.tables.scenes import Stored
+from eval.tables.scenes import Stored, scene_grids
+from eval.variants import edit_grid, object_psnr, score_variants, variant_json
 
 FORMATS = ("table", "markdown", "csv", "latex", "json")
 TABLE_FORMATS = ("table", "markdown", "latex", "json")
 """Formats of `make_tables`; the report's CSV contains the same values."""
+
+REPORT = FolderKind(what="report", head="report.json", way_out="choose another --out, or empty the folder")
+REPORT_VERSION = 1
 
 
 def make_report(
@@ -45,22 +48,18 @@ def make_report(
     *,
     output_format: str,
     only: Path | None = None,
-    is_full: bool = False,
-    is_published: bool = False,
     most_views: int = USUAL_VIEWS,
 ) -> None:
     """Scores all runs; errors of runs that cannot be scored come last.
 
     Args:
         only: score only the runs of this dataset; None: all runs.
-        is_full: also describe the runs, and print quality by angle.
-        is_published: also print the paper's own numbers, and what its authors' script would print for our runs.
         most_views: views that the page shows of each split and run.
     """
     choose("format", output_format, FORMATS)
     if not 1 <= most_views <= MAX_VIEWS:
         raise HyalineError(f"--shown-views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
-    check_report_folder(out)
+    refuse_others(out, REPORT)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
         raise HyalineError(
@@ -69,44 +68,63 @@ def make_report(
         )
     say(f"{out}: reporting on {len(runs)} runs")
     folders = list_run_folders(runs_root, besides=out)
-    if found := score_runs(runs, errors, folders, made_by=_made_by(only)):
-        _print_scores(found, output_format, is_full=is_full, is_published=is_published)
+    words = ["report"] if only is None else ["report", "--dataset", only.name]
+    if found := score_runs(runs, errors, folders, command=shlex.join(words)):
+        if output_format == "json":
+            sys.stdout.write(dump_json(found.results).decode())
+        elif output_format == "csv":
+            sys.stdout.write(results_csv(found.scenes))
+        else:
+            _print_grids([grid for part in found.parts for grid in part.grids], output_format)
+            sys.stdout.write("\n" + paragraphs(METRIC_NOTES, output_format, _output_width()))
+        sys.stdout.flush()
         write_page(found, out, most_views=most_views)
-    for error in errors[:-1]:
-        say(f"error: {error}")
-    if errors:
-        raise errors[-1]
+    _raise_last(errors)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scored:
     """What a report says about some runs."""
 
-    scenes: list[SceneScores]
-    further: list[Further]
-    """The analyses of each scene, in the same order."""
+    parts: list[ScenePart]
     results: Stored
     """The content of results.json."""
 
+    @property
+    def scenes(self) -> list[SceneScores]:
+        return [part.scene for part in self.parts]
+
 
 def score_runs(
-    runs: list[Run], errors: list[HyalineError], folders: Sequence[Path] = (), *, made_by: dict[str, Json]
+    runs: list[Run], errors: list[HyalineError], folders: Sequence[Path] = (), *, command: str
 ) -> Scored | None:
-    """Scores and analyses runs; None if no run can be scored.
+    """Scores runs with their variants; None if no run can be scored.
 
     Args:
-        errors: takes why a run could not be scored or analysed.
+        errors: takes why a run could not be scored.
         folders: of runs and of what plug-ins know, such as fits of the runs' datasets.
-        made_by: the command that asked for it, for results.json.
+        command: what asked for it, for results.json.
     """
     scenes = _score_scenes(runs, errors)
     if not scenes:
         return None
-    parts = _find_parts([scene.dataset for scene in scenes], folders, errors)
-    further = [analyse(scene, errors, found) for scene, found in zip(scenes, parts, strict=True)]
-    more: dict[str, Json] = {"made_by": made_by, "published": published_json()}
-    results = results_data(scenes, {analyses.title: analyses.data for analyses in further}, more)
-    return Scored(scenes=scenes, further=further, results=results)
+    found = _find_parts([scene.dataset for scene in scenes], folders, errors)
+    variants = [score_variants(scene, errors) for scene in scenes]
+    analyses: dict[str, dict[str, Json]] = {}
+    for scene, scored, of_plugins in zip(scenes, variants, found, strict=True):
+        stored: Json = {each.variant.name: variant_json(each) for each in scored}
+        analyses[scene.title] = {
+            **({"variants": stored} if scored else {}),
+            **{name: part.data for name, part in of_plugins.items()},
+        }
+    results = results_data(scenes, analyses, {"made_by": {"command": command, "code": code_version()}})
+    parts = []
+    for scene, scored, of_plugins, stored in zip(scenes, variants, found, results["scenes"], strict=True):
+        edits = [edit_grid(scene, each) for each in scored if each.variant.edit is not None]
+        pages = [page for part in of_plugins.values() for page in part.pages]
+        grids = [*scene_grids(cast(Stored, stored)), *edits]
+        parts.append(ScenePart(scene=scene, variants=scored, grids=grids, pages=pages))
+    return Scored(parts=parts, results=results)
 
 
 def _find_parts(
@@ -123,34 +141,37 @@ def _find_parts(
 
 
 def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
-    """Writes results.json, the page and the pictures of a report into `out`; returns the page's path.
+    """Writes results.json and the page of a report into `out`; returns the page's path.
 
     Args:
         most_views: views that the page shows of each split and run.
     """
-    files = {
-        "results.json": lambda: dump_json(found.results),
-        PAGE: partial(report_page, found.scenes, found.further, found.results["scenes"], most_views=most_views),
-        **figures_of(found.scenes, found.further),
-    }
-    for path in write_report(out, files):
-        say(f"wrote {path}")
+    page = report_page(found.parts, most_views=most_views)
+    write_report(out, {"results.json": dump_json(found.results), PAGE: page})
     say(f"open {out / PAGE} in a browser")
     return out / PAGE
 
 
+def write_report(out: Path, files: dict[str, bytes]) -> None:
+    """Commits the files of a report into its folder, which must be new, empty or a report's."""
+    with holding(out, REPORT):
+        begin(out, REPORT, seal_bytes({"version": REPORT_VERSION}))
+        for name, data in files.items():
+            commit(out / name, data)
+            say(f"wrote {out / name}")
+
+
 def make_tables(
-    runs_root: Path, data_root: Path, out: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
+    runs_root: Path, data_root: Path, *, tables: Sequence[str], output_format: str, only: Path | None = None
 ) -> None:
-    """Scores the runs that some tables need and prints those alone; pictures of them are written to `out`.
+    """Scores the runs that some tables need and prints those alone.
 
     Raises:
         HyalineError: an unknown table or format, or a run that cannot be scored.
     """
     asked = {name: TABLES.find(name) for name in tables}
     choose("format", output_format, TABLE_FORMATS)
-    check_report_folder(out)
-    runs, errors = _open_runs(runs_root, data_root, out, only)
+    runs, errors = _open_runs(runs_root, data_root, runs_root / "report", only)
     wanted = [run for run in runs if any(table.shows(run) for table in asked.values())]
     scenes = _score_scenes(wanted, errors)
     if not scenes:
@@ -161,22 +182,23 @@ def make_tables(
             else ""
         )
         errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
-    grids = {name: table.grids(scenes, lambda scene: _object_psnr(scene, errors)) for name, table in asked.items()}
+
+    def edited(scene: SceneScores) -> EditedPsnr:
+        return object_psnr(score_variants(scene, errors, of=lambda variant: variant.edit is not None))
+
+    grids = {name: table.grids(scenes, edited) for name, table in asked.items()}
     if output_format == "json":
-        made_by: Json = {
-            "command": shlex.join(["report", *(word for name in tables for word in ("--table", name))]),
-            "code": code_version(),
-        }
+        command = shlex.join(["report", *(word for name in tables for word in ("--table", name))])
+        made_by: Json = {"command": command, "code": code_version()}
         stored: Json = {name: [grid_json(grid) for grid in found] for name, found in grids.items()}
         sys.stdout.write(dump_json(results_data(scenes, more={"made_by": made_by, "tables": stored})).decode())
     else:
-        for grid in (grid for found in grids.values() for grid in found):
-            sys.stdout.write(grid_text(grid, output_format, width=_output_width(), color=sys.stdout.isatty()) + "\n")
+        _print_grids([grid for found in grids.values() for grid in found], output_format)
     sys.stdout.flush()
-    pictures = {(name, scene.title): table.picture(scene) for name, table in asked.items() for scene in scenes}
-    files = {f"{table}_{file_name(title)}.png": png for (table, title), png in pictures.items() if png is not None}
-    for path in write_report(out, {name: partial(bytes, png) for name, png in files.items()}) if files else ():
-        say(f"wrote {path}")
+    _raise_last(errors)
+
+
+def _raise_last(errors: Sequence[HyalineError]) -> None:
     for error in errors[:-1]:
         say(f"error: {error}")
     if errors:
@@ -185,12 +207,6 @@ def make_tables(
 
 def _sweep_command(table: str, datasets: Sequence[Path]) -> str:
     return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
-
-
-def _object_psnr(scene: SceneScores, errors: list[HyalineError]) -> EditedPsnr:
-    """PSNR where edited objects are or were."""
-    edits = score_variants(scene, errors, of=lambda variant: variant.edit is not None)
-    return object_psnr(score_edits(scene, edits, errors))
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
@@ -268,30 +284,9 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
     )
 
 
-def _made_by(only: Path | None) -> dict[str, Json]:
-    """The command that scored, without its folders, and the code that it ran."""
-    words = [] if only is None else ["--dataset", only.name]
-    return {"command": shlex.join(["report", *words]), "code": code_version()}
-
-
-def _print_scores(found: Scored, output_format: str, *, is_full: bool, is_published: bool) -> None:
-    if output_format == "json":
-        text = dump_json(found.results).decode()
-    elif output_format == "csv":
-        text = results_csv(found.scenes)
-    else:
-        grids = [grid for analyses in found.further for grid in analyses.grids]
-        text = tables_text(
-            found.results["scenes"],
-            output_format,
-            width=_output_width(),
-            color=sys.stdout.isatty(),
-            more=[*grids, *([published_grid()] if is_published else [])],
-            is_full=is_full,
-            is_wrapped=is_published,
-        )
-    sys.stdout.write(text)
-    sys.stdout.flush()
+def _print_grids(grids: Sequence[Grid], output_format: str) -> None:
+    width, color = _output_width(), sys.stdout.isatty()
+    sys.stdout.write("\n".join(grid_text(grid, output_format, width=width, color=color) for grid in grids))
 
 
 def _output_width() -> int:

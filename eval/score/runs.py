@@ -2,29 +2,29 @@
 
     RUNS/SCENE/NAME/predictions/SPLIT/0000.png ...   8-bit sRGB, one a view of the split, the size of the truth
     RUNS/SCENE/NAME/variants/VARIANT/predictions/... the same of a variant of the dataset (datagen/data/variants.py)
-    RUNS/SCENE/NAME/run.json                         optional: method, geometry, knowledge, dataset, dataset_seal,
-                                                     seed, num_parameters, num_layers, label, config (an object of
-                                                     choices), flags (text by name), layers_seal; other keys
-                                                     of `model train` are ignored, and unknown keys are errors
+    RUNS/SCENE/NAME/run.json                         optional: any of the keys of `Record`
 
     .../predictions.json                             next to each folder `predictions`, with checksum: SHA-256 of each
                                                      picture, to verify them, and dataset_seal and run_seal (of
                                                      run.json); optional if run.json has no checksum
 
-A PNG's own checksums are always verified (eval/score/png.py).
+A PNG's own checksums are always verified.
 Test splits are scored; pictures of the training split are ignored.
 """
 
 import dataclasses
+import io
 import os
 import shlex
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeGuard, TypeVar
+from typing import TypeGuard
 
 import numpy as np
 from jaxtyping import UInt8
+from PIL import Image
 
 from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
@@ -37,49 +37,55 @@ from datagen.disk.names import check_regular, printable, real_path
 from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, parse_json, read_regular, shown
 from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
 from datagen.terminal.command import choose
-from eval.score.png import check_png
-
-Kind = TypeVar("Kind")
-Value = TypeVar("Value", int, str)
 
 RUN_VERSION = 5
 """The version of `model train`'s run.json (model/run/run_folder.py)."""
+SRGB = (0.45455, 0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
+"""As gAMA and cHRM chunks describe it: exponent; x and y of white, red, green and blue."""
+ORIENTATION = 0x0112
+"""EXIF's tag."""
 
-RUN_KEYS = frozenset({
-    "config", "dataset", "dataset_seal", "flags", "geometry", "knowledge", "label", "layers_seal", "method",
-    "num_layers", "num_parameters", "num_texture_parameters", "seed", "told", "torch", "type",
-    "uses_materials", "version",
-})  # fmt: skip
-"""Allowed keys of run.json: those of `model train`; a foreign method may leave out any."""
+
+@dataclass(frozen=True, kw_only=True)
+class Record:
+    """The content of run.json, as `model train` writes it; a foreign method may leave out anything."""
+
+    version: int | None = None
+    method: str | None = None
+    geometry: str | None = None
+    knowledge: str | None = None
+    """The method's inputs besides pictures and cameras, in words."""
+    uses_materials: bool | None = None
+    """Whether the method reads materials of surfaces."""
+    told: tuple[str, ...] | None = None
+    """Objects of which a fitted geometry tells more than was found of them: glass, and other materials than matt."""
+    dataset: str | None = None
+    """The dataset's folder."""
+    dataset_seal: str | None = None
+    layers_seal: str | None = None
+    """Digest of the layers that it was trained on."""
+    seed: int | None = None
+    num_parameters: int | None = None
+    num_texture_parameters: int | None = None
+    num_layers: int | None = None
+    """Straight layers that it uses."""
+    label: str | None = None
+    """What else distinguishes runs of one method, such as a preset."""
+    config: dict[str, Json] | None = None
+    """All settings; runs with equal settings and different seeds are averaged."""
+    flags: dict[str, str] | None = None
+    """The flags of `model train METHOD` that train it again, without dashes; a switch has no value."""
+    torch: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One method's predictions for one dataset. Values that a foreign method does not record are None."""
+    """One method's predictions for one dataset."""
 
     folder: Path
     name: str
     dataset: Dataset
-    method: str | None
-    geometry: str | None
-    knowledge: str | None
-    """The method's inputs besides pictures and cameras, in words."""
-    uses_materials: bool
-    """Whether the method reads materials of surfaces; True for light-path, also where its record does not say."""
-    told: tuple[str, ...] | None
-    """Objects of which a fitted geometry tells more than was found of them: glass, and other materials than matt."""
-    num_parameters: int | None
-    seed: int | None
-    label: str | None
-    """What else distinguishes runs of one method, such as a preset."""
-    num_layers: int | None
-    """Straight layers that it uses."""
-    config: dict[str, Json] | None
-    """All settings; runs with equal settings and different seeds are averaged."""
-    flags: dict[str, str] | None
-    """The flags of `model train METHOD` that train it again, without dashes; a switch has no value."""
-    layers_seal: str | None
-    """Digest of the layers that it was trained on."""
+    record: Record
     seal: str | None
     """Digest of the run.json of `model train`, whose pictures are only valid with their predictions.json; None for
     other methods."""
@@ -129,37 +135,28 @@ def has_predictions(folder: Path) -> bool:
 def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run:
     """The run in a folder, with its dataset: the given one, the one that run.json names, or `data_root`/SCENE."""
     path = folder / "run.json"
-    record = load_json(path) if os.path.lexists(path) else {}
+    content = load_json(path) if os.path.lexists(path) else {}
     seal = None
-    if SEAL in record:
-        record = load_sealed(path)
-        if (version := record.get("version")) != RUN_VERSION:
+    if SEAL in content:
+        content = load_sealed(path)
+        if (version := content.get("version")) != RUN_VERSION:
             raise HyalineError(
                 f"{path}: format version {shown(version)}; this program reads {RUN_VERSION}; train it again"
             )
-        seal = seal_of(record)
-    if unknown := sorted(set(record) - RUN_KEYS):
-        raise HyalineError(f"{path}: unknown key {shown(unknown[0])}; known are {', '.join(sorted(RUN_KEYS))}")
-    named = _optional(record, "dataset", str, path)
-    places = [*([] if given is None else [given.root]), *([] if named is None else [Path(named)])]
-    places.append(data_root / folder.parent.name)
-    dataset = _find_dataset(folder, places, _optional(record, "dataset_seal", str, path))
+        seal = seal_of(content)
+    config = content.pop("config", None)  # Of any keys: not a record here.
+    record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
+    if config is not None and not isinstance(config, dict):
+        raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
+    texts = {key: printable(text) for key, text in vars(record).items() if isinstance(text, str)}
+    record = dataclasses.replace(record, config=config, **texts)
+    places = [*([] if given is None else [given.root]), *([] if record.dataset is None else [Path(record.dataset)])]
+    dataset = _find_dataset(folder, [*places, data_root / folder.parent.name], record.dataset_seal)
     return Run(
         folder=folder,
         name=printable(folder.name),
         dataset=dataset,
-        method=_optional(record, "method", str, path),
-        geometry=_optional(record, "geometry", str, path),
-        knowledge=_optional(record, "knowledge", str, path),
-        uses_materials=_uses_materials(record, path),
-        told=_as(tuple[str, ...], record, "told", path),
-        num_parameters=_optional(record, "num_parameters", int, path),
-        seed=_optional(record, "seed", int, path),
-        label=_optional(record, "label", str, path),
-        num_layers=_optional(record, "num_layers", int, path),
-        config=_config(record, path),
-        flags=_as(dict[str, str], record, "flags", path),
-        layers_seal=_optional(record, "layers_seal", str, path),
+        record=record,
         seal=seal,
         promised=_read_promised(folder, dataset, seal),
     )
@@ -223,6 +220,31 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
     return np.asarray(picture.convert("RGB"))
 
 
+def check_png(data: bytes, *, where: str) -> None:
+    """Raises a HyalineError for a picture that can be decoded, but has a chunk with a wrong checksum, no end, further
+    pictures, another colour space than sRGB, or an orientation."""
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
+            picture.verify()
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # EXIF data that cannot be read names no orientation.
+            turned, said = picture.getexif().get(ORIENTATION, 1), picture.info
+    except Exception as error:  # Of many kinds, as in `decode_png`.
+        raise HyalineError(f"{where}: damaged ({error})") from error
+    if getattr(picture, "is_animated", False):
+        raise HyalineError(f"{where}: is an animation; expected one picture")
+    if "icc_profile" in said:
+        profile = (said["icc_profile"] or b"").replace(b"\0", b"").lower()  # Version 4 has UTF-16.
+        is_srgb = b"srgb" in profile and b"linear" not in profile
+    else:
+        found = said.get("gamma", SRGB[0]), *said.get("chromaticity", SRGB[1:])
+        is_srgb = "srgb" in said or np.allclose(found, SRGB, rtol=0, atol=0.005)
+    if not is_srgb:
+        raise HyalineError(f"{where}: its ICC profile, gAMA or cHRM chunk is not sRGB's; convert it to 8-bit sRGB")
+    if turned != 1:
+        raise HyalineError(f"{where}: has the EXIF orientation {turned}; rotate or mirror its pixels instead")
+
+
 def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     """The bytes of a prediction, verified against the recorded checksum if there is one."""
     path = prediction_path(run, split, view)
@@ -282,30 +304,6 @@ def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset
         f"{folder}: the predictions are for other data (dataset {str(seal)[:12]}...) than {datasets[0].root} "
         f"({datasets[0].seal[:12]}...); train again, or set --data to the right folder"
     )
-
-
-def _config(record: dict[str, Json], path: Path) -> dict[str, Json] | None:
-    config = record.get("config")
-    if config is not None and not isinstance(config, dict):
-        raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
-    return config
-
-
-def _uses_materials(record: dict[str, Json], path: Path) -> bool:
-    if "uses_materials" not in record:
-        return record.get("method") == "light-path"
-    return from_json(bool, record["uses_materials"], where=f"{path}: uses_materials")
-
-
-def _as(kind: type[Kind], record: dict[str, Json], key: str, path: Path) -> Kind | None:
-    return from_json(kind, record[key], where=f"{path}: {key}") if key in record else None
-
-
-def _optional(record: dict[str, Json], key: str, kind: type[Value], path: Path) -> Value | None:
-    value = record.get(key)
-    if value is not None and (not isinstance(value, kind) or isinstance(value, bool)):
-        raise HyalineError(f"{path}: {key} is {shown(value)}; expected {'an integer' if kind is int else 'text'}")
-    return printable(value) if isinstance(value, str) else value
 
 
 def read_costs(folder: Path) -> dict[str, float]:

@@ -43,8 +43,6 @@ class Metric:
     in_db: bool = False
     is_printed: bool = True
     """False: only in CSV and JSON."""
-    is_wrapped: bool = False
-    """The metric of the paper's authors' script, only printed beside their numbers."""
 
     @property
     def sign(self) -> int:
@@ -66,7 +64,6 @@ METRICS = (
         decimals=2,
         in_db=True,
         is_printed=False,
-        is_wrapped=True,
     ),
 )
 
@@ -82,11 +79,6 @@ WRAPPED_NOTE = (
     "PSNR wrapped (authors' script): squared errors modulo 256, as the script that the paper's authors released counts "
     "them. This is not a PSNR; it is shown only for comparison with the paper's tables."
 )
-
-
-def metric_notes(*, is_wrapped: bool) -> tuple[str, ...]:
-    """Explanations of the printed metrics."""
-    return (*METRIC_NOTES, *([WRAPPED_NOTE] if is_wrapped else []))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,16 +3,13 @@
 import math
 import re
 import statistics
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from datagen.data.config import Split
 from datagen.disk.storage import dump_json, sha256
 from eval.score.runs import Run
 from eval.score.scores import RunScores
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,31 +70,18 @@ def group_seeds(runs: Sequence[RunScores]) -> tuple[SeedGroup, ...]:
         by_description.setdefault(describe_run(scores.run) or f"alone {place}", []).append(scores)
     groups = []
     for members in by_description.values():
-        seeds = [scores.run.seed for scores in members]
+        seeds = [scores.run.record.seed for scores in members]
         if len(members) > 1 and (None in seeds or len(set(seeds)) < len(seeds)):
             groups += [SeedGroup(runs=(scores,)) for scores in members]
         else:
-            groups.append(SeedGroup(runs=tuple(sorted(members, key=lambda scores: scores.run.seed or 0))))
+            groups.append(SeedGroup(runs=tuple(sorted(members, key=lambda scores: scores.run.record.seed or 0))))
     return tuple(groups)
 
 
 def describe_run(run: Run) -> str | None:
     """A hash of a run's configuration and data without the seed; None without a configuration."""
-    if run.config is None:
+    if run.record.config is None:
         return None
-    config = {key: value for key, value in run.config.items() if key != "seed"}
-    about = [run.dataset.seal, run.layers_seal, run.method, run.geometry, config]
+    config = {key: value for key, value in run.record.config.items() if key != "seed"}
+    about = [run.dataset.seal, run.record.layers_seal, run.record.method, run.record.geometry, config]
     return sha256(dump_json(about))
-
-
-def by_group(runs: Sequence[RunScores], found: Mapping[str, T]) -> dict[str, list[T]]:
-    """The values in `found`, by the run's name, in lists for runs that only differ in their seed; in the runs' order.
-
-    The key is the group's name, or the run's own if there are no values for the others.
-    """
-    together: dict[str, list[T]] = {}
-    for group in group_seeds(runs):
-        names = [scores.run.name for scores in group.runs if scores.run.name in found]
-        if names:
-            together[group.name if len(names) > 1 else names[0]] = [found[name] for name in names]
-    return together

@@ -17,8 +17,6 @@ SHORT_SPLITS: dict[Split, str] = {
 }
 TABLE_WIDTH = 120
 
-MEANS_NOTE = "Of runs that differ in their seed alone: means over the seeds."
-
 
 @dataclass(frozen=True, kw_only=True)
 class Column:
@@ -40,8 +38,6 @@ class Grid:
     notes: tuple[str, ...] = ()
     best: frozenset[tuple[int, int]] = frozenset()
     """Row and column of the best values of their columns."""
-    is_detail: bool = False
-    """True for tables that are only printed with --full."""
 
 
 def format_number(value: float | None, decimals: int) -> str:

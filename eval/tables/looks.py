@@ -3,49 +3,13 @@
 import dataclasses
 import re
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from datagen.disk.names import printable
 from datagen.pages.html import Markup, Part, join, prose, tag
-from eval.score.scores import metric_notes
 from eval.tables.grids import MISSING, SHORT_SPLITS, TABLE_WIDTH, Column, Grid
-from eval.tables.scenes import Stored, scene_grids
-
-if TYPE_CHECKING:
-    from rich.table import Table
-
 
 LONGEST_LINE = 32
 """Row names up to this number of characters stay on one line."""
-
-
-def tables_text(
-    scenes: Sequence[Stored],
-    output_format: str,
-    *,
-    width: int,
-    color: bool = False,
-    more: Sequence[Grid] = (),
-    is_full: bool = True,
-    is_wrapped: bool = False,
-) -> str:
-    """The tables, and the notes that explain them, as `table` (plain text), `markdown` or `latex`.
-
-    Args:
-        scenes: the scenes of results.json.
-        more: further tables, after those of the scenes.
-        is_full: include detailed tables.
-        is_wrapped: include the metric of the paper's authors' script.
-    """
-
-    def write(grid: Grid) -> str:
-        return grid_text(grid, output_format, width=width, color=color)
-
-    grids = [grid for scene in scenes for grid in scene_grids(scene, is_wrapped=is_wrapped)]
-    parts = [write(grid) for grid in grids if is_full or not grid.is_detail]
-    parts.append(_paragraphs(metric_notes(is_wrapped=is_wrapped), output_format, width))
-    parts += [write(grid) for grid in more if is_full or not grid.is_detail]
-    return "\n".join(parts)
 
 
 def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
@@ -63,30 +27,16 @@ def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False
 
 
 def _plain(grid: Grid, width: int, color: bool) -> str:
+    """Best values are bold with colour, and have an asterisk without."""
     import io
 
-    from rich.console import Console
-    from rich.measure import Measurement
-
-    buffer = io.StringIO()
-    console = Console(file=buffer, width=width, force_terminal=color, no_color=not color, highlight=False)
-    is_marked = bool(grid.best) and not color
-    table = _rich_table(grid, is_marked=is_marked)
-    unbounded = console.options.update(max_width=10 * width)
-    if is_marked and Measurement.get(console, unbounded, table).maximum > width:
-        is_marked, table = False, _rich_table(grid, is_marked=False)
-    console.print(table)
-    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
-    notes = (*grid.notes, *(["* the best of its column."] if is_marked else []))
-    return f"{text.rstrip()}\n" + _paragraphs(notes, "table", width)
-
-
-def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
-    """Best values are bold, and with `is_marked` have an asterisk."""
     from rich import box
+    from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
+    buffer = io.StringIO()
+    console = Console(file=buffer, width=width, force_terminal=color, no_color=not color, highlight=False)
     # rich would interpret square brackets in names as mark-up, so every string is passed as Text.
     table = Table(
         title=Text(grid.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)
@@ -98,18 +48,21 @@ def _rich_table(grid: Grid, *, is_marked: bool) -> "Table":
         table.columns[-1].overflow = "fold"
     # Scores over several seeds break after their ± before a name breaks.
     table.columns[0].no_wrap = all(len(row[0]) <= LONGEST_LINE for row in grid.rows)
-    marked = {column for _, column in grid.best} if is_marked else set()
     for place, row in enumerate(grid.rows):
-        cells = []
-        for column, cell in enumerate(row):
-            is_best = (place, column) in grid.best
-            mark = ("*" if is_best else " ") if column in marked else ""
-            cells.append(Text(cell + mark, style="bold" if is_best else ""))
+        best = [(place, column) in grid.best for column in range(len(row))]
+        cells = [
+            Text(f"{cell}*" if is_best and not color else cell, style="bold" if is_best else "")
+            for cell, is_best in zip(row, best, strict=True)
+        ]
         table.add_row(*cells, end_section=grid.last_row_apart and place == len(grid.rows) - 2)
-    return table
+    console.print(table)
+    text = "\n".join(line.rstrip() for line in buffer.getvalue().splitlines())
+    notes = (*grid.notes, *(["* the best of its column."] if grid.best and not color else []))
+    return f"{text.rstrip()}\n" + paragraphs(notes, "table", width)
 
 
-def _paragraphs(notes: tuple[str, ...], output_format: str, width: int) -> str:
+def paragraphs(notes: Sequence[str], output_format: str, width: int) -> str:
+    """Notes below tables."""
     import textwrap
 
     if output_format == "markdown":
@@ -136,7 +89,7 @@ def _markdown(grid: Grid) -> str:
     ]
     lines = [[markdown_escaped(head) for head in heads], rules, *rows]
     body = "".join(f"| {' | '.join(line)} |\n" for line in lines)
-    return f"### {markdown_escaped(grid.title)}\n\n{body}" + _paragraphs(grid.notes, "markdown", TABLE_WIDTH)
+    return f"### {markdown_escaped(grid.title)}\n\n{body}" + paragraphs(grid.notes, "markdown", TABLE_WIDTH)
 
 
 LATEX_SPELLING = {
@@ -153,43 +106,21 @@ def latex_escaped(text: str) -> str:
 def _latex(grid: Grid) -> str:
     """A booktabs tabular; it only needs \\usepackage{booktabs}."""
     alignment = "".join("r" if column.is_number else "l" for column in grid.columns)
-    top, rules, below, place = [], [], [], 0
-    while place < len(grid.columns):
-        group = grid.columns[place].group
-        span = next(
-            (count for count, column in enumerate(grid.columns[place:]) if column.group != group),
-            len(grid.columns) - place,
-        )
-        name = latex_escaped(group)
-        top.append(rf"\multicolumn{{{span}}}{{c}}{{{name}}}" if span > 1 else name)
-        if span > 1:
-            rules.append(rf"\cmidrule(lr){{{place + 1}-{place + span}}}")
-        below += [SHORT_SPLITS[column.split] if column.split else "" for column in grid.columns[place : place + span]]
-        place += span
+    heads = [f"{c.group} {SHORT_SPLITS[c.split]}" if c.split else c.group for c in grid.columns]
     rows = [
-        " & ".join(
-            rf"\textbf{{{latex_escaped(cell)}}}" if (line, column) in grid.best else latex_escaped(cell)
+        [
+            rf"\textbf{{{latex_escaped(cell)}}}" if (place, column) in grid.best else latex_escaped(cell)
             for column, cell in enumerate(row)
-        )
-        + r" \\"
-        for line, row in enumerate(grid.rows)
+        ]
+        for place, row in enumerate(grid.rows)
     ]
+    lines = [" & ".join(row) + r" \\" for row in rows]
     if grid.last_row_apart:
-        rows.insert(-1, r"\midrule")
-    heads = [" & ".join(top) + r" \\"]
-    if rules:
-        heads += [" ".join(rules), " & ".join(below) + r" \\"]
-    lines = [
-        f"% {grid.title}",
-        rf"\begin{{tabular}}{{{alignment}}}",
-        r"\toprule",
-        *heads,
-        r"\midrule",
-        *rows,
-        r"\bottomrule",
-        r"\end{tabular}",
-    ]
-    return "\n".join(lines) + "\n" + _paragraphs(grid.notes, "latex", TABLE_WIDTH)
+        lines.insert(-1, r"\midrule")
+    head = " & ".join(map(latex_escaped, heads)) + r" \\"
+    begin = [f"% {grid.title}", rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", head, r"\midrule"]
+    text = "\n".join([*begin, *lines, r"\bottomrule", r"\end{tabular}"])
+    return f"{text}\n{paragraphs(grid.notes, 'latex', TABLE_WIDTH)}"
 
 
 def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:

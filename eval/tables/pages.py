@@ -9,14 +9,11 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import load_json, shown
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
-from eval.tables.parts import report_parts
+from eval.tables.plugins import report_parts
 from eval.tables.results import RESULTS_VERSION
-from eval.tables.scenes import Stored, page_grids
+from eval.tables.scenes import Stored, scene_grids
 
-NOTES = (
-    "dB per 10°: how PSNR falls with the angle between a test ray and the nearest training ray that met its texel. ±: "
-    "sample standard deviation over seeds.",
-)
+SEEDS_NOTE = "±: sample standard deviation over seeds."
 
 
 def results_page(place: Path) -> str:
@@ -32,7 +29,7 @@ def results_page(place: Path) -> str:
         link = path.relative_to(place.parent).as_posix()
         parts += [f"# {path.stem}\n", f"```\n{command}\n```\n", f"[{path.name}]({link}); hyaline {code}.\n"]
         grids = _page_grids(path, data)
-        own = data["notes"] if "tables" in data else [*data["notes"][:-1], *NOTES]  # The last: the wrapped metric.
+        own = data["notes"] if "tables" in data else [*data["notes"][:-1], SEEDS_NOTE]  # The last: the wrapped metric.
         parts += [f"{markdown_escaped(note)}\n" for note in own if note not in said]
         said += own
         for grid in grids:
@@ -78,7 +75,7 @@ def _page_grids(path: Path, data: Stored) -> list[Grid]:
         parts, grids = report_parts(), []
         found: dict[str, dict[str, Stored]] = {name: {} for name in parts}
         for scene in data["scenes"]:
-            grids += page_grids(scene)
+            grids += scene_grids(scene, is_page=True)
             for name, part in parts.items():
                 if stored := scene["analyses"].get(name):
                     grids += part.scene_grids(scene["scene"], stored)

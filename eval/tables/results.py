@@ -10,9 +10,10 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.score.runs import read_costs
-from eval.score.scores import METRICS, RunScores, SceneScores, SplitScores, metric_notes
-from eval.score.seeds import SeedGroup, Spread, describe_run, group_seeds
+from eval.score.scores import METRIC_NOTES, METRICS, WRAPPED_NOTE, RunScores, SceneScores, SplitScores
+from eval.score.seeds import SeedGroup, describe_run, group_seeds
 from eval.tables.grids import CEILING, Grid
+from eval.tables.scenes import Stored
 
 RESULTS_VERSION = 1
 
@@ -23,7 +24,7 @@ def results_data(
     scenes: list[SceneScores],
     analyses: Mapping[str, dict[str, Json]] | None = None,
     more: Mapping[str, Json] | None = None,
-) -> dict[str, Json]:
+) -> Stored:
     """The content of results.json. Infinite values are the string "inf", because JSON has no such number.
 
     Args:
@@ -32,7 +33,7 @@ def results_data(
     """
     results: dict[str, Json] = {
         "version": RESULTS_VERSION,
-        "notes": list(metric_notes(is_wrapped=True)),
+        "notes": [*METRIC_NOTES, WRAPPED_NOTE],
         "scenes": [_scene_json(scene, (analyses or {}).get(scene.title, {})) for scene in scenes],
         **(more or {}),
     }
@@ -40,9 +41,9 @@ def results_data(
 
 
 def results_csv(scenes: list[SceneScores]) -> str:
-    """One line per run, two per group of seeds, one per scene for the noise ceiling; empty if not computed."""
-    scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
+    """One line per run, one per scene for the noise ceiling; empty if not computed."""
     known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
+    scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
     buffer = io.StringIO()
     table = csv.DictWriter(
         buffer,
@@ -54,25 +55,13 @@ def results_csv(scenes: list[SceneScores]) -> str:
         place = {"scene": csv_text(scene.title), "dataset_seal": scene.dataset.seal}
         for scores in scene.runs:
             means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
-            about = {key: csv_text(getattr(scores.run, key)) for key in known}
+            about = {key: csv_text(getattr(scores.run.record, key)) for key in known}
             last = {
                 "drop_db": scores.drop_db,
                 "predictions_sha256": scores.predictions_sha256,
                 "config_sha256": describe_run(scores.run),
             }
             table.writerow({**place, "run": csv_text(scores.run.name), **about, **means, **last})
-        for group in group_seeds(scene.runs):
-            if len(group.runs) > 1:
-                keys = ("method", "geometry", "knowledge", "num_parameters")
-                same = {key: csv_text(getattr(group.first, key)) for key in keys}
-                spreads = _group_spreads(group)
-                same["config_sha256"] = describe_run(group.first)
-                count = len(group.runs)
-                for what in ("mean", "deviation"):
-                    numbers = {key: getattr(value, what) for key, value in spreads.items()}
-                    table.writerow(
-                        {**place, "run": csv_text(f"{group.name} ({what} of {count} seeds)"), **same, **numbers}
-                    )
         ceilings = {f"psnr_db_{split}": scene.ceilings_db[split] for split in TEST_SPLITS}
         table.writerow({**place, "run": CEILING, **ceilings})
     return buffer.getvalue()
@@ -100,61 +89,44 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
 
 def _left_out_notes(scene: SceneScores) -> list[Json]:
     """Which means do not cover all pictures, and why."""
-    notes: list[Json] = []
+    notes: dict[str, None] = {}  # Once each.
     if not scene.has_glass_mask:
-        notes.append("PSNR glass: needs layers of the true geometry to find glass pixels.")
+        notes["PSNR glass: needs layers of the true geometry to find glass pixels."] = None
     for scores in scene.runs:
         for split, values in scores.splits.items():
             if values is None:
-                notes.append(f"{scores.run.name}: has no predictions for the {split} split.")
+                notes[f"{scores.run.name}: has no predictions for the {split} split."] = None
                 continue
             total = len(values.images["psnr_db"])
             for metric in METRICS:
                 if count := values.identical(metric.key):
-                    title = metric.title.removesuffix(" ↑")
-                    notes.append(
-                        f"{scores.run.name}, {split}: {title} is infinite in {count} of {total} pictures, left out."
-                    )
-    for split, count in _without_glass(scene).items():
-        notes.append(f"{split}: {count} of the pictures show no glass and are left out of PSNR glass.")
-    return notes
-
-
-def _without_glass(scene: SceneScores) -> dict[Split, int]:
-    counts: dict[Split, int] = {}
-    for scores in scene.runs:
-        for split, values in scores.splits.items():
-            if scene.has_glass_mask and values is not None and (count := values.undefined("glass_psnr_db")):
-                counts[split] = count
-    return counts
+                    what = f"{metric.title.removesuffix(' ↑')} is infinite in {count} of {total} pictures, left out."
+                    notes[f"{scores.run.name}, {split}: {what}"] = None
+            if scene.has_glass_mask and (count := values.undefined("glass_psnr_db")):
+                notes[f"{split}: {count} of the pictures show no glass and are left out of PSNR glass."] = None
+    return [*notes]
 
 
 def _group_json(group: SeedGroup) -> Json:
+    spreads = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
+    spreads["drop_db"] = group.drop_db
     return {
         "runs": [scores.run.name for scores in group.runs],
         "config_sha256": describe_run(group.first),
-        "scores": {
-            key: {"mean": value.mean, "deviation": value.deviation} for key, value in _group_spreads(group).items()
-        },
+        "scores": {key: {"mean": value.mean, "deviation": value.deviation} for key, value in spreads.items()},
     }
-
-
-def _group_spreads(group: SeedGroup) -> dict[str, Spread]:
-    """Spreads by the names of the CSV's columns."""
-    scores = {f"{m.key}_{split}": group.score(m.key, split) for m in METRICS for split in TEST_SPLITS}
-    return {**scores, "drop_db": group.drop_db}
 
 
 def _run_json(scores: RunScores) -> Json:
     run = scores.run
     return {
         "run": run.name,
-        "method": run.method,
-        "label": run.label,
-        "geometry": run.geometry,
-        "knowledge": run.knowledge,
-        "num_parameters": run.num_parameters,
-        "seed": run.seed,
+        "method": run.record.method,
+        "label": run.record.label,
+        "geometry": run.record.geometry,
+        "knowledge": run.record.knowledge,
+        "num_parameters": run.record.num_parameters,
+        "seed": run.record.seed,
         "config_sha256": describe_run(run),
         "predictions_sha256": scores.predictions_sha256,
         "cpu_seconds": cast(Json, read_costs(run.folder).get("cpu_seconds")),

@@ -15,72 +15,39 @@ Stored = dict[str, Any]
 """A part of results.json."""
 
 
-def scene_grids(scene: Stored, *, is_wrapped: bool = False) -> tuple[Grid, Grid]:
-    """The scores of a scene's runs above the noise ceiling, and a description of the runs.
+def scene_grids(scene: Stored, *, is_page: bool = False) -> list[Grid]:
+    """The scores of a scene's runs above the noise ceiling, then those of each variant that they predicted.
 
     Args:
-        is_wrapped: include the metric of the paper's authors' script.
+        is_page: for a page of results, with what the runs know.
     """
-    return _score_grid(scene, {}, notes=tuple(scene["notes"]), is_wrapped=is_wrapped), _run_grid(scene)
-
-
-def page_grids(scene: Stored) -> list[Grid]:
-    """The scores of a scene with what its runs know, then of each variant that they predicted."""
     runs = {run["run"]: run for run in scene["runs"]}
     texts: dict[str, Callable[[str], str]] = {
         "knows": lambda name: runs[name]["knowledge"] or MISSING,
         "parameters": lambda name: _count(runs[name]["num_parameters"]),
     }
-    grids = [_score_grid(scene, texts, notes=(f"Data: dataset seal {scene['dataset_seal'][:12]}.",))]
-    analyses, groups = scene["analyses"], _groups(scene)
-    for name, variant in analyses.get("variants", {}).items():
-        known = [drawn for group in groups if (drawn := [run for run in group if run in variant["runs"]])]
-        splits = tuple(cast(Sequence[Split], variant["noise_ceiling_db"]))
-        metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
-        title = f"{scene['scene']}: variant {name}"
-        grids.append(_grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {}))
-    return grids
-
-
-def _score_grid(
-    scene: Stored, texts: dict[str, Callable[[str], str]], *, notes: tuple[str, ...], is_wrapped: bool = False
-) -> Grid:
-    runs = {run["run"]: run for run in scene["runs"]}
-    slopes = {name: curve["db_per_10deg"] for name, curve in scene["analyses"].get("curves", {}).items()}
     minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
-    return _grid(
+    drops = {name: run["drop_db"] for name, run in runs.items()}
+    scores = _grid(
         f"{scene['scene']}{_size(scene)}",
         _groups(scene),
         {name: run["splits"] for name, run in runs.items()},
         TEST_SPLITS,
         scene["noise_ceiling_db"],
-        tuple(metric for metric in METRICS if metric.is_printed or (is_wrapped and metric.is_wrapped)),
-        texts,
-        {
-            "drop dB ↓": {name: run["drop_db"] for name, run in runs.items()},
-            "dB per 10°": slopes,
-            **({"CPU min": minutes} if minutes else {}),
-        },
-        notes=notes,
+        tuple(metric for metric in METRICS if metric.is_printed),
+        texts if is_page else {},
+        {"drop dB ↓": drops, **({"CPU min": minutes} if minutes else {})},
+        notes=(f"Data: dataset seal {scene['dataset_seal'][:12]}.",) if is_page else tuple(scene["notes"]),
     )
+    return [scores, *(_variant_grid(scene, *item) for item in scene["analyses"].get("variants", {}).items())]
 
 
-def _run_grid(scene: Stored) -> Grid:
-    texts = ("run", "method", "label", "geometry", "knowledge")
-    return Grid(
-        title=f"{scene['scene']}: the runs",
-        columns=(
-            *(Column(group=text, is_number=False) for text in texts),
-            Column(group="parameters"),
-            Column(group="seed"),
-        ),
-        rows=tuple(
-            (*(run[text] or MISSING for text in texts), _count(run["num_parameters"]), _count(run["seed"]))
-            for run in scene["runs"]
-        ),
-        notes=(f"Data: dataset {scene['dataset_seal'][:12]}.",),
-        is_detail=True,
-    )
+def _variant_grid(scene: Stored, name: str, variant: Stored) -> Grid:
+    known = [drawn for group in _groups(scene) if (drawn := [run for run in group if run in variant["runs"]])]
+    splits = tuple(cast(Sequence[Split], variant["noise_ceiling_db"]))
+    metrics = tuple(metric for metric in METRICS if metric.in_db and metric.is_printed)
+    title = f"{scene['scene']}: variant {name}"
+    return _grid(title, known, variant["runs"], splits, variant["noise_ceiling_db"], metrics, {}, {})
 
 
 def _size(scene: Stored) -> str:

@@ -4,8 +4,11 @@ import os
 import sys
 from contextlib import nullcontext
 from pathlib import Path
+from typing import cast
 
 from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.records import Json, to_json
+from datagen.disk.storage import commit_sealed
 from datagen.terminal.command import choose, next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
 
@@ -27,7 +30,7 @@ def commands() -> CommandGroup:
         "secret": secret,
         "hide": hide,
     }
-    return group("Score methods on the benchmark, and publish the leaderboard.", by_name)
+    return group("Score methods on the benchmark, and print the leaderboard.", by_name)
 
 
 def list_all(*, preset: str = "demo", fitted: bool = False) -> None:
@@ -72,12 +75,11 @@ def score(
     track: str | None = None,
     runs: Path = Path("runs"),
     data: Path = Path("data"),
-    out: Path | None = None,
-    overwrite: bool = False,
 ) -> None:
     """Score a method's predictions of all scenes against the truth, without running any code or network from it.
 
-    The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders.
+    The runs are the folders RUNS/SCENE/METHOD, from any method; `eval report` scores the same folders. Scores are
+    written to bench/PRESET/scores/METHOD.json, in place of those of earlier predictions.
 
     Args:
         method: Name of the runs' folders. Default: all methods; incomplete ones are left out.
@@ -86,8 +88,6 @@ def score(
             run.json.
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, including their truth.
-        out: File for the scores. Default: bench/PRESET/scores/METHOD.json.
-        overwrite: Replace the scores of other predictions.
     """
     from eval.tables.grids import TABLE_WIDTH
     from eval.tables.looks import grid_text
@@ -98,8 +98,6 @@ def score(
 
     protocol = load_protocol()
     protocol.size(preset)
-    if out is not None and method is None:
-        raise UsageError("--out: goes with a method; name one")
     found = find_runs(runs, data, preset, protocol)
     if not found:
         raise HyalineError(
@@ -107,38 +105,28 @@ def score(
             f"`hyaline-bench commands --preset {preset} | model sweep -`"
         )
     names = sorted(found) if method is None else [choose("method", method, found)]
-    places = {name: out or BENCH / preset / "scores" / f"{name}.json" for name in names}
+    done = []
     for name in names:
         with left_out() if method is None else nullcontext():
-            scored = score_runs(found[name], places[name], protocol, preset=preset, track=track, overwrite=overwrite)
+            scored = score_runs(found[name], protocol, preset=preset, track=track)
+            path = BENCH / preset / "scores" / f"{name}.json"
+            commit_sealed(path, cast(dict[str, Json], to_json(scored)))
             sys.stdout.write(grid_text(scene_grid(scored, protocol), "table", width=TABLE_WIDTH) + "\n")
-            say(f"{places.pop(name)}: track {scored.track}, {len(scored.scenes)} scenes")
-    if stale := [str(place) for place in places.values() if place.exists()]:
-        raise HyalineError(f"{', '.join(stale)}: from other predictions or code; pass --overwrite, or remove them")
-    if len(places) == len(names):
+            say(f"{path}: track {scored.track}, {len(scored.scenes)} scenes")
+            done.append(name)
+    if not done:
         raise HyalineError(f"{runs}: no method could be scored at {preset}; the lines above say why")
     next_command(f"hyaline-bench leaderboard --preset {preset}")
 
 
-def leaderboard(
-    scores: Path | None = None,
-    /,
-    *,
-    preset: str = "demo",
-    markdown: bool = False,
-    out: Path | None = None,
-) -> None:
-    """Write the leaderboard: one HTML page that needs no server, with a sortable table for each track.
+def leaderboard(scores: Path | None = None, /, *, preset: str = "demo") -> None:
+    """Print the leaderboard as Markdown: for each track, a table of methods and one of every scene.
 
     Args:
         scores: Folder of files from `hyaline-bench score`. Default: bench/PRESET/scores.
         preset: Without SCORES: size of the datasets, tiny, small, demo or standard.
-        markdown: Instead of writing the page, print the tables as Markdown, as docs/results/bench.md has them.
-        out: Folder for index.html. Default: bench/PRESET/leaderboard.
     """
-    from eval.page.page import PAGE
-    from eval.page.report_folder import write_report
-    from hyaline_bench.leaderboard import leaderboard_page, results_page
+    from hyaline_bench.leaderboard import results_page
     from hyaline_bench.protocol import load_protocol
     from hyaline_bench.score import read_scores
 
@@ -148,13 +136,7 @@ def leaderboard(
     found = read_scores(folder)
     if not found:
         raise HyalineError(f"{folder}: has no scores; make them with `hyaline-bench score --preset {preset}`")
-    if markdown:
-        sys.stdout.write(results_page(found, protocol))
-        return
-    place = out or BENCH / found[0].preset / "leaderboard"
-    for path in write_report(place, {PAGE: lambda: leaderboard_page(found, protocol)}):
-        say(f"wrote {path}: {len(found)} submissions")
-    tell(str(place / PAGE))
+    sys.stdout.write(results_page(found, protocol))
 
 
 def secret(file: Path, /, *, preset: str = "demo") -> None:

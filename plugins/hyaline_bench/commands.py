@@ -21,7 +21,7 @@ prism_bench bends colours apart, and pool's water is no vessel's; random scenes 
 
 
 def list_commands(preset: str, protocol: Protocol) -> Iterator[str]:
-    """Builds every public scene, trains every built-in method, and writes the leaderboard."""
+    """Builds every public scene, trains every built-in method, and prints the leaderboard."""
     for scene in protocol.public_scenes(preset):
         data, edits = f"{scene}-{preset}", protocol.scenes.get(scene, ())
         yield from _build(scene, preset, protocol)
@@ -34,7 +34,7 @@ def list_commands(preset: str, protocol: Protocol) -> Iterator[str]:
         yield f"proxies make {data} --kind ellipsoid"
         yield f"{_train('paper', data, preset)} --geometry ellipsoid"  # Told proxies alone.
     yield f"hyaline-bench floors --preset {preset}"
-    yield f"hyaline-bench score --preset {preset} --overwrite"
+    yield f"hyaline-bench score --preset {preset}"
     yield f"hyaline-bench leaderboard --preset {preset}"
 
 

@@ -60,8 +60,7 @@ def write_floors(runs_root: Path, data_root: Path, preset: str, protocol: Protoc
     if not datasets:
         command = f"hyaline-bench commands --preset {preset} | model sweep -"
         raise HyalineError(f"{data_root}: has no dataset of {preset}; make them with `{command}`")
-    usual = sorted(datasets, key=lambda dataset: dataset.name == f"{dataset.config.scene}-{preset}")
-    chosen = {dataset.seal: dataset for dataset in usual}  # One folder of each dataset, rather SCENE-PRESET.
+    chosen = {dataset.seal: dataset for dataset in datasets}  # One folder of each dataset.
     places = [(runs_root / dataset.name / name, name, dataset) for dataset in chosen.values() for name in FLOORS]
     return [_write_floor(*place, protocol) for place in places]
 

@@ -1,14 +1,13 @@
-"""The leaderboard: the tables of each track, as one HTML page that needs no server, or as Markdown."""
+"""The leaderboard: the tables of each track as a page of Markdown."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from statistics import fmean
 
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.pages.html import anchor, document, prose, section, tag
 from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
-from eval.tables.looks import grid_text, html_table, markdown_escaped
+from eval.tables.looks import grid_text, markdown_escaped
 from hyaline_bench.protocol import ALL, Protocol
 from hyaline_bench.score import COSTS, Scored, Summary, summarise
 
@@ -30,37 +29,22 @@ OTHERS = (
 """What the command of a page does not make."""
 
 
-def leaderboard_page(found: Sequence[Scored], protocol: Protocol) -> bytes:
-    """The page of scored submissions, all of one preset: the tables of each track."""
-    check_comparable(found, protocol)
-    title = f"hyaline-bench {protocol.version}, {found[0].preset}"
-    sections, links = [], []
-    for track, told in protocol.tracks.items():
-        inside = [scored for scored in found if scored.track == track]
-        tables = [html_table(grid) for grid in _grids(inside, protocol)] if inside else [tag("p", "No submission yet.")]
-        sections.append(section(f"Track: {track}", tag("p", prose(told)), *tables, id_=anchor("track", track)))
-        links.append(tag("li", tag("a", track, href=f"#{anchor('track', track)}")))
-    notes = [tag("p", note, class_="note") for note in (protocol.about, *NOTES)]
-    navigation = tag("nav", tag("ul", *links), aria_label="Tracks")
-    return document(title, tag("h1", title), *notes, *sections, navigation=navigation)
-
-
 def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
-    """All tracks as one page of Markdown."""
+    """The page of scored submissions, all of one preset: the tables of each track that has some."""
     check_comparable(found, protocol)
     preset = found[0].preset
     parts = [
         f"# hyaline-bench {protocol.version}, {preset}\n",
         f"```\nhyaline-bench commands --preset {preset} | model sweep -",
         f"hyaline-bench commands --preset {preset} --fitted | model sweep -",
-        f"hyaline-bench leaderboard --preset {preset} --markdown\n```\n",
+        f"hyaline-bench leaderboard --preset {preset}\n```\n",
         f"{OTHERS}\n",
         *(f"{markdown_escaped(note)}\n" for note in NOTES),
     ]
     for track in protocol.tracks:
         if inside := [scored for scored in found if scored.track == track]:
             parts += [f"## Track: {track}\n", "Allowed inputs:\n"]
-            parts += [*(f"- {markdown_escaped(told)}" for told in _told(track, protocol)), ""]
+            parts += [*(f"- {markdown_escaped(told)}" for told in protocol.allowed(track)), ""]
             parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)]
     return "\n".join(parts)
 
@@ -69,13 +53,6 @@ def _grids(inside: Sequence[Scored], protocol: Protocol) -> list[Grid]:
     """A track's tables: the methods, each scene's PSNR, and every score with dataset, seed and processor time."""
     scenes = [scene_grid(scored, protocol) for scored in inside]
     return [track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol), *scenes]
-
-
-def _told(track: str, protocol: Protocol) -> list[str]:
-    """What the track allows, and the tracks before it."""
-    names = list(protocol.tracks)
-    allowed = [protocol.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
-    return [text[0].upper() + text[1:] for text in allowed]
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
@@ -201,27 +178,16 @@ def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
 
 def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
     """Scenes by methods."""
-    scenes = [scene for scene in protocol.all_scenes(found[0].preset) if any(scene in each.scenes for each in found)]
-    values = [[_psnr_db(scored, scene) for scored in found] for scene in scenes]
+    rows, best = [], set()
+    for scene in protocol.all_scenes(found[0].preset):
+        values = [each.scenes[scene].psnr_db(ALL) if scene in each.scenes else None for each in found]
+        known = [(value, -column) for column, value in enumerate(values) if value is not None]
+        if known:
+            best |= {(len(rows), 1 - max(known)[1])} if len(known) > 1 else set()
+            rows.append((scene, *(format_number(value, 2) for value in values)))
     return Grid(
         title="PSNR of each scene, dB",
         columns=(Column(group="scene", is_number=False), *(Column(group=scored.name) for scored in found)),
-        rows=tuple(
-            (scene, *(format_number(value, 2) for value in row)) for scene, row in zip(scenes, values, strict=True)
-        ),
-        best=_best(values),
+        rows=tuple(rows),
+        best=frozenset(best),
     )
-
-
-def _psnr_db(scored: Scored, scene: str) -> float | None:
-    return scored.scenes[scene].psnr_db(ALL) if scene in scored.scenes else None
-
-
-def _best(values: Sequence[Sequence[float | None]]) -> frozenset[tuple[int, int]]:
-    """Places of the highest value of each row, after a first column of names."""
-    best = set()
-    for place, row in enumerate(values):
-        known: Mapping[int, float] = {column: value for column, value in enumerate(row) if value is not None}
-        if len(known) > 1:
-            best.add((place, 1 + max(known, key=lambda column: known[column])))
-    return frozenset(best)

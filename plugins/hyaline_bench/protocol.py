@@ -107,6 +107,12 @@ class Protocol:
         splits: dict[str, Sequence[Split]] = {ANGLES: [split for split in ANGLE_SPLITS if split in self.splits]}
         return splits | dict.fromkeys(self.edit_variants(scene), TEST_SPLITS)
 
+    def allowed(self, track: str) -> list[str]:
+        """What a track allows, and the tracks before it."""
+        names = list(self.tracks)
+        told = [self.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
+        return [text[0].upper() + text[1:] for text in told]
+
     def columns(self) -> dict[str, str]:
         """What is averaged over scenes, with a short title."""
         short = {"interpolating": "inter", "extrapolating": "extra"}
@@ -150,43 +156,25 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
     if config != asked:
         raise HyalineError(
             f"{dataset.root}: not what hyaline-bench {protocol.version} names for {preset}: {size.resolution} pixels, "
-            f"{size.train.views} + {size.test.views} + {size.test.views} views, {size.train.spp} and {size.test.spp} "
-            f"samples per pixel, seed {asked.seed}, paths of {asked.max_depth} segments; build it again with `datagen "
-            f"build {config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`, or keep it "
-            "elsewhere"
+            f"{size.train.views} + 2 times {size.test.views} views, seed {asked.seed}; build it again with `datagen "
+            f"build {config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`"
         )
     return True
 
 
-TOLD = {
-    "masks": ("mask",),
-    "proxies": ("proxies", "proxy"),
-    "shapes": ("shape", "mesh", "true geometry"),
-    "materials": ("material", "refraction", "everything"),
-}
-"""What the words of a foreign method's `knowledge` contain that belongs to each track, from least to most."""
-
-
 def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     """The first track that allows what a run was told, by its record; None if the record does not say."""
-    least = _least_by_geometry(run, tracks)
-    if run.seal is not None:
-        return least  # `model train` words its knowledge by the same geometry and materials.
-    words = (run.knowledge or "").lower()
-    named = [track for track, parts in TOLD.items() if any(part in words for part in parts)]
-    return max([*named, *([] if least is None else [least])], key=list(tracks).index, default=None)
-
-
-def _least_by_geometry(run: Run, tracks: Mapping[str, str]) -> str | None:
     pictures, masks, proxies, shapes, materials = tracks
-    geometry, told = run.geometry, run.told
+    geometry, told, uses_materials = run.record.geometry, run.record.told, run.record.uses_materials
+    if uses_materials is None:
+        uses_materials = run.record.method == "light-path"
     if geometry is None:
         return None
     if is_fitted(geometry):
-        if run.uses_materials and (told is None or told):
+        if uses_materials and (told is None or told):
             return materials  # Of other objects at least, such as varnish on a floor.
         return shapes if told or geometry == FITTED_MATERIALS else masks
-    if run.uses_materials:
+    if uses_materials:
         return materials
     if geometry == NO_GEOMETRY:
         return pictures
@@ -204,7 +192,7 @@ def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
     least = least_track(run, tracks)
     if asked is None:
         is_own = run.seal is not None
-        if least is None or not (is_own or run.geometry == NO_GEOMETRY):
+        if least is None or not (is_own or run.record.geometry == NO_GEOMETRY):
             raise HyalineError(
                 f"{run.folder}: run.json does not show all inputs of the method; name the track with --track, "
                 f"one of {', '.join(tracks)}"
@@ -214,7 +202,7 @@ def choose_track(run: Run, asked: str | None, tracks: Mapping[str, str]) -> str:
     order = list(tracks)
     if least is not None and order.index(asked) < order.index(least):
         raise HyalineError(
-            f"{run.folder}: uses inputs ({run.knowledge or run.geometry}) that the track {asked} does not allow; "
-            f"submit it to {least}"
+            f"{run.folder}: uses inputs ({run.record.knowledge or run.record.geometry}) that the track {asked} does "
+            f"not allow; submit it to {least}"
         )
     return asked

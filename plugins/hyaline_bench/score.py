@@ -1,6 +1,5 @@
 """Scores of a submission against the truth: each scene's, and what they average to."""
 
-import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,13 +11,11 @@ from jaxtyping import Float
 
 from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import refuse_file
-from datagen.disk.records import Json, from_json, load_json, shown, to_json
-from datagen.disk.storage import commit_sealed, dump_json, load_sealed, sha256
+from datagen.disk.records import Json, from_json, shown
+from datagen.disk.storage import dump_json, load_sealed, sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say
 from datagen.terminal.command import track as progress
-from datagen.terminal.signals import replacing_at_the_end
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, prediction_digests, prediction_path, read_costs
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
@@ -95,8 +92,6 @@ class Scored:
     scored_by: str
     """Version of the code that scored it."""
     scenes: dict[str, SceneResult]
-    truths: str = ""
-    """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
 
     @property
     def code(self) -> str:
@@ -119,17 +114,14 @@ class Summary:
     """Mean distance to the noise ceiling; None if one is unknown."""
 
 
-@replacing_at_the_end()
-def score_runs(
-    runs: Mapping[str, Run], out: Path, protocol: Protocol, *, preset: str, track: str | None, overwrite: bool
-) -> Scored:
-    """Scores a method's runs, by scene, and writes the result; equal scores that are there are left as they are.
+def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, track: str | None) -> Scored:
+    """Scores a method's runs, by scene.
 
     Args:
         track: None: the first track that allows what the method was told, by its record.
 
     Raises:
-        HyalineError: predictions are damaged or incomplete, or `out` has other scores.
+        HyalineError: predictions are damaged or incomplete.
     """
     order = list(protocol.tracks)
     track = max((choose_track(run, track, protocol.tracks) for run in runs.values()), key=order.index)
@@ -139,59 +131,48 @@ def score_runs(
     if not runs:
         raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
     parts = {scene: _parts(run, protocol) for scene, run in runs.items()}
-    asked = [part for of_scene in parts.values() for part in of_scene]
-    pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
-    submission = sha256(b"".join(pictures))
-    arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
-    truths = sha256(b"".join(array.tobytes() for array in arrays))
+    pictures = [
+        dump_json([run.dataset.seal, split, *prediction_digests(run, split)])
+        for of_scene in parts.values()
+        for run, split, _ in of_scene
+    ]
     first = next(iter(runs.values()))
     every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
-    scenes = {scene: _score_scene(run, parts[scene]) for scene, run in every}
-    scored = Scored(
+    return Scored(
         version=protocol.version,
         preset=preset,
         name=first.name,
         track=track,
-        method=None if first.method is None else first.method[:MAX_WORDS],
-        knowledge=None if first.knowledge is None else first.knowledge[:MAX_WORDS],
-        submission=submission,
+        method=None if first.record.method is None else first.record.method[:MAX_WORDS],
+        knowledge=None if first.record.knowledge is None else first.record.knowledge[:MAX_WORDS],
+        submission=sha256(b"".join(pictures)),
         scored_by=code_version(),
-        scenes=scenes,
-        truths=truths,
+        scenes={scene: _score_scene(run, parts[scene]) for scene, run in every},
     )
-    if out.is_file() and not overwrite and read_scored(out) == scored:
-        say(f"{out}: is finished")
-        return scored
-    refuse_file(out, overwrite=overwrite)
-    commit_sealed(out, cast(dict[str, Json], to_json(scored)))
-    return scored
 
 
 def read_scored(path: Path) -> Scored:
     """A scored submission from its file."""
     content = load_sealed(path)
-    content.pop("failures", None)  # Files of earlier versions have pictures of the worst views.
+    for key in ("failures", "truths"):  # Files of earlier versions have them.
+        content.pop(key, None)
     return from_json(Scored, cast(Json, content), where=str(path))
 
 
 def read_scores(folder: Path) -> list[Scored]:
-    """The scored submissions in a folder, named by their files if two have one name.
-
-    A file of another version, or of a track that the protocol does not have, is named and left out.
-    """
-    found: dict[str, Scored] = {}
+    """The scored submissions in a folder; a file of another version, or of an unknown track, is named and left out."""
+    found: list[Scored] = []
+    protocol = load_protocol()
     for path in sorted(folder.glob("*.json")):
         with left_out():
-            scored, protocol = read_scored(path), load_protocol()
+            scored = read_scored(path)
             if scored.version != protocol.version:
                 raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
             if scored.track not in protocol.tracks:
                 known = ", ".join(protocol.tracks)
                 raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
-            found[path.stem] = scored
-    if len({scored.name for scored in found.values()}) == len(found):
-        return list(found.values())
-    return [dataclasses.replace(scored, name=name) for name, scored in found.items()]
+            found.append(scored)
+    return found
 
 
 Part = tuple[Run, Split, Truth]
@@ -220,21 +201,11 @@ def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
         splits[f"{home}{split}"] = _result(part, split, truth, scores)
     return SceneResult(
         dataset=run.dataset.seal,
-        seed=run.seed,
-        num_parameters=run.num_parameters,
-        costs={key: value for key, value in _costs(run).items() if key in COSTS},
+        seed=run.record.seed,
+        num_parameters=run.record.num_parameters,
+        costs={key: value for key, value in read_costs(run.folder).items() if key in COSTS},
         splits=splits,
     )
-
-
-def _costs(run: Run) -> dict[str, float]:
-    """A run's costs; says which of them are no numbers, so that its scores lack them."""
-    path, costs = run.folder / "costs.json", read_costs(run.folder)
-    with left_out():
-        found = load_json(path) if path.is_file() else {}
-        for key in sorted({*COSTS} & {*found} - {*costs}):
-            raise HyalineError(f"{path}: {key} is {shown(found[key])}; expected a number of at least 0")
-    return costs
 
 
 def _result(run: Run, split: Split, truth: Truth, scores: SplitScores) -> SplitResult:

@@ -13,8 +13,8 @@ from datagen.data.paths import list_datasets
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
-from eval.analyses.variants import run_of_variant
 from eval.score.runs import Run, has_predictions, has_split, list_run_folders, open_run
+from eval.variants import run_of_variant
 from hyaline_bench.protocol import Protocol, is_of_preset, left_out
 
 
@@ -36,7 +36,7 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
     """The runs on datasets of a preset, by their name and scene, each with the dataset that has the truth.
 
     A run that cannot be opened, or whose dataset has another size, is named and left out; so is a second run on a
-    scene beside that in RUNS/SCENE-PRESET.
+    scene.
     """
     truths = find_truths(data_root)
     runs: list[Run] = []
@@ -46,21 +46,12 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
                 run = _open(folder, data_root, truths)
                 runs += [run] if is_of_preset(run.dataset, preset, protocol) else []
     found: dict[str, dict[str, Run]] = {}
-    for run in sorted(runs, key=_is_elsewhere):
+    for run in sorted(runs, key=lambda run: run.folder.parent.name != f"{run.dataset.config.scene}-{preset}"):
         scene = run.dataset.config.scene
         first = found.setdefault(run.name, {}).setdefault(scene, run)
         if first is not run:
-            double = f"{run.folder}: is a second run of {run.name} on {scene}, beside {first.folder}"
-            if _is_elsewhere(first):
-                raise HyalineError(double)
-            say(f"left out: {double}")
+            say(f"left out: {run.folder}: is a second run of {run.name} on {scene}, beside {first.folder}")
     return found
-
-
-def _is_elsewhere(run: Run) -> bool:
-    """False for a run in the folder RUNS/SCENE-PRESET."""
-    config = run.dataset.config
-    return run.folder.parent.name != f"{config.scene}-{config.preset}"
 
 
 def _open(folder: Path, data_root: Path, truths: Mapping[str, Dataset]) -> Run:

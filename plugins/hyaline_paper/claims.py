@@ -12,9 +12,18 @@ from datagen.data.paths import TRUTH
 from eval.score.scores import RunScores, SceneScores
 from eval.score.seeds import SeedGroup, group_seeds
 from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
-from eval.tables.named import EditedPsnr, Table
-from eval.tables.published import DNR, SPHERICAL_HARMONICS, VIEW_VECTOR, PublishedRow
-from hyaline_paper.comparisons import NOT_RUN, Comparison, Entry, Line, find_entries
+from eval.tables.plugins import EditedPsnr, Table
+from hyaline_paper.comparisons import (
+    DNR,
+    NOT_RUN,
+    SPHERICAL_HARMONICS,
+    VIEW_VECTOR,
+    Comparison,
+    Entry,
+    Line,
+    PublishedRow,
+    find_entries,
+)
 from hyaline_paper.tables import BEST
 
 CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "not decided"
@@ -254,9 +263,9 @@ def _find_pairs(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[tup
         others = [entry for entry in part if entry.line is loser]
         for entry in part:
             if entry.line is winner and others:
-                size = entry.group.first.num_parameters or 0
+                size = entry.group.first.record.num_parameters or 0
                 pairs.append(
-                    (entry, min(others, key=lambda other: abs((other.group.first.num_parameters or 0) - size)))
+                    (entry, min(others, key=lambda other: abs((other.group.first.record.num_parameters or 0) - size)))
                 )
     return pairs
 

@@ -1,12 +1,10 @@
 """Comparisons: runs found by their records, not by their names, and the tables that they are printed in."""
 
-import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import cast
 
-from datagen.data.config import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH
 from datagen.disk.records import Json
@@ -15,11 +13,30 @@ from eval.score.runs import Run, read_costs
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
 from eval.tables.grids import MISSING, Column, Grid, format_number
-from eval.tables.named import Table
-from eval.tables.published import PublishedRow
+from eval.tables.plugins import Table
 
 FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "hidden", "texture-size")
 """Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PublishedRow:
+    """One line of the paper's tables, PSNR in dB."""
+
+    method: str
+    interpolating_db: float
+    extrapolating_db: float
+
+    def value_db(self, split: Split) -> float:
+        return self.interpolating_db if split == "interpolating" else self.extrapolating_db
+
+
+NO_EXTRINSICS = PublishedRow(method="no extrinsics", interpolating_db=33.09, extrapolating_db=32.96)
+VIEW_VECTOR = PublishedRow(method="view vector (Ours)", interpolating_db=33.19, extrapolating_db=32.99)
+SPHERICAL_HARMONICS = PublishedRow(method="spherical harmonics", interpolating_db=33.80, extrapolating_db=32.52)
+DNR = PublishedRow(method="DNR", interpolating_db=33.52, extrapolating_db=30.86)
+PUBLISHED = (NO_EXTRINSICS, VIEW_VECTOR, SPHERICAL_HARMONICS, DNR)
+"""Source: the paper's Tables 1 and 2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,9 +55,9 @@ class Line:
     def fits(self, run: Run) -> bool:
         """True if the run belongs in this line."""
         return (
-            run.method == self.method
-            and self.geometry in (None, run.geometry)
-            and (self.flags is None or (run.flags is not None and _flags(run, FREE_FLAGS) == self.flags))
+            run.record.method == self.method
+            and self.geometry in (None, run.record.geometry)
+            and (self.flags is None or (run.record.flags is not None and _flags(run, FREE_FLAGS) == self.flags))
         )
 
 
@@ -101,18 +118,18 @@ def _same(run: Run, varied: str | None) -> bytes:
     """What two runs must share to be compared."""
     if varied is None:
         # Who knows cameras alone is compared with those who know the truth.
-        return dump_json(TRUTH if run.geometry == NO_GEOMETRY else run.geometry)
-    return dump_json([run.method, cast(Json, _flags(run, ("seed", varied)))])
+        return dump_json(TRUTH if run.record.geometry == NO_GEOMETRY else run.record.geometry)
+    return dump_json([run.record.method, cast(Json, _flags(run, ("seed", varied)))])
 
 
 def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
     """The flags that a run was trained with, and their values, besides some."""
-    return {flag: value for flag, value in (run.flags or {}).items() if flag not in besides}
+    return {flag: value for flag, value in (run.record.flags or {}).items() if flag not in besides}
 
 
 def _variety(part: Sequence[Entry]) -> int:
     """How many different things a part compares."""
-    return len({(entry.line.title, entry.group.first.geometry) for entry in part})
+    return len({(entry.line.title, entry.group.first.record.geometry) for entry in part})
 
 
 # Tables of them
@@ -125,11 +142,10 @@ def spread_cell(value: Spread, decimals: int = 2) -> str:
 
 
 def comparison_table(comparison: Comparison) -> Table:
-    """A comparison as a table a dataset, with a sheet of what its runs drew."""
+    """A comparison as a table a dataset."""
     return Table(
         shows=lambda run: any(line.fits(run) for line in comparison.lines),
         grids=lambda scenes, _: [comparison_grid(comparison, scene) for scene in scenes],
-        picture=partial(_sheet, comparison),
     )
 
 
@@ -140,34 +156,18 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]
     empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
     rows += [(line.title, NOT_RUN, *[MISSING] * 7, *_published(line.published)) for line in empty]
-    notes = (*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE)
-    return _grid(scene, comparison.title, rows, first="", last="published (the paper)", notes=notes)
-
-
-def _sheet(comparison: Comparison, scene: SceneScores) -> bytes | None:
-    from eval.figures import comparison_sheet
-
-    entries = [entry for part in find_entries(comparison, group_seeds(scene.runs)) for entry in part]
-    runs = tuple(entry.group.runs[0] for entry in entries)
-    return comparison_sheet(dataclasses.replace(scene, runs=runs), comparison.title) if runs else None
-
-
-def _grid(
-    scene: SceneScores, title: str, rows: Sequence[tuple[str, ...]], *, first: str, last: str, notes: tuple[str, ...]
-) -> Grid:
-    """A table of runs with their scores, between a column before and one for each split behind them."""
     return Grid(
-        title=f"{scene.title}: {title}",
+        title=f"{scene.title}: {comparison.title}",
         columns=(
-            Column(group=first, is_number=False),
+            Column(group="", is_number=False),
             Column(group="run", is_number=False),
             Column(group="seeds"),
             *SCORES,
             Column(group="CPU min"),
-            *(Column(group=last, split=split) for split in TEST_SPLITS),
+            *(Column(group="published (the paper)", split=split) for split in TEST_SPLITS),
         ),
         rows=tuple(rows),
-        notes=(*notes, data_note(scene)),
+        notes=(*comparison.notes, WRAPPED_NOTE, PUBLISHED_NOTE, data_note(scene)),
     )
 
 

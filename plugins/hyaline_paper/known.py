@@ -7,7 +7,7 @@ from eval.score.runs import Run
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, group_seeds
 from eval.tables.grids import MISSING, Column, Grid
-from eval.tables.named import Table
+from eval.tables.plugins import Table
 from hyaline_paper.comparisons import NOT_RUN, Line, cpu_minutes_cell, data_note, spread_cell
 
 FITTED_MATERIALS, FITTED_HULL = "fitted-materials", "fitted-hull"
@@ -31,7 +31,7 @@ USUAL = (
 
 def known_to(run: Run) -> str | None:
     """One of `KNOWLEDGE`; None for runs that are not compared: other settings, and proxies made of the truth."""
-    if run.geometry != NO_GEOMETRY and not any(line.fits(run) for line in USUAL):
+    if run.record.geometry != NO_GEOMETRY and not any(line.fits(run) for line in USUAL):
         return None
     return knowledge_of(run)
 
@@ -39,17 +39,17 @@ def known_to(run: Run) -> str | None:
 def knowledge_of(run: Run) -> str | None:
     """What a run of any method was told, by its record: one of `KNOWLEDGE`; None for proxies made of the truth."""
     told, shapes, hulls, fitted, pictures = KNOWLEDGE
-    geometry = run.geometry or ""
+    geometry = run.record.geometry or ""
     if geometry == NO_GEOMETRY:
         return pictures
     if geometry == TRUTH:
-        return told if run.method == "light-path" else shapes
+        return told if run.record.method == "light-path" else shapes
     if not is_fitted(geometry):
         return None
     if run.dataset.imported is not None:
         return pictures
-    if any(item.is_glass for item in run.dataset.objects if item.name in (run.told or ())):
-        return told if run.method == "light-path" else shapes  # Some glass is the true one.
+    if any(item.is_glass for item in run.dataset.objects if item.name in (run.record.told or ())):
+        return told if run.record.method == "light-path" else shapes  # Some glass is the true one.
     return {FITTED_MATERIALS: shapes, FITTED_HULL: hulls}.get(geometry, fitted)
 
 
@@ -82,7 +82,7 @@ def known_grid(scene: SceneScores) -> Grid:
 
 def _cells(group: SeedGroup) -> tuple[str, ...]:
     psnr = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
-    return (group.name, group.first.geometry or MISSING, str(len(group.runs)), *psnr, cpu_minutes_cell(group))
+    return (group.name, group.first.record.geometry or MISSING, str(len(group.runs)), *psnr, cpu_minutes_cell(group))
 
 
 KNOWN = Table(

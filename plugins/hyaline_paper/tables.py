@@ -3,8 +3,15 @@
 import dataclasses
 
 from datagen.data.geometries import NO_GEOMETRY
-from eval.tables.published import DNR, NO_EXTRINSICS, SPHERICAL_HARMONICS, VIEW_VECTOR
-from hyaline_paper.comparisons import Comparison, Line, comparison_table
+from hyaline_paper.comparisons import (
+    DNR,
+    NO_EXTRINSICS,
+    SPHERICAL_HARMONICS,
+    VIEW_VECTOR,
+    Comparison,
+    Line,
+    comparison_table,
+)
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
 BEST = Line(title="paper-best", method="paper-best", flags={})

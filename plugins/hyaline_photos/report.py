@@ -19,7 +19,7 @@ from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
-from eval.tables.parts import FoundPart, PartPage, ReportPart
+from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
 from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
 from hyaline_photos.fit.lathe import perpendicular

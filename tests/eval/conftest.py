@@ -10,9 +10,3 @@ from datagen.data.dataset import Dataset
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     """The pane and the floor in 16 x 16 pixels, for reading only."""
     return write_synthetic_dataset(tmp_path_factory.mktemp("eval") / "data" / "synthetic", resolution=16)
-
-
-@pytest.fixture
-def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Saves the second or two that a report's figures take."""
-    monkeypatch.setattr("eval.page.report.figures_of", lambda *_: {})

@@ -14,20 +14,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.images import png_bytes, read_png
+from datagen.data.images import png_bytes
 from datagen.data.variants import ANGLES, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import code_version
 from eval.page.report import make_report
-from eval.score.runs import RUN_KEYS, list_run_folders
+from eval.score.runs import Record, list_run_folders
 from eval.tables.grids import CEILING
-from eval.tables.looks import latex_escaped
 from eval.tables.pages import results_page
 from model.run.run_folder import RunRecord
 
@@ -60,7 +58,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def copy(made: Path, tmp_path: Path, no_pictures: None) -> Path:
+def copy(made: Path, tmp_path: Path) -> Path:
     """The same, to be broken; its runs know no dataset folder but its own."""
     shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     for path in tmp_path.rglob("run.json"):
@@ -90,7 +88,6 @@ def csv_rows(text: str) -> dict[str, dict[str, str]]:
 # What the report says
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_csv_holds_every_runs_scores(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     make_report(made / "runs", made / "data", tmp_path, output_format="csv")
     out, err = capsys.readouterr()
@@ -120,7 +117,6 @@ def test_csv_holds_every_runs_scores(made: Path, tmp_path: Path, capsys: pytest.
     assert float(grey["drop_db"]) == pytest.approx(drop)
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_json_on_stdout_is_the_file_and_holds_every_picture(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -142,52 +138,33 @@ def test_json_on_stdout_is_the_file_and_holds_every_picture(
     assert len({run["predictions_sha256"] for run in runs.values()}) == 3
 
 
-@pytest.mark.usefixtures("no_pictures")
-def test_table_fits_120_columns_and_says_what_it_measures(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    everything = {"is_full": True, "is_published": True}
-    make_report(made / "runs", made / "data", made / "runs" / "report", output_format="table", **everything)
-    text = capsys.readouterr().out
-    assert max(map(len, text.splitlines())) <= 120
-    for words in (CEILING, "PSNR wrapped (authors' script)", "33,267", "–", "∞", "Not comparable", "33.80"):  # noqa: RUF001
-        assert words in text
-    assert "foreign_nerf: has no predictions for the extrapolating split." in text
-    (line,) = [line for line in text.splitlines() if line.split()[:1] == [CEILING.split()[0]]]
-    assert line.split()[2:4] == ["49.01", "49.01"]
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_markdown_has_as_many_cells_in_each_line(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("output_format", ["table", "markdown", "latex"])
+def test_every_format_has_all_cells_and_marks_the_best(
+    output_format: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_report(made / "runs", made / "data", tmp_path, output_format="markdown", is_full=True, is_published=True)
-    tables = re.findall(r"(?:^\|.*\n)+", capsys.readouterr().out, re.MULTILINE)
-    assert len(tables) == 4
-    for table in tables:
-        lines = table.splitlines()
-        assert len({line.count("|") for line in lines}) == 1
-        assert set(lines[1]) <= set("|-: ")
-    assert "PSNR dB ↑, interpolating" in tables[0]
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_latex_is_booktabs_with_balanced_rows(made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_report(made / "runs", made / "data", tmp_path, output_format="latex", is_full=True, is_published=True)
+    make_report(made / "runs", made / "data", tmp_path, output_format=output_format)
     text = capsys.readouterr().out
-    tables = re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL)
-    assert len(tables) == 4
-    for alignment, body in tables:
-        assert [body.count(rule) for rule in (r"\toprule", r"\bottomrule")] == [1, 1]
-        rows = [line for line in body.splitlines() if line.endswith(r"\\")]
-        for row in rows:
-            spans = sum(int(span) - 1 for span in re.findall(r"\\multicolumn\{(\d+)\}", row))
-            assert len(re.findall(r"(?<!\\)&", row)) + 1 + spans == len(alignment)
-    assert r"foreign\_nerf" in text
-    assert "∞" not in text
-    assert r"$\infty$" in text
-
-
-def test_latex_escapes_what_would_break_it() -> None:
-    assert latex_escaped(r"a_b & 5% {x}\y") == r"a\_b \& 5\% \{x\}\textbackslash{}y"
+    assert "has no predictions for the extrapolating split." in text and "wrapped" not in text
+    lines = text.splitlines()
+    if output_format == "table":
+        assert max(map(len, lines)) <= 120
+        (ceiling,) = [line.split() for line in lines if line.split()[:1] == ["noise"]]
+        assert ceiling[2:4] == ["49.01", "49.01"]
+        rows = {line.split()[0]: line for line in lines if line.split()[:1] in (["perfect"], ["grey"])}
+        best = "∞*"
+    elif output_format == "markdown":
+        (table,) = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
+        assert len({line.count("|") for line in table.splitlines()}) == 1 and "PSNR dB ↑, interpolating" in table
+        rows = {line.split()[1]: line for line in table.splitlines()}
+        best = "**∞**"
+    else:
+        ((alignment, body),) = re.findall(r"\\begin\{tabular\}\{(\w+)\}\n(.*?)\\end\{tabular\}", text, re.DOTALL)
+        rows = {line.split()[0]: line for line in body.splitlines() if line.endswith(r"\\")}
+        assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows.values()} == {len(alignment)}
+        assert r"foreign\_nerf" in rows and "∞" not in body
+        best = r"\textbf{$\infty$}"
+    assert best in rows["perfect"] and best not in rows["grey"]
+    assert list(rows).index("perfect") < list(rows).index("grey")
 
 
 def test_a_partly_identical_split_says_so(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -203,44 +180,6 @@ def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.Cap
     out, err = capsys.readouterr()
     assert csv_rows(out)["grey"]["glass_psnr_db_interpolating"] == ""
     assert "has no layers of the true geometry, so there is no PSNR on glass" in err
-
-
-# Pictures
-
-
-@pytest.fixture(scope="module")
-def drawn(made: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A report with its pictures."""
-    out = tmp_path_factory.mktemp("drawn")
-    make_report(made / "runs", made / "data", out, output_format="json")
-    return out
-
-
-def test_pictures_are_written_and_do_not_depend_on_the_day(made: Path, drawn: Path, tmp_path: Path) -> None:
-    make_report(made / "runs", made / "data", tmp_path, output_format="json")
-    names = [
-        "cameras_synthetic",
-        "comparison_synthetic",
-        "synthetic_foreign_nerf",
-        "synthetic_grey",
-        "synthetic_perfect",
-    ]
-    assert sorted(path.name for path in drawn.iterdir()) == sorted(
-        [*(f"{n}.png" for n in names), "curve_synthetic.svg", "index.html", "report.json", "results.json"]
-    )
-    for path in (path for path in drawn.rglob("*") if path.is_file()):
-        assert path.read_bytes() == (tmp_path / path.relative_to(drawn)).read_bytes()
-    with Image.open(drawn / "synthetic_grey.png") as picture:
-        assert picture.info.keys() <= {"dpi"}
-
-
-def test_a_sheet_shows_the_pixels_unfiltered(made: Path, drawn: Path) -> None:
-    sheet = read_png(drawn / "synthetic_perfect.png")
-    truth = open_dataset(made / "data" / "synthetic").view("interpolating", 0).image
-    enlarged = truth.repeat(10, axis=0).repeat(10, axis=1)  # 32 pixels become 320.
-    for column in range(2):
-        left, top = 44 + column * (320 + 14), 64
-        np.testing.assert_array_equal(sheet[top : top + 320, left : left + 320], enlarged)
 
 
 # What the report refuses
@@ -275,21 +214,12 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
     assert set(csv_rows(capsys.readouterr().out)) == {"perfect", "foreign_nerf", CEILING}
 
 
-def test_every_broken_run_is_told(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (copy / "runs/synthetic/grey/run.json").write_text('{"seed": "three"}')
-    (copy / "runs/synthetic/perfect/predictions/extrapolatin").mkdir()
-    with pytest.raises(HyalineError, match=r"extrapolatin: no split .* did you mean 'extrapolating'"):
-        report(copy)
-    assert "seed is 'three'; expected an integer" in capsys.readouterr().err
-
-
 def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
     shutil.rmtree(copy / "data")
     with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; set --data to the folder"):
         report(copy)
 
 
-@pytest.mark.usefixtures("no_pictures")
 def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "runs" / "other" / "lost" / "predictions" / "interpolating").mkdir(parents=True)
     moved = copy / "elsewhere" / "synthetic"
@@ -301,23 +231,20 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    "text",
     [
-        ('{"unheard_of": 1}', "unknown key 'unheard_of'; known are config, dataset"),
-        ('{"seed": 1, "seed": 2}', "key 'seed' stands twice in one object"),
-        ('{"seed": 1e999}', "the number '1e999' is not finite"),
-        ('{"config": ' + "[" * 70 + "]" * 70 + "}", "nested too deeply; expected at most 64 levels"),
+        *('{"unheard_of": 1}', '{"seed": 1, "seed": 2}', '{"seed": 1e999}', '{"seed": "three"}'),
+        *('{"flags": ["--steps"]}', '{"config": 3}', '{"config": ' + "[" * 70 + "]" * 70 + "}"),
     ],
 )
-@pytest.mark.usefixtures("no_pictures")
-def test_a_record_that_cannot_be_trusted_is_refused(copy: Path, text: str, message: str) -> None:
+def test_a_record_that_cannot_be_trusted_is_refused(copy: Path, text: str) -> None:
     (copy / "runs" / "synthetic" / "grey" / "run.json").write_text(text)
-    with pytest.raises(HyalineError, match=rf"grey/run\.json: {message}"):
+    with pytest.raises(HyalineError, match=r"grey/run\.json"):
         report(copy)
 
 
 def test_the_report_knows_every_key_that_training_writes() -> None:
-    assert {item.name for item in dataclasses.fields(RunRecord)} | {"type"} == RUN_KEYS
+    assert {item.name for item in dataclasses.fields(RunRecord)} == {item.name for item in dataclasses.fields(Record)}
 
 
 def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
@@ -336,12 +263,6 @@ def test_the_folder_of_one_run_is_refused(copy: Path) -> None:
     assert "skipped" not in answer.err
 
 
-def test_the_runs_of_one_scene_can_be_reported_alone(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make_report(copy / "runs" / "synthetic", copy / "data", copy / "out", output_format="csv")
-    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
-
-
-@pytest.mark.usefixtures("no_pictures")
 def test_a_run_that_was_put_beside_those_of_scenes_is_reported(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -396,12 +317,10 @@ def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     "form",
     [
         ["report"],
-        ["env", "eval", "report"],
-        ["env", "eval"],
         [sys.executable, "-m", "eval", "report"],
         ["bash", "-c", "eval report --help"],
     ],
-    ids=["report", "eval-report", "eval", "python-m", "bash"],
+    ids=["report", "python-m", "bash"],
 )
 def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
     done = command(*form, "--help", cwd=tmp_path)
@@ -419,56 +338,12 @@ def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: 
     assert "wrote out/results.json" in done.stderr
 
 
-def test_an_unknown_format_is_one_line_with_the_known_ones() -> None:
-    done = call("report --format markdwn")
-    assert (done.status, done.out) == (2, "")
-    assert done.err == (
-        "error: report: invalid choice 'markdwn' for argument '--format'. Expected one of ('table', 'markdown', "
-        "'csv', 'latex'). See `report --help`\n"
-    )
-
-
-def test_a_mistyped_flag_points_to_help_that_a_shell_can_reach() -> None:
-    done = call("report --rnus x")
-    assert done.status == 2
-    assert done.err == "error: report: Unrecognized options: --rnus, x. See `report --help`\n"
-
-
 def test_the_package_imports_neither_torch_nor_mitsuba_and_its_help_nothing_heavy(tmp_path: Path) -> None:
     code = (
         "import sys, eval.cli\n"
         "assert not {'numpy', 'matplotlib', 'tyro'} & set(sys.modules)\n"
-        "import eval.page.report, eval.page.further, eval.score.metrics\n"
+        "import eval.page.report, eval.score.metrics\n"
         "assert not {'torch', 'mitsuba', 'drjit', 'skimage', 'colour'} & set(sys.modules)"
     )
     done = command(sys.executable, "-c", code, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.usefixtures("no_pictures")
-def test_the_short_report_leaves_out_details_and_what_only_the_paper_counts(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shown = {}
-    for flags in ({}, {"is_full": True}, {"is_published": True}):
-        make_report(made / "runs", made / "data", tmp_path, output_format="markdown", **flags)
-        shown[next(iter(flags), "short")] = capsys.readouterr().out
-    assert not any(words in shown["short"] for words in ("wrapped", "Not comparable", "33,267", "Slope:"))
-    assert all(words in shown["is_full"] for words in ("33,267", "Slope:"))
-    assert all(words in shown["is_published"] for words in ("PSNR wrapped", "Not comparable", "33.80"))
-    assert "wrapped" not in shown["is_full"] and "33,267" not in shown["is_published"]
-
-
-@pytest.mark.usefixtures("no_pictures")
-@pytest.mark.parametrize(
-    ("output_format", "name", "best"),
-    [("table", "perfect", "∞*"), ("markdown", "| perfect", "**∞**"), ("latex", "perfect &", r"\textbf{$\infty$}")],
-)
-def test_the_best_run_stands_first_and_its_values_are_marked(
-    output_format: str, name: str, best: str, made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    make_report(made / "runs", made / "data", tmp_path, output_format=output_format)
-    lines = capsys.readouterr().out.splitlines()
-    names = [line for line in lines if line.strip().startswith((name, name.replace("perfect", "grey")))]
-    assert name in names[0] and best in names[0]
-    assert best not in names[1]

@@ -41,194 +41,68 @@ Given = SimpleNamespace
 CALLS: dict[str, Callable[[Given], object]] = {
     # Finding and opening.
     "open_dataset(3)": lambda _: hy.open_dataset(3),  # pyright: ignore
-    "open_dataset([])": lambda _: hy.open_dataset([]),  # pyright: ignore
     "open_dataset of a missing folder": lambda _: hy.open_dataset("/nothing"),
     "open_dataset of a file": lambda g: hy.open_dataset(g.file),
-    "open_dataset of a long name": lambda _: hy.open_dataset("a" * 5000),
-    "open_dataset of a name with a NUL": lambda _: hy.open_dataset("a\0b"),
     "open_dataset under no folder": lambda _: hy.open_dataset(None, "nothing"),
-    "open_dataset under None": lambda _: hy.open_dataset(None, None),  # pyright: ignore
-    "open_dataset under a file": lambda g: hy.open_dataset(None, g.file),
     "list_datasets(None)": lambda _: hy.list_datasets(None),  # pyright: ignore
-    "list_datasets(3)": lambda _: hy.list_datasets(3),  # pyright: ignore
-    "list_runs(None)": lambda _: hy.list_runs(None),  # pyright: ignore
-    "list_runs({})": lambda _: hy.list_runs({}),  # pyright: ignore
     "open_run(None)": lambda _: hy.open_run(None),  # pyright: ignore
-    "open_run(3.5)": lambda _: hy.open_run(3.5),  # pyright: ignore
     "open_run of a missing one": lambda _: hy.open_run("nothing"),
     "open_run of a file": lambda g: hy.open_run(g.file),
     "open_run of a long name": lambda _: hy.open_run("a/" + "b" * 5000),
-    "open_run of a name with a NUL": lambda _: hy.open_run("a\0b"),
-    "open_run under None": lambda _: hy.open_run("a", None),  # pyright: ignore
-    "open_run without a name": lambda _: hy.open_run(),  # pyright: ignore
     # Views.
     "view of no split": lambda g: g.dataset.view("trian", 0),
-    "view of the split None": lambda g: g.dataset.view(None, 0),
-    "view of the split []": lambda g: g.dataset.view([], 0),
     "view -1": lambda g: g.dataset.view("train", -1),
-    "view 10**9": lambda g: g.dataset.view("train", HUGE),
-    "view '0'": lambda g: g.dataset.view("train", "0"),
-    "view 0.5": lambda g: g.dataset.view("train", 0.5),
-    "view nan": lambda g: g.dataset.view("train", NAN),
-    "view None": lambda g: g.dataset.view("train", None),
-    "views(3)": lambda g: g.dataset.views(3),
-    "cameras(None)": lambda g: g.dataset.cameras(None),
-    "cameras([])": lambda g: g.dataset.cameras([]),
-    "noise_ceiling_db({})": lambda g: g.dataset.noise_ceiling_db({}),
-    "object_id(3)": lambda g: g.dataset.object_id(3),
-    "layer_store(None)": lambda g: g.dataset.layer_store(None),
     "layer_store('..')": lambda g: g.dataset.layer_store("../.."),
     "layers of no geometry": lambda g: g.view.layers("nothing"),
-    "layers(3)": lambda g: g.view.layers(3),
-    "layers(None)": lambda g: g.view.layers(None),
-    "object_ids(3)": lambda g: g.view.object_ids(3),
     "mask('water')": lambda g: g.view.mask("water"),
-    "mask(None)": lambda g: g.view.mask(None),
-    "mask([])": lambda g: g.view.mask([]),
-    "show(None)": lambda _: hy.show(None),  # pyright: ignore
-    "quantities(None)": lambda _: hy.quantities(None),  # pyright: ignore
-    "quantities of a picture": lambda _: hy.quantities(PICTURE),  # pyright: ignore
     "quantities' normal of no kind": lambda g: hy.quantities(g.view).normal("flat", "world"),
     "quantities' normal of no axes": lambda g: hy.quantities(g.view).normal("shading", None),
     "layers of no camera": lambda g: hy.layers(g.dataset, None),
-    "layers of a matrix": lambda g: hy.layers(g.dataset, EYE),
-    "layers of a huge camera": lambda g: hy.layers(g.dataset, camera(width=HUGE, height=HUGE)),
-    "layers of a camera of NaN": lambda g: hy.layers(g.dataset, camera(fov_x=NAN)),
-    "layers of the geometry 3": lambda g: hy.layers(g.dataset, g.view.camera, 3),
     "10**9 layers": lambda g: hy.layers(g.dataset, g.view.camera, num_layers=HUGE),
-    "'8' layers": lambda g: hy.layers(g.dataset, g.view.camera, num_layers="8"),
-    "2.5 layers": lambda g: hy.layers(g.dataset, g.view.camera, num_layers=2.5),
     # Cameras.
     "orbit(count=0)": lambda _: hy.orbit(camera(), (0, 0, 0), 0),
-    "orbit(count=10**8)": lambda _: hy.orbit(camera(), (0, 0, 0), 10**8),
-    "orbit(count=2.5)": lambda _: hy.orbit(camera(), (0, 0, 0), 2.5),  # pyright: ignore
-    "orbit(count='3')": lambda _: hy.orbit(camera(), (0, 0, 0), "3"),  # pyright: ignore
-    "orbit around None": lambda _: hy.orbit(camera(), None, 3),  # pyright: ignore
-    "orbit around two numbers": lambda _: hy.orbit(camera(), (0, 0), 3),  # pyright: ignore
     "orbit around NaN": lambda _: hy.orbit(camera(), (NAN, 0, 0), 3),
-    "orbit from None": lambda _: hy.orbit(None, (0, 0, 0), 3),  # pyright: ignore
-    "orbit by NaN": lambda _: hy.orbit(camera(), (0, 0, 0), 3, turn_deg=NAN),
-    "orbit by a word": lambda _: hy.orbit(camera(), (0, 0, 0), 3, turn_deg="full"),  # pyright: ignore
-    "orbit from a camera without pose": lambda _: hy.orbit(camera(world_from_camera=None), (0, 0, 0), 3),
-    "look_at of words": lambda _: hy.look_at("here", "there"),  # pyright: ignore
-    "look_at of None": lambda _: hy.look_at(None, (0, 0, 0)),  # pyright: ignore
     "look_at of two numbers": lambda _: hy.look_at((1, 2), (0, 0)),  # pyright: ignore
-    "look_at of four numbers": lambda _: hy.look_at((1, 2, 3, 4), (0, 0, 0)),  # pyright: ignore
-    "look_at of NaN": lambda _: hy.look_at((NAN, 0, 0), (0, 0, 0)),
-    "look_at of 1e999": lambda _: hy.look_at((1e999, 0, 0), (0, 0, 0)),
     "look_at of its own place": lambda _: hy.look_at((1, 1, 1), (1, 1, 1)),
-    "intrinsics None": lambda _: hy.camera_from_intrinsics(EYE, None, 16, 16),  # pyright: ignore
-    "intrinsics of words": lambda _: hy.camera_from_intrinsics(EYE, "abc", 16, 16),  # pyright: ignore
     "intrinsics of NaN": lambda _: hy.camera_from_intrinsics(EYE, np.full((3, 3), NAN), 16, 16),
-    "intrinsics of 4 x 4": lambda _: hy.camera_from_intrinsics(EYE, np.eye(4), 16, 16),
     "a pose of 3 x 4": lambda _: hy.camera_from_intrinsics(EYE[:3], np.eye(3), 16, 16),
-    "a pose None": lambda _: hy.camera_from_intrinsics(None, np.eye(3), 16, 16),  # pyright: ignore
-    "width 0": lambda _: hy.camera_from_intrinsics(EYE, np.eye(3), 0, 16),
-    "width '16'": lambda _: hy.camera_from_intrinsics(EYE, np.eye(3), "16", 16),  # pyright: ignore
-    "width None": lambda _: hy.camera_from_intrinsics(EYE, np.eye(3), None, 16),  # pyright: ignore
     "width 10**9": lambda _: hy.camera_from_intrinsics(EYE, np.diag([1e9, 1e9, 1]), HUGE, HUGE),
     "Camera without a pose": lambda _: hy.Camera(fov_x=1.0, width=16, height=16),  # pyright: ignore
-    "Camera with the width None": lambda _: camera(width=None).rays(),
-    "Camera of a list": lambda _: camera(world_from_camera="eye").rays(),
-    "rays of a huge camera": lambda _: camera(width=10**6, height=10**6).rays(),
-    "project(None)": lambda _: camera().project(None),  # pyright: ignore
     # Scores.
-    "score of empty arrays": lambda _: hy.score(PICTURE[:0], PICTURE[:0]),
-    "score of no rows": lambda _: hy.score(PICTURE[:, :0], PICTURE[:, :0]),
-    "score(None)": lambda _: hy.score(None, PICTURE),  # pyright: ignore
-    "score of lists": lambda _: hy.score(PICTURE.tolist(), PICTURE.tolist()),  # pyright: ignore
-    "score of paths": lambda _: hy.score("a.png", "b.png"),  # pyright: ignore
     "score of floats": lambda _: hy.score(PICTURE / 255, PICTURE),
     "score of other sizes": lambda _: hy.score(PICTURE[:8], PICTURE),
-    "score of grey pictures": lambda _: hy.score(PICTURE[..., 0], PICTURE[..., 0]),
     "score with a mask of 0 and 1": lambda _: hy.score(PICTURE, PICTURE, np.ones((16, 16), np.uint8)),
-    "score with a word as mask": lambda _: hy.score(PICTURE, PICTURE, "glass"),  # pyright: ignore
     # Building.
-    "build(None)": lambda _: hy.build(None),  # pyright: ignore
-    "build(3)": lambda _: hy.build(3),  # pyright: ignore
-    "build of a mesh": lambda _: hy.build(BALL),  # pyright: ignore
     "build of an unknown scene": lambda _: hy.build("glas_table"),
     "build of a missing file": lambda _: hy.build("nothing.glb"),
-    "build of a long name": lambda _: hy.build("a" * 5000),
     "build into a file": lambda g: hy.build("glass_table", g.file, preset="tiny"),
-    "build into 3": lambda _: hy.build("glass_table", 3, preset="tiny"),  # pyright: ignore
-    "build(preset=None)": lambda _: hy.build("glass_table", preset=None),  # pyright: ignore
     "build(preset='big')": lambda _: hy.build("glass_table", preset="big"),
-    "build(resolution='128')": lambda _: hy.build("glass_table", resolution="wide"),  # pyright: ignore
-    "build(resolution=(1, 2, 3))": lambda _: hy.build("glass_table", resolution=(1, 2, 3)),  # pyright: ignore
-    "build(resolution=())": lambda _: hy.build("glass_table", resolution=()),  # pyright: ignore
-    "build(resolution=0)": lambda _: hy.build("glass_table", resolution=0),
     "build(resolution=10**9)": lambda _: hy.build("glass_table", resolution=HUGE),
-    "build(views='8')": lambda _: hy.build("glass_table", views="8"),  # pyright: ignore
     "build(views=-1)": lambda _: hy.build("glass_table", views=-1),
-    "build(views=nan)": lambda _: hy.build("glass_table", views=NAN),  # pyright: ignore
-    "build(views=10**9)": lambda _: hy.build("glass_table", views=HUGE),
     "build(spp=10**12)": lambda _: hy.build("glass_table", spp=10**12),
-    "build(spp=1.5)": lambda _: hy.build("glass_table", spp=1.5),  # pyright: ignore
-    "build(ceiling=nan)": lambda _: hy.build("glass_table", ceiling=NAN),
     "build(seed=-1)": lambda _: hy.build("glass_table", seed=-1),
-    "build(seed=None)": lambda _: hy.build("glass_table", seed=None),  # pyright: ignore
-    "build(seed=10**40)": lambda _: hy.build("glass_table", seed=10**40),
     "build(workers=0)": lambda _: hy.build("glass_table", preset="tiny", workers=0),
-    "build(workers='two')": lambda _: hy.build("glass_table", preset="tiny", workers="two"),  # pyright: ignore
-    "build(workers=10**9)": lambda _: hy.build("glass_table", preset="tiny", workers=HUGE),
-    "build(overwrite=None)": lambda _: hy.build("glass_table", preset="tiny", overwrite=None),  # pyright: ignore
-    "build(colour='red')": lambda _: hy.build("glass_table", colour="red"),  # pyright: ignore
-    "make_proxies(None)": lambda _: hy.make_proxies(None),  # pyright: ignore
     "make_proxies of nothing": lambda _: hy.make_proxies("nothing"),
-    "make_proxies of the kind None": lambda g: hy.make_proxies(g.dataset, None),  # pyright: ignore
-    "make_proxies of the kind 3": lambda g: hy.make_proxies(g.dataset, 3),  # pyright: ignore
     "make_proxies of an unknown kind": lambda g: hy.make_proxies(g.dataset, "sphere"),
     "make_proxies with -1 layers": lambda g: hy.make_proxies(g.dataset, "box", num_layers=-1),
-    "make_proxies with workers None": lambda g: hy.make_proxies(g.dataset, "box", workers=None),  # pyright: ignore
     # Training and reports.
-    "train(None)": lambda g: hy.train(None, g.dataset),  # pyright: ignore
-    "train(3)": lambda g: hy.train(3, g.dataset),  # pyright: ignore
     "train of an unknown method": lambda g: hy.train("nerf", g.dataset),
-    "train on None": lambda _: hy.train("paper", None),  # pyright: ignore
-    "train on nothing": lambda _: hy.train("paper", "nothing"),
-    "train(steps=None)": lambda g: hy.train("paper", g.dataset, steps=None),
     "train(steps=-1)": lambda g: hy.train("paper", g.dataset, steps=-1),
-    "train(steps=[3])": lambda g: hy.train("paper", g.dataset, steps=[3]),  # pyright: ignore
-    "train(lr=nan)": lambda g: hy.train("paper", g.dataset, lr=NAN),
-    "train(batch=10**12)": lambda g: hy.train("paper", g.dataset, steps=1, batch=10**12),
     "train(texture_size=10**9)": lambda g: hy.train("paper", g.dataset, steps=1, texture_size=HUGE),
-    "train(geometry=None)": lambda g: hy.train("paper", g.dataset, geometry=None),  # pyright: ignore
-    "train(geometry='nothing')": lambda g: hy.train("paper", g.dataset, geometry="nothing"),
-    "train(out=3)": lambda g: hy.train("paper", g.dataset, out=3),  # pyright: ignore
     "train into a file": lambda g: hy.train("paper", g.dataset, out=g.file),
-    "train(label=3)": lambda g: hy.train("paper", g.dataset, label=3),  # pyright: ignore
-    "train(seed='a')": lambda g: hy.train("paper", g.dataset, seed="a"),  # pyright: ignore
-    "train(device=3)": lambda g: hy.train("paper", g.dataset, device=3),  # pyright: ignore
     "train(device='tpu')": lambda g: hy.train("paper", g.dataset, device="tpu"),  # pyright: ignore
-    "report(3)": lambda _: hy.report(3),  # pyright: ignore
-    "report([None])": lambda _: hy.report([None]),  # pyright: ignore
     "report of nothing": lambda _: hy.report("nothing"),
-    "report of none": lambda _: hy.report([]),
     "report of all in no folder": lambda _: hy.report(root="nothing"),
     "report(views=0)": lambda _: hy.report("nothing", views=0),
-    "report(views='3')": lambda _: hy.report("nothing", views="3"),  # pyright: ignore
     "report into a file": lambda g: hy.report("nothing", g.file),
-    "report of a long name": lambda _: hy.report("a" * 5000),
-    "ViewDataset(None)": lambda _: hy.ViewDataset(None, "train"),  # pyright: ignore
     "ViewDataset of no split": lambda g: hy.ViewDataset(g.dataset, "trian"),
-    "ViewDataset of the geometry 3": lambda g: hy.ViewDataset(g.dataset, "train", 3),  # pyright: ignore
-    "RayDataset(None)": lambda _: hy.RayDataset(None, "train"),  # pyright: ignore
     "RayDataset of no split": lambda g: hy.RayDataset(g.dataset, None),
     # Scenes.
-    "a scene of None": lambda _: scene(objects=None).described(),
-    "a scene of 3": lambda _: scene(objects=3).described(),
     "a scene of meshes": lambda _: scene(objects=[BALL]).described(),
     "a scene of 300 objects": lambda _: scene(objects=300 * [hy.Object("ball", BALL, hy.Dielectric())]),
-    "a scene without objects": lambda _: scene(objects=[]).show(),
-    "a scene's name is 3": lambda _: scene(name=3).described(),
+    "a scene without objects": lambda _: scene(objects=[]),
     "a scene's name is a path": lambda _: scene(name="../up").described(),
     "a scene's light is white": lambda _: scene(light="white").described(),
-    "a scene's lamps are None": lambda _: scene(lamps=None).described(),
-    "a scene's lamps are words": lambda _: scene(lamps=["lamp"]).described(),
-    "a scene's cameras are None": lambda _: scene(cameras=None).described(),
-    "a scene's folder is 3": lambda _: scene(folder=3).described(),
-    "a scene's licence is 3": lambda _: scene(license=3).described(),
     "a scene's map is missing": lambda _: scene(light=hy.EnvironmentMap(path="sky.exr")).described(),
     "a scene's map is a folder": lambda g: scene(light=hy.EnvironmentMap(path="a.exr"), folder=g.maps).described(),
     "an object's name is None": lambda _: hy.Object(None, BALL, hy.Dielectric()),  # pyright: ignore
@@ -245,59 +119,23 @@ CALLS: dict[str, Callable[[Given], object]] = {
     "an object's material is None": lambda _: hy.Object("a", BALL, None),  # pyright: ignore
     "Hemisphere(radius='far')": lambda _: hy.Hemisphere(radius="far"),  # pyright: ignore
     "Hemisphere(radius=nan)": lambda _: hy.Hemisphere(radius=NAN),
-    "Hemisphere(views='8')": lambda _: hy.Hemisphere(views="8"),  # pyright: ignore
-    "Hemisphere(elevation_deg=10)": lambda _: scene(cameras=hy.Hemisphere(elevation_deg=10)).described(),  # pyright: ignore
     "Hemisphere(elevation_deg=(60, 5))": lambda _: scene(cameras=hy.Hemisphere(elevation_deg=(60, 5))).described(),
-    "Hemisphere(target='up')": lambda _: scene(cameras=hy.Hemisphere(target="up")).described(),  # pyright: ignore
     "Hemisphere(target=nan)": lambda _: scene(cameras=hy.Hemisphere(target=(NAN, 0, 0))).described(),
-    "CameraRig(radius=None)": lambda _: rig(radius=None),
     "CameraRig(walk=None)": lambda _: rig(walk=None),
-    "CameraRig(walk=words)": lambda _: scene(cameras=rig(walk=("a", "b"))).described(),
-    "CameraRig(target=2 numbers)": lambda _: rig(target=(0, 0)),
-    "CameraRig(elevation_deg=3 numbers)": lambda _: rig(elevation_deg=(0, 1, 2)),
-    "WalkPoint of None": lambda _: hy.WalkPoint(position=None, target=(0, 0, 0)),  # pyright: ignore
-    "Lobe(direction=None)": lambda _: hy.Lobe(direction=None, radiance=WHITE, sharpness=3),  # pyright: ignore
-    "Lobe(radiance=1)": lambda _: hy.Lobe(direction=(0, 0, 1), radiance=1, sharpness=3),  # pyright: ignore
-    "Lobe(sharpness='soft')": lambda _: hy.Lobe(direction=(0, 0, 1), radiance=WHITE, sharpness="soft"),  # pyright: ignore
-    "Card(size_deg=5)": lambda _: hy.Card(direction=(0, 0, 1), radiance=WHITE, size_deg=5),  # pyright: ignore
     "Card(size_deg=nan)": lambda _: hy.Card(direction=(0, 0, 1), radiance=WHITE, size_deg=(NAN, 5)),
-    "Card(roll_deg=None)": lambda _: hy.Card(direction=(0, 0, 1), radiance=WHITE, size_deg=(9, 9), roll_deg=None),  # pyright: ignore
     "SoftEnvironment(zenith='blue')": lambda _: hy.SoftEnvironment(zenith="blue", horizon=WHITE, ground=WHITE),  # pyright: ignore
-    "SoftEnvironment(lobes=3)": lambda _: hy.SoftEnvironment(zenith=WHITE, horizon=WHITE, ground=WHITE, lobes=3),  # pyright: ignore
-    "EnvironmentMap(path=None)": lambda _: hy.EnvironmentMap(path=None),  # pyright: ignore
     "EnvironmentMap(path='/')": lambda _: hy.EnvironmentMap(path="/etc/passwd"),
-    "EnvironmentMap(scale='2')": lambda _: hy.EnvironmentMap(path="a.exr", scale="2"),  # pyright: ignore
-    "RectangleLight of words": lambda _: hy.RectangleLight(corner="a", edge_u="b", edge_v="c", radiance=WHITE),  # pyright: ignore
     "RectangleLight of a line": lambda _: hy.RectangleLight(
         corner=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(1, 0, 0), radiance=WHITE
     ),
-    "RectangleLight at NaN": lambda _: hy.RectangleLight(
-        corner=(NAN, 0, 1), edge_u=(1, 0, 0), edge_v=(0, 1, 0), radiance=WHITE
-    ),
     "Dielectric(ior='custard')": lambda _: hy.Dielectric(ior="custard"),
-    "Dielectric(ior=None)": lambda _: hy.Dielectric(ior=None),  # pyright: ignore
     "Dielectric(ior=nan)": lambda _: hy.Dielectric(ior=NAN),
-    "Dielectric(absorption=1)": lambda _: hy.Dielectric(absorption=1),  # pyright: ignore
-    "Dielectric(absorption=[1])": lambda _: hy.Dielectric(absorption=[1]),  # pyright: ignore
     "Dielectric(priority=1.5)": lambda _: hy.Dielectric(priority=1.5),  # pyright: ignore
-    "Dielectric(dispersion='much')": lambda _: hy.Dielectric(dispersion="much"),  # pyright: ignore
-    "RoughDielectric(roughness=None)": lambda _: hy.RoughDielectric(roughness=None),  # pyright: ignore
     "RoughDielectric(roughness=7)": lambda _: hy.RoughDielectric(roughness=7),
-    "ThinDielectric(ior=[])": lambda _: hy.ThinDielectric(ior=[]),  # pyright: ignore
-    "Diffuse(color='red')": lambda _: hy.Diffuse(color="red"),  # pyright: ignore
     "Diffuse(color=[5, 5, 5])": lambda _: hy.Diffuse(color=[5, 5, 5]),  # pyright: ignore
-    "Diffuse(color=None)": lambda _: hy.Diffuse(color=None),  # pyright: ignore
-    "Diffuse(color=2 numbers)": lambda _: hy.Diffuse(color=(1, 1)),  # pyright: ignore
-    "Plastic(ior={})": lambda _: hy.Plastic(color=WHITE, ior={}),  # pyright: ignore
     "Conductor(roughness=3)": lambda _: hy.Conductor(roughness=3, color=WHITE),  # pyright: ignore
-    "Conductor(color='gold')": lambda _: hy.Conductor(color="gold"),  # pyright: ignore
     "SolidTexture of no pattern": lambda _: hy.SolidTexture(pattern="dots", colors=(WHITE, WHITE), scale=1),  # pyright: ignore
-    "SolidTexture of one colour": lambda _: hy.SolidTexture(pattern="wood", colors=WHITE, scale=1),  # pyright: ignore
-    "SolidTexture(scale=None)": lambda _: hy.SolidTexture(pattern="wood", colors=(WHITE, WHITE), scale=None),  # pyright: ignore
-    "SolidTexture(axis='w')": lambda _: hy.SolidTexture(pattern="wood", colors=(WHITE, WHITE), scale=1, axis="w"),  # pyright: ignore
-    "ImageTexture(path=3)": lambda _: hy.ImageTexture(path=3),  # pyright: ignore
     "Mesh of lists": lambda _: hy.Mesh(vertices=[], faces=[], normals=[], uv=[]),  # pyright: ignore
-    "Mesh of None": lambda _: hy.Mesh(vertices=None, faces=None, normals=None, uv=None),  # pyright: ignore
 }
 """Calls by what is wrong with them."""
 

@@ -82,7 +82,7 @@ def test_radiance_is_what_the_picture_shows_and_goes_on_beyond_white() -> None:
 def test_a_run_says_what_it_is_and_is_found_from_elsewhere(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir("/")
     run = hyaline.open_run(home / "runs" / "glass_table" / "paper")
-    assert (run.method, run.geometry, run.label, run.last_step) == ("paper", "truth", "paper", 3)
+    assert (run.method, run.geometry, run.last_step) == ("paper", "truth", 3)
     assert run.dataset.seal == run.record.dataset_seal and run.config.batch == 64
     assert [line["step"] for line in run.metrics] == [3]
     assert hyaline.list_runs(home / "runs") == sorted(f"glass_table/{name}" for name in METHODS)

@@ -14,14 +14,13 @@ from support.commands import Answer, call
 from support.synthetic import synthetic_scene
 
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import open_dataset
 from datagen.data.images import read_png
 from datagen.data.paths import image_path
 from datagen.data.variants import evenly, has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
-from eval.analyses.variants import enlarge
 from eval.page.report import make_report
 
 FLAGS = (
@@ -171,10 +170,8 @@ def test_runs_predict_variants_and_the_report_scores_them(
 
     scaled = scene["variants"]["x2"]
     assert scaled["runs"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
-    assert scaled["enlarged"]["perfect"] == scaled["enlarged"]["truth"]
-    assert (set(scaled["runs"]), scaled["resolution"]["width"]) == ({"paper", "perfect"}, 32)
-    assert set(scaled["enlarged"]) == {"paper", "perfect", "truth"}
-    titles = ("mine: extrapolating by angle", "mine: super-resolution, trained at 16 x 16")
+    assert set(scaled["runs"]) == {"paper", "perfect"}
+    titles = ("mine: variant angles", "mine: variant x2")
     assert all(title in text for title in titles)
 
     # What is only half there is named, and all else is scored.
@@ -189,15 +186,6 @@ def test_runs_predict_variants_and_the_report_scores_them(
         path.write_bytes(content)
     assert "perfect" in said.out and not any(title in said.out for title in titles)
     assert "variants/angles" in said.err
-
-
-def test_enlarging_keeps_a_ramp_where_it_was() -> None:
-    """The centres of the larger picture's pixels lie at quarters between those of the smaller one's."""
-    ramp = np.broadcast_to(8 * np.arange(16)[:, None, None] + 60, (16, 16, 3)).astype(np.uint8)
-    large = enlarge(ramp, square(32))
-    expected = 8 * ((np.arange(32) + 0.5) / 2 - 0.5) + 60
-    assert np.abs(large[6:-6, 5, 1] - expected[6:-6]).max() <= 0.6
-    assert np.array_equal(enlarge(ramp, square(16)), ramp)
 
 
 def test_things_chosen_evenly_are_few_and_spread() -> None:

@@ -1,16 +1,45 @@
-"""Parts of the report that plug-ins bring, such as the fits of a dataset's glass."""
+"""What plug-ins bring to the report: tables of runs, and parts about a dataset, such as the fits of its glass."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.pages.pictures import Image8
 from datagen.terminal.plugins import Group
+from eval.score.runs import Run
+from eval.score.scores import SceneScores
 from eval.tables.grids import Grid
 from eval.tables.scenes import Stored
+
+EditedPsnr = Mapping[str, Mapping[str, Mapping[Split, float | None]]]
+"""PSNR in dB where the edited object is or was, by the run's name, the edit and the split; None where none is seen."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table over runs: which of them it needs, and how it is made of their scores."""
+
+    shows: Callable[[Run], bool]
+    """True for a run that the table may show; only those are scored."""
+    grids: Callable[[Sequence[SceneScores], Callable[[SceneScores], EditedPsnr]], list[Grid]]
+    """The table, from the scores of each dataset's runs. Calling the second argument scores their edits, too."""
+    is_swept: bool = True
+    """True if `model sweep` trains its runs."""
+    needs_more: bool = False
+    """True if its runs need edits, larger pictures or proxies, which `model sweep` makes of its own datasets alone."""
+
+
+TABLES: Group[Table] = Group(
+    name="hyaline.tables",
+    what="table",
+    built_in={},
+    guide="docs/adding-a-table.md",
+    kind="eval.tables.plugins:Table",
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,7 +81,7 @@ REPORT_PARTS: Group[ReportPart] = Group(
     what="part of the report",
     built_in={},
     guide="docs/architecture.md",
-    kind="eval.tables.parts:ReportPart",
+    kind="eval.tables.plugins:ReportPart",
 )
 
 

@@ -1,0 +1,55 @@
+# The public names and their homes: hyaline/__init__.py loads them by this list, and type checkers read it.
+from .cameras import Camera as Camera
+from .cameras import Cameras as Cameras
+from .cameras import camera_from_intrinsics as camera_from_intrinsics
+from .cameras import look_at as look_at
+from .cameras import orbit as orbit
+from .datasets import SPLITS as SPLITS
+from .datasets import TEST_SPLITS as TEST_SPLITS
+from .datasets import Dataset as Dataset
+from .datasets import HyalineError as HyalineError
+from .datasets import Layers as Layers
+from .datasets import LightEnds as LightEnds
+from .datasets import Mesh as Mesh
+from .datasets import Split as Split
+from .datasets import View as View
+from .datasets import ViewQuantities as ViewQuantities
+from .datasets import build as build
+from .datasets import layers as layers
+from .datasets import list_datasets as list_datasets
+from .datasets import open_dataset as open_dataset
+from .datasets import quantities as quantities
+from .pictures import show as show
+from .proxies import Proxies as Proxies
+from .proxies import make_proxies as make_proxies
+from .reports import Report as Report
+from .reports import report as report
+from .runs import Run as Run
+from .runs import list_runs as list_runs
+from .runs import open_run as open_run
+from .runs import train as train
+from .scenes import CameraRig as CameraRig
+from .scenes import Card as Card
+from .scenes import Conductor as Conductor
+from .scenes import Dielectric as Dielectric
+from .scenes import Diffuse as Diffuse
+from .scenes import EnvironmentMap as EnvironmentMap
+from .scenes import Hemisphere as Hemisphere
+from .scenes import ImageTexture as ImageTexture
+from .scenes import Lobe as Lobe
+from .scenes import Object as Object
+from .scenes import Plastic as Plastic
+from .scenes import RectangleLight as RectangleLight
+from .scenes import RoughDielectric as RoughDielectric
+from .scenes import Scene as Scene
+from .scenes import SoftEnvironment as SoftEnvironment
+from .scenes import SolidTexture as SolidTexture
+from .scenes import ThinDielectric as ThinDielectric
+from .scenes import WalkPoint as WalkPoint
+from .scores import Scores as Scores
+from .scores import score as score
+from .tensors import RayDataset as RayDataset
+from .tensors import ViewDataset as ViewDataset
+
+__version__: str
+__all__: list[str]
