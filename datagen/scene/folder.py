@@ -110,10 +110,6 @@ class _OneMaterial:
     material: Material
 
 
-FILE_RECORD: type = _SceneFile
-"""The record of scene.json, from which its schema is generated."""
-
-
 def save_scene(scene: Scene, folder: Path) -> None:
     """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` returns the same scene."""
     for relative, data in scene_files(scene).items():
@@ -193,12 +189,6 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
     listed = data.get("objects")
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
-    if isinstance(described := data.get("cameras"), dict) and described.get("type") == "CameraList":
-        raise HyalineError(
-            f"{path}: cameras: no CameraList is read any more; list them in transforms files instead (docs/scenes.md)"
-        )
-    if isinstance(listed, list) and any(isinstance(item, dict) and item.get("cutout") for item in listed):
-        raise HyalineError(f"{path}: a cutout is no longer read; import the mesh with its mask by `datagen import`")
     file = _parse_scene(data, path)
     objects, without_uv = [], set()
     for item in file.objects:
