@@ -42,8 +42,7 @@ def show(item: Scene | Dataset | View | Proxies | Run) -> Image.Image:
     if isinstance(item, View):
         from datagen.look.view_pictures import stored_pictures
 
-        stored = stored_pictures(item, has_layers=has_layers(item.dataset))
-        return _in_a_row([picture.pixels for picture in stored.values()])
+        return _in_a_row(list(stored_pictures(item, has_layers=has_layers(item.dataset)).values()))
     if isinstance(item, Proxies):
         from datagen.look.view_pictures import object_colors
 

@@ -94,7 +94,7 @@ def _preview(dataset: "Dataset", geometry: str) -> None:
     from datagen.terminal.preview import preview
 
     views = [dataset.view(split, 0) for split in dataset.splits]
-    drawn = [stored_pictures(view, has_layers=True, proxies=(geometry,))[geometry].pixels for view in views]
+    drawn = [stored_pictures(view, has_layers=True, proxies=(geometry,))[geometry] for view in views]
     preview(drawn, f"{geometry} proxies over the first of {', '.join(dataset.splits)}")
 
 
