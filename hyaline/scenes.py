@@ -27,7 +27,6 @@ from datagen.scene.description import (
 from datagen.scene.materials import Material, check_material
 from datagen.scene.soundness import check_names
 from datagen.scene.values import Vector, check_positive
-from datagen.terminal.command import say
 
 
 @runtime_checkable
@@ -92,7 +91,7 @@ class Hemisphere:
     elevation_deg: tuple[float, float] = (5.0, 65.0)
     """Lowest and highest elevation above the horizon."""
     azimuth_deg: tuple[float, float] | None = None
-    """First and last azimuth, from +x towards +y; all around unless given, except behind a backdrop."""
+    """First and last azimuth, from +x towards +y; all around unless given."""
     fov_deg: float = 40.0
     """Horizontal field of view."""
 
@@ -178,18 +177,16 @@ def _described_scene(given: Scene) -> description.Scene:
 
 def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList:
     """The scene's cameras; those of a hemisphere are fitted around its objects."""
-    from datagen.scene.remarks import Remarks
-    from datagen.scene.staging import make_rig
+    from datagen.scene.staging import ALL_AROUND, rig_around
 
     cameras = given.cameras
     if not isinstance(cameras, Hemisphere):
         return cameras
-    fitted = make_rig(
+    fitted = rig_around(
         objects,
-        Remarks(),
         target=cameras.target,
         radius=cameras.radius,
-        azimuth_deg=cameras.azimuth_deg,
+        azimuth_deg=cameras.azimuth_deg or ALL_AROUND,
         fov_deg=cameras.fov_deg,
     )
     return dataclasses.replace(fitted, elevation_deg=cameras.elevation_deg)
@@ -197,10 +194,10 @@ def _rig(given: Scene, objects: Sequence[SceneObject]) -> CameraRig | CameraList
 
 def _described(item: Object) -> tuple[SceneObject, bool]:
     """An object with a mesh of ours, and whether that came with uv."""
-    from datagen.scene.remarks import Remarks
-    from datagen.scene.surfaces import made_sound, mesh_of
+    from datagen.scene.modelling import CREASE_DEG
+    from datagen.scene.shading_normals import with_new_normals
 
-    where, remarks = f"object {printable(item.name)}", Remarks()
+    where = f"object {printable(item.name)}"
     if isinstance(item.mesh, Mesh):
         return SceneObject(name=item.name, mesh=item.mesh, material=item.material), bool(item.mesh.uv.any())
     if isinstance(item.mesh, (str, Path)):
@@ -217,10 +214,13 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         uv = getattr(getattr(item.mesh, "visual", None), "uv", None)
     vertices, faces = _checked(vertices, faces, where=where)
     has_uv = uv is not None and np.shape(uv) == (len(vertices), 2) and bool(np.any(uv))
-    mesh = mesh_of(vertices, faces, None, np.asarray(uv, np.float64) if has_uv else None, where=where)
-    mesh = made_sound(mesh, remarks, where=where)
-    for line in remarks.lines:
-        say(f"{line.where}: {line.what}")
+    mesh = Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=np.zeros(vertices.shape, np.float32),
+        uv=np.asarray(uv if has_uv else np.zeros((len(vertices), 2)), np.float32),
+    )
+    mesh = with_new_normals(mesh, crease_deg=CREASE_DEG)
     return SceneObject(name=item.name, mesh=mesh, material=item.material), has_uv
 
 

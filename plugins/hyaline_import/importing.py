@@ -30,11 +30,9 @@ from datagen.scene.finding import DEFAULT_RESOLUTION
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.remarks import Remark, Remarks
 from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
 from datagen.scene.soundness import check_scene
-from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig
-from datagen.scene.surfaces import closed, made_sound, mesh_of, shape_of
+from datagen.scene.staging import LIGHT
 from hyaline_import.cameras import listed_cameras, read_camera_file
 from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
@@ -62,6 +60,9 @@ from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, pl
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import cut_of, veiled
+from hyaline_import.remarks import Remark, Remarks
+from hyaline_import.staging import even_sky, find_scale, has_ground, make_ground, make_rig
+from hyaline_import.surfaces import closed, made_sound, mesh_of, shape_of
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""

@@ -13,8 +13,8 @@ from jaxtyping import Float, Int
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.remarks import Remarks
 from datagen.scene.shading_normals import with_new_normals
+from hyaline_import.remarks import Remarks
 
 WELD = 1e-5
 """Distance, as a share of a surface's size, below which vertices may be merged."""
