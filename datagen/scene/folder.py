@@ -1,20 +1,16 @@
 """A scene's folder on disk: scene.json, meshes/*.ply and image textures."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar, cast
-
-import numpy as np
-from jaxtyping import Float
 
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_materials
-from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.meshes import is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
@@ -38,40 +34,9 @@ from datagen.scene.images import read_map
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_names, check_scene
-from datagen.scene.values import Vector, as_vector, check_positive
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Transform:
-    """Scales a mesh about its own origin, rotates it, and then moves it."""
-
-    scale: Vector = (1.0, 1.0, 1.0)
-    """Factors along the mesh's own x, y and z."""
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
-    """Rotation about the world's x, then y, then z axis; anticlockwise when looking against the axis."""
-    translation: Vector = (0.0, 0.0, 0.0)
-    """Offset in metres."""
-
-    def __post_init__(self) -> None:
-        for factor in self.scale:
-            check_positive("transform scale", factor)
-        for name, values in (("rotation_deg", self.rotation_deg), ("translation", self.translation)):
-            if not all(map(math.isfinite, values)):
-                raise HyalineError(f"transform {name}: is {values}; expected three numbers")
-
-    def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation matrix, world from object, without scale."""
-        turned = np.eye(3)
-        for axis, angle in enumerate(np.radians(self.rotation_deg)):
-            one, other = (axis + 1) % 3, (axis + 2) % 3
-            about = np.eye(3)
-            about[[one, other], [one, other]] = np.cos(angle)
-            about[one, other], about[other, one] = -np.sin(angle), np.sin(angle)
-            turned = about @ turned
-        return turned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +47,6 @@ class _ObjectFile:
     mesh: str | None
     """PLY file, relative to the scene's folder; null if an edit removed the object."""
     material: Material
-    transform: Transform = field(default_factory=Transform)
-    """Applied to the mesh when the scene is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,8 +107,6 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     # Parsed and written again, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
-    for described in cast(list[dict[str, Json]], data["objects"]):
-        del described["transform"]  # Already applied to the mesh.
     if scene.license is None:
         del data["license"]  # Scenes without a license keep the bytes they had before the key existed.
     if file.cameras is None:
@@ -195,16 +156,13 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
             mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
-        material = item.material
-        if item.transform != Transform():
-            mesh, material = transformed(mesh, item.transform), transformed_material(material, item.transform)
         if not has_uv:
             without_uv.add(item.name)
         for image in item.material.images().values():
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
-        objects.append(SceneObject(name=item.name, mesh=mesh, material=material))
+        objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
     scene = Scene(
         name=file.name,
         description=file.description,
@@ -236,28 +194,6 @@ def with_materials(scene: Scene, materials: Mapping[str, Material]) -> Scene:
 def material_json(material: Material) -> Json:
     """A material as scene.json has it, for `write_proxies`."""
     return cast(dict[str, Json], to_json(_OneMaterial(material=material)))["material"]
-
-
-def transformed(mesh: Mesh, transform: Transform) -> Mesh:
-    """The mesh after a transform; uv stay the same."""
-    rotation, scale = transform.rotation(), np.array(transform.scale)
-    vertices = (mesh.vertices.astype(np.float64) * scale) @ rotation.T + transform.translation
-    # Normals transform by the inverse transpose.
-    normals = (mesh.normals.astype(np.float64) / scale) @ rotation.T
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    return dataclasses.replace(mesh, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32))
-
-
-def transformed_material(material: Material, transform: Transform) -> Material:
-    """The material of a transformed object: the origins of its patterns move with it.
-
-    A pattern's directions and scale stay those of the world.
-    """
-    for name, pattern in material.solids().items():
-        place = transform.rotation() @ (np.array(transform.scale) * pattern.origin) + transform.translation
-        material = material.with_fields({name: dataclasses.replace(pattern, origin=as_vector(place))})
-    return material
 
 
 def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:

@@ -11,10 +11,6 @@ MAX_OPPOSING = 0.01
 """Share of face corners whose normal may point to the back of the face. The worst good asset that was measured has
 0.0009, one with flipped normals 1; rendered glass with flipped normals is 25 dB off."""
 
-EDGE_TILT_DEG = 30.0
-"""Angle between a normal and its face above which an edge counts as smoothed. A ball with eight segments around has 22,
-a smoothly shaded box 55."""
-
 
 def count_without_normal(mesh: Mesh) -> int:
     """Number of vertices of faces whose normal is 0 or not finite."""
@@ -25,20 +21,6 @@ def opposing_share(mesh: Mesh) -> float:
     """The share of face corners whose normal points to the back of their face."""
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     return float((np.einsum("fc,fkc->fk", _face_normals(mesh), normals) < 0).mean())
-
-
-def edge_tilt_deg(mesh: Mesh) -> float:
-    """The largest angle between a normal and its face in degrees, if edges are shaded smoothly; else 0.
-
-    Facets of a round surface tilt by less than `EDGE_TILT_DEG`; bevelled ones, too, but for a share of `MAX_OPPOSING`.
-    """
-    faces = _face_normals(mesh)
-    areas = np.linalg.norm(faces, axis=-1)
-    unit = faces / np.where(areas > 0, areas, 1)[:, None]
-    cosine = np.einsum("fc,fkc->fk", unit, mesh.normals.astype(np.float64)[mesh.faces]).min(axis=-1)
-    tilts = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    is_edge = (tilts > EDGE_TILT_DEG) & (areas > 0)
-    return float(tilts[is_edge].max()) if areas[is_edge].sum() > MAX_OPPOSING * areas.sum() else 0.0
 
 
 def mended_normals(mesh: Mesh, *, crease_deg: float) -> tuple[Mesh, str | None]:

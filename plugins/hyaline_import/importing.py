@@ -30,7 +30,7 @@ from datagen.scene.finding import DEFAULT_RESOLUTION
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
+from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
 from datagen.scene.staging import LIGHT
 from hyaline_import.cameras import listed_cameras, read_camera_file
@@ -62,7 +62,7 @@ from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import cut_of, veiled
 from hyaline_import.remarks import Remark, Remarks
 from hyaline_import.staging import even_sky, find_scale, has_ground, make_ground, make_rig
-from hyaline_import.surfaces import closed, made_sound, mesh_of, shape_of
+from hyaline_import.surfaces import closed, edge_tilt_deg, made_sound, mesh_of, shape_of
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""

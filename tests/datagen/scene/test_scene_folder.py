@@ -15,13 +15,12 @@ from support.synthetic import synthetic_scene
 from datagen.data.meshes import Mesh
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import unwrap
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, Scene, SceneObject
-from datagen.scene.folder import Transform, load_scene, save_scene, scene_files
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.textures import ImageTexture
 
 
 def edit(folder: Path, change: object) -> None:
@@ -47,37 +46,6 @@ def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) ->
     assert loaded.objects[1].material == Diffuse(color=ImageTexture(path="photo.png"))
     save_scene(loaded, tmp_path / "copy")
     assert (tmp_path / "copy" / "photo.png").read_bytes() == (tmp_path / "mine" / "photo.png").read_bytes()
-
-
-def test_a_transform_scales_turns_and_moves_an_object_with_its_normals_and_its_pattern(tmp_path: Path) -> None:
-    scene = synthetic_scene()
-    checker = Diffuse(color=SolidTexture(pattern="checker", colors=((0, 0, 0), (1, 1, 1)), scale=0.1, origin=(1, 0, 0)))
-    mug = SceneObject(name="mug", mesh=unwrap(ball(0.2, subdivisions=2), where="mug"), material=checker)
-    save_scene(dataclasses.replace(scene, objects=(scene.objects[1], mug)), tmp_path)
-    transform = {"scale": [1, 2, 1], "rotation_deg": [0, 0, 90], "translation": [0.5, 0.25, 1]}
-    edit(tmp_path, lambda data: data["objects"][1].update(transform=transform))
-    moved_mug = load_scene(tmp_path).objects[1]
-    # Twice as long along its own y, which after a quarter turn about z is the world's -x.
-    x, y, z = mug.mesh.vertices.T
-    assert moved_mug.mesh.vertices == pytest.approx(np.stack([0.5 - 2 * y, 0.25 + x, 1 + z], axis=1), abs=1e-6)
-    nx, ny, nz = mug.mesh.normals.T
-    expected = np.stack([-ny / 2, nx, nz], axis=1)
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    assert moved_mug.mesh.normals == pytest.approx(expected, abs=1e-6)
-    assert np.array_equal(moved_mug.mesh.uv, mug.mesh.uv)
-    assert moved_mug.material.solids()["color"].origin == pytest.approx((0.5, 1.25, 1.0))
-    # What is written has the transform in its meshes.
-    save_scene(load_scene(tmp_path), tmp_path / "again")
-    assert "transform" not in (tmp_path / "again" / "scene.json").read_text()
-    assert np.array_equal(load_scene(tmp_path / "again").objects[1].mesh.vertices, moved_mug.mesh.vertices)
-
-
-def test_rotations_follow_each_other_about_the_axes_of_the_world() -> None:
-    # +x: about x it stays, about y it comes to -z, about z that stays.
-    turned = Transform(rotation_deg=(30, 90, 45)).rotation() @ np.array([1.0, 0, 0])
-    assert turned == pytest.approx((0, 0, -1))
-    with pytest.raises(HyalineError, match=r"transform scale: is -1\.0; expected a positive number"):
-        Transform(scale=(1, 1, -1.0))
 
 
 def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:

@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 from support.meshes import chart_map
 from support.reference import winding_numbers
-from support.synthetic import synthetic_scene
 
-from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.meshes import Mesh, component_of_faces, face_areas, face_corners, open_edges, signed_volume
-from datagen.data.writing import write_head
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
-from datagen.scene.builtin import SCENES, find_builtin, make_scene
+from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene, scene_files
-from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 
 GAP = 0.0005
@@ -255,31 +251,3 @@ def test_saving_and_loading_gives_the_same_scene(scene: Scene, tmp_path: Path) -
 def test_an_unknown_scene_is_answered_with_the_nearest() -> None:
     with pytest.raises(HyalineError, match="did you mean 'vitrine'"):
         make_scene("vitrin")
-
-
-def test_a_scene_is_modelled_again_only_where_a_dataset_holds_another_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    made: list[str] = []
-    small = dataclasses.replace(synthetic_scene(), name="pool")  # It is unwrapped five times.
-    monkeypatch.setitem(SCENES, "pool", lambda: (made.append("pool"), small)[1])
-    scene, root = make_scene("pool"), tmp_path / "data"
-    made.clear()
-    few = SplitConfig(views=1, spp=2)
-    config = DatasetConfig(
-        scene="pool", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
-    )
-    root.mkdir()
-    write_head(root, config, (), make_cameras(scene.cameras, config), scene_files(scene))
-    for times in (1, 1):  # Once to compare, then never.
-        found = find_builtin("pool", built=root)
-        assert scene_files(found) == scene_files(scene) and found.folder is None
-        assert len(made) == times
-    monkeypatch.setattr("datagen.scene.builtin.ROOT", tmp_path)  # Other code.
-    find_builtin("pool", built=root)
-    assert len(made) == 2
-    mesh = root / "scene" / "meshes" / f"{scene.objects[0].name}.ply"
-    mesh.write_bytes(mesh.read_bytes()[:-1] + b"\1")
-    find_builtin("pool", built=root)
-    assert len(made) == 3
