@@ -14,9 +14,9 @@ from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.scene import description
-from datagen.scene.camera_list import CameraList
 from datagen.scene.description import (
     MAX_OBJECTS,
+    CameraList,
     CameraRig,
     Environment,
     EnvironmentMap,

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from datagen.data.cameras import Cameras, look_at
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig
+from datagen.scene.description import CameraList, CameraRig
 from datagen.scene.folder import listed_cameras, open_scene
 
 NAMES = ("orbit", "spline")

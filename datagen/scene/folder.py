@@ -13,14 +13,15 @@ from datagen.data.geometries import read_materials
 from datagen.data.meshes import is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
+from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.records import Json, from_json, load_json, shown, to_json
+from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, read_regular, shown, to_json
 from datagen.disk.storage import check_files, commit, dump_json
-from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
+    CameraList,
     CameraRig,
     Environment,
     EnvironmentMap,
@@ -134,6 +135,31 @@ def listed_cameras(dataset: Dataset) -> CameraList:
     """The cameras of a dataset, or of the one around a variant, one by one."""
     owner = dataset.parent or dataset
     return CameraList(**{split: owner.cameras(split) for split in SPLITS})
+
+
+def camera_files(cameras: CameraList) -> dict[str, bytes]:
+    """The files in which a scene's folder lists its cameras, by name."""
+    bare = {split: dataclasses.replace(cameras.of(split), near=None, far=None) for split in SPLITS}
+    return {TRANSFORMS_FILES[split]: transforms_bytes(bare[split], split) for split in SPLITS}
+
+
+def read_camera_list(folder: Path) -> CameraList:
+    """The cameras that lie in a scene's folder, or in the dataset around it."""
+    # A dataset has them beside scene/; its variants/NAME/, beside whose scene/ are none for training, has its cameras.
+    around = [place for place in list(folder.parents)[:3] if (place / "dataset.json").is_file()]
+    inside = [place for place in (folder, *around) if (place / TRANSFORMS_FILES["train"]).is_file()]
+    if not inside:
+        raise HyalineError(
+            f"{folder / 'scene.json'}: has no cameras; expected `cameras` there, or "
+            f"{', '.join(TRANSFORMS_FILES[split] for split in SPLITS)} beside it"
+        )
+    paths = {split: find_file(inside[0], TRANSFORMS_FILES[split], where=str(inside[0])) for split in SPLITS}
+    return CameraList(
+        **{
+            split: parse_transforms(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
+            for split, path in paths.items()
+        }
+    )
 
 
 def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], CameraList] | None = None) -> Scene:

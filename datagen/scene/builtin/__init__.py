@@ -4,10 +4,15 @@ import dataclasses
 import importlib
 from collections.abc import Callable
 
+import numpy as np
+
+from datagen.data.meshes import Mesh
 from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.description import Scene
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.materials import Material
+from datagen.scene.modelling import Point, moved, resting, rounded_box, transformed
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
@@ -33,3 +38,27 @@ def make_scene(name: str) -> Scene:
     scene = dataclasses.replace(scene, objects=objects, license=OWN_LICENSE)
     check_scene(scene)
     return scene
+
+
+# What the scenes are furnished with
+
+
+GAP = 0.001
+"""Metres between touching objects: coincident faces lose layers."""
+
+
+def slab(name: str, size: Point, center: Point, material: Material, *, bevel: float = 0.004) -> SceneObject:
+    """A floor, wall, board or picture: a box with slightly rounded edges."""
+    return SceneObject(name=name, mesh=moved(rounded_box(size, bevel=bevel), center), material=material)
+
+
+def put_on(height: float, name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
+    """An object at (x, y) with its lowest point a gap above a surface."""
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, height + GAP)), material=material)
+
+
+def put_enlarged(
+    scale: float, height: float, name: str, mesh: Mesh, material: Material, x: float, y: float
+) -> SceneObject:
+    """An object modelled on z = 0, enlarged and put on a surface at (x, y)."""
+    return SceneObject(name=name, mesh=transformed(mesh, scale * np.eye(3), (x, y, height + GAP)), material=material)

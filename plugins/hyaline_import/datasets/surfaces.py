@@ -10,8 +10,7 @@ from datagen.data.config import SPLITS, Split
 from datagen.data.depth_range import seeing
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import MAX_OBJECTS, Scene
+from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
 from hyaline_import.confined_import import save_answer, scene_from

@@ -14,7 +14,7 @@ from datagen.data.cameras import Lens, look_at
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.folder import _SceneFile, load_scene, save_scene, scene_files
 from datagen.scene.rig import make_cameras, with_listed_views
 

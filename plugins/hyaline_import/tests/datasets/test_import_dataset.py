@@ -29,7 +29,7 @@ from datagen.disk.errors import HyalineError
 from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.rig import make_cameras

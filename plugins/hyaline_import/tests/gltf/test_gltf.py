@@ -13,7 +13,7 @@ from support.gltf import BOX, GltfBuilder
 from datagen.data.images import png_bytes
 from datagen.data.meshes import face_corners, signed_volume, welded
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.images import bilinear, linear_pixels, look_up
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.modelling import ball

@@ -19,8 +19,7 @@ from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import EnvironmentMap, SoftEnvironment
+from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
 from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
