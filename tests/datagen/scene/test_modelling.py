@@ -1,11 +1,15 @@
+import dataclasses
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
+from datagen.render.mitsuba_scene import bake_texture, linear_texels
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -210,3 +214,19 @@ def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
 
 
 GOLDEN = (0.0, 0.027354258112609386, 0.2896695521194488)
+
+
+def test_a_baked_texture_is_kept_and_a_damaged_one_is_baked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    mesh, scene = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), cells=(3, 2)), synthetic_scene()
+    texture = SolidTexture(pattern="marble", colors=(RED, BLUE), scale=0.1)
+    expected = bake_texture(texture, mesh, 128)
+    for _ in range(2):
+        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+        (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
+    kept.write_bytes(kept.read_bytes()[:-50])
+    np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+    linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
+    assert len(list((tmp_path / "hyaline" / "textures").iterdir())) == 2
