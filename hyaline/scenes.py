@@ -142,7 +142,7 @@ class Scene:
             )
 
     def described(self) -> description.Scene:
-        """The scene as the renderer needs it: meshes are mended, unwrapped unless they have an atlas, and checked.
+        """The scene as the renderer needs it: meshes are unwrapped unless they have an atlas, and checked.
 
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
