@@ -190,7 +190,7 @@ def turntable(
         runs: Folders of trained runs.
         names: Captions, instead of the folders' names.
         out: The film, of any kind that `datagen film` writes.
-        path: orbit, spline, or a JSON file of key frames.
+        path: orbit or spline.
         frames: Pictures in the film.
         size: Width of each picture in pixels.
         spp: Samples per pixel of the path-traced one.

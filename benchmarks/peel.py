@@ -12,7 +12,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.layers import Layers, quantize_uv
 from datagen.data.meshes import Mesh
 from datagen.render.mitsuba_scene import load_geometry_mitsuba
-from datagen.trace.light_path import LightPaths, LightPathTracer
+from datagen.trace.light_path import LightPathTracer, TracedPaths
 from datagen.trace.peel import Peeler
 from datagen.trace.surface_tables import Limits
 
@@ -55,7 +55,7 @@ class EagerPeeler:
         return Layers(uv=quantize_uv(uv), object_id=object_id, depth=depth)
 
 
-def trace_eagerly(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray, limits: Limits) -> LightPaths:
+def trace_eagerly(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray, limits: Limits) -> TracedPaths:
     """The product's light paths, but with the loop in Python and an evaluation after every bounce."""
     import drjit as dr
 
@@ -141,7 +141,7 @@ def compare_objects(meshes: tuple[Mesh, ...], peeler: Peeler, cameras: Cameras, 
 
 
 def _compare_paths(tracer: LightPathTracer, origins: np.ndarray, directions: np.ndarray) -> tuple[bool, str]:
-    one: LightPaths = tracer.trace(origins, directions, LIGHT_LIMITS)
+    one = tracer.trace(origins, directions, LIGHT_LIMITS)
     other = trace_eagerly(tracer, origins, directions, LIGHT_LIMITS)
     same = (one.object_id == other.object_id).all(axis=(0, 1))
     return bool(same.all()), f"{int((~same).sum())} of {len(same)} rays meet other objects"

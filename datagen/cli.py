@@ -165,7 +165,7 @@ def film(
 def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
     """Show a dataset on one page: images, masks, depth, normals, layers, proxies, cameras, light paths, noise, objects.
 
-    Takes seconds, needs no training, and lists what is missing. Open the page in any browser.
+    Needs no training; reads every file, and lists what is missing or damaged. Open the page in any browser.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.

@@ -142,11 +142,8 @@ def build(
         chosen = SizeChoices(views=scene.cameras.views, test_views=scene.cameras.test_views)
     chosen = with_settings(chosen, size)
     config = configure(preset, chosen, seed=seed)
-    if isinstance(scene, Scene):
-        described = scene.described()
-    else:
-        built = None if overwrite else Path(folder or DATA_ROOT / scene)
-        described = find_scene(str(scene), built=built, resolution=config.resolution)
+    own = scene.described() if isinstance(scene, Scene) else None
+    described = own or find_scene(str(scene), resolution=config.resolution)
     made = build_dataset(
         described,
         Path(folder or DATA_ROOT / described.name),

@@ -38,8 +38,7 @@ def show(item: Scene | Dataset | View | Run) -> Image.Image:
     if isinstance(item, View):
         from datagen.look.view_pictures import stored_pictures
 
-        stored = stored_pictures(item, has_layers=has_layers(item.dataset))
-        return _in_a_row([picture.pixels for picture in stored.values()])
+        return _in_a_row(list(stored_pictures(item, has_layers=has_layers(item.dataset)).values()))
     views = [item.dataset.view(split, 0) for split in TEST_SPLITS]
     return _in_a_row([picture for view in views for picture in (view.image, item.prediction(view))])
 

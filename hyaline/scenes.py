@@ -13,9 +13,9 @@ from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable
 from datagen.scene import description
-from datagen.scene.camera_list import CameraList
 from datagen.scene.description import (
     MAX_OBJECTS,
+    CameraList,
     CameraRig,
     Environment,
     EnvironmentMap,
@@ -38,7 +38,6 @@ from datagen.scene.soundness import check_names
 from datagen.scene.textures import ImageTexture as ImageTexture
 from datagen.scene.textures import SolidTexture as SolidTexture
 from datagen.scene.values import Vector, check_positive
-from datagen.terminal.command import say
 
 
 @runtime_checkable
@@ -98,7 +97,7 @@ class Hemisphere:
     elevation_deg: tuple[float, float] = (5.0, 65.0)
     """Lowest and highest elevation above the horizon."""
     azimuth_deg: tuple[float, float] | None = None
-    """First and last azimuth, from +x towards +y; all around unless given, except behind a backdrop."""
+    """First and last azimuth, from +x towards +y; all around unless given."""
     fov_deg: float = 40.0
     """Horizontal field of view."""
 
@@ -149,7 +148,7 @@ class Scene:
             )
 
     def described(self) -> description.Scene:
-        """The scene as the renderer needs it: meshes are mended, unwrapped unless they have an atlas, and checked.
+        """The scene as the renderer needs it: meshes are unwrapped unless they have an atlas, and checked.
 
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
@@ -180,15 +179,13 @@ class Scene:
 
 def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:
     """The cameras of a hemisphere, fitted around a scene's objects."""
-    from datagen.scene.remarks import Remarks
-    from datagen.scene.staging import make_rig
+    from datagen.scene.staging import ALL_AROUND, rig_around
 
-    fitted = make_rig(
+    fitted = rig_around(
         objects,
-        Remarks(),
         target=cameras.target,
         radius=cameras.radius,
-        azimuth_deg=cameras.azimuth_deg,
+        azimuth_deg=cameras.azimuth_deg or ALL_AROUND,
         fov_deg=cameras.fov_deg,
     )
     return dataclasses.replace(fitted, elevation_deg=cameras.elevation_deg)
@@ -197,10 +194,12 @@ def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:
 def _described(item: Object) -> tuple[SceneObject, bool]:
     """An object with a mesh of ours, and whether that came with uv."""
     from datagen.scene.finding import find_source
-    from datagen.scene.remarks import Remarks
-    from datagen.scene.surfaces import made_sound, mesh_of
+    from datagen.scene.modelling import CREASE_DEG
+    from datagen.scene.shading_normals import with_new_normals
 
-    where, given, remarks = f"object {printable(item.name)}", item.mesh, Remarks()
+    where, given = f"object {printable(item.name)}", item.mesh
+    if isinstance(given, Mesh):
+        return SceneObject(name=item.name, mesh=given, material=item.material), bool(given.uv.any())
     if isinstance(given, (str, Path)):
         source = find_source(str(given), is_of_files=True)
         if source is None or source.read_mesh is None:
@@ -208,14 +207,22 @@ def _described(item: Object) -> tuple[SceneObject, bool]:
         vertices, faces, uv = source.read_mesh(Path(given))
     elif isinstance(given, tuple):
         (vertices, faces), uv = given, None
+    elif not isinstance(given, Triangles):
+        raise HyalineError(
+            f"{where}: its mesh is a {type(given).__name__}; expected one mesh with vertices and faces (of a "
+            "trimesh.Scene, its to_mesh()), a pair of arrays, or a file"
+        )
     else:
         vertices, faces, uv = given.vertices, given.faces, getattr(getattr(given, "visual", None), "uv", None)
     vertices, faces = _checked(vertices, faces, where=where)
     has_uv = uv is not None and np.shape(uv) == (len(vertices), 2) and bool(np.any(uv))
-    mesh = mesh_of(vertices, faces, None, np.asarray(uv, np.float64) if has_uv else None, where=where)
-    mesh = made_sound(mesh, remarks, where=where)
-    for line in remarks.lines:
-        say(f"{line.where}: {line.what}")
+    mesh = Mesh(
+        vertices=vertices.astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=np.zeros(vertices.shape, np.float32),
+        uv=np.asarray(uv if has_uv else np.zeros((len(vertices), 2)), np.float32),
+    )
+    mesh = with_new_normals(mesh, crease_deg=CREASE_DEG)
     return SceneObject(name=item.name, mesh=mesh, material=item.material), has_uv
 
 

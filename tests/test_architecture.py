@@ -36,7 +36,7 @@ HOMES = {
     "skimage": {"eval"},
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
-    "manifold3d": {"datagen/scene/mending.py", "datagen/data/meshes.py"},
+    "manifold3d": {"datagen/data/meshes.py"},
     "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
     "OpenEXR": {"datagen/data/images.py"},
     "submitit": {"datagen/machine/launch.py"},

@@ -14,8 +14,7 @@ from support.synthetic import synthetic_scene
 from benchmarks.shells import make_shells, random_cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig, SceneObject
+from datagen.scene.description import CameraList, CameraRig, SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 

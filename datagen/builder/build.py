@@ -24,8 +24,7 @@ from datagen.disk.errors import DamagedError, HyalineError, WorkerKilledError
 from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.storage import sha256
 from datagen.machine.processes import in_workers
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import Scene
+from datagen.scene.description import CameraList, Scene
 from datagen.scene.folder import scene_files
 from datagen.scene.rig import cameras_within, make_cameras
 from datagen.terminal.command import say, this_command, track

@@ -76,14 +76,10 @@ def _build_scene(
     check_settings(num_layers=size.num_layers, workers=choices.workers)
     config = configure(choices.preset, size, seed=choices.seed)
     part = None if choices.shard is None else parse_shard(choices.shard)
-    place = choices.out or DATA_ROOT / name
     if choices.out is not None or ("/" not in name and not is_foreign(name)):
         # Before anything is modelled.
-        refuse_others(place, DATASET)
-    built = None if choices.overwrite else place
-    if built is not None and (built / DATASET.head).is_file():
-        say(f"{built}: checking what is there")
-    scene = find_scene(name, built=built, resolution=config.resolution, imports=imports)
+        refuse_others(choices.out or DATA_ROOT / name, DATASET)
+    scene = find_scene(name, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
     config = fit_to_scene(config, scene, size)
     if launch.launcher is not None:

@@ -108,8 +108,7 @@ class FilmChoices:
     """A film and its file."""
 
     path: str = "orbit"
-    """The camera's path: orbit, spline (through the interpolating test views), or a JSON file of key frames as NeRF
-    tools write cameras."""
+    """The camera's path: orbit, or spline (through the interpolating test views)."""
     out: Path | None = None
     """File to write: .webp, .mp4 (needs the extra `video`), or a folder for one PNG per frame. Default:
     DATASET-RUN.webp, or DATASET-truth.webp."""

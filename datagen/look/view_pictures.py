@@ -1,7 +1,6 @@
 """A view's stored data as pictures for people: masks, depth, normals, layers, proxies."""
 
 import colorsys
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -19,51 +18,38 @@ NEAREST, FARTHEST = 255, 40
 """Grey levels of the nearest and the farthest pixel in a depth picture."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredPicture:
-    """A picture, and the meaning of its colours where they have one."""
-
-    pixels: Picture
-    metres: tuple[float, float] | None = None
-    """Depths of the brightest and the darkest pixel."""
-    object_ids: tuple[int, ...] = ()
-    """Ids of the objects that it shows in their colours."""
-
-
-def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, StoredPicture]:
+def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, Picture]:
     """Pictures of a view by name; the view's own picture comes first.
 
     Args:
         has_layers: whether the true geometry's straight layers are stored; everything but the picture needs them.
         proxies: geometries with stored straight layers; their first layer is laid over the picture.
     """
-    pictures = {"picture": StoredPicture(pixels=view.image)}
+    pictures = {"picture": view.image}
     if not has_layers:
         return {**pictures, **_imported_pictures(view)}
     layers = view.layers()
     colors = object_colors(len(view.dataset.objects))
     found = quantities(view)
-    pictures["glass"] = StoredPicture(pixels=np.where(found.glass[..., None], view.image, view.image // 5))
+    pictures["glass"] = np.where(found.glass[..., None], view.image, view.image // 5)
     pictures["depth"] = depth_picture(layers.depth[0], layers.object_id[0] > 0)
     normals = (127.5 * (found.normal() + 1)).clip(0, 255).astype(np.uint8)
     is_there = (layers.object_id[0] > 0)[..., None]
-    pictures["normals"] = StoredPicture(pixels=np.where(is_there, normals, np.array(NOTHING, np.uint8)))
+    pictures["normals"] = np.where(is_there, normals, np.array(NOTHING, np.uint8))
     for number, ids in enumerate(layers.object_id):
         if ids.any():
-            pictures[f"layer {number}"] = StoredPicture(pixels=colors[ids], object_ids=_ids(ids))
+            pictures[f"layer {number}"] = colors[ids]
     for geometry in proxies:
         ids = view.object_ids(geometry)[0]
-        laid = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
-        outlined = np.where(_outline(ids)[..., None], colors[ids], laid)
-        pictures[geometry] = StoredPicture(pixels=outlined, object_ids=_ids(ids))
+        pictures[geometry] = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
     return pictures
 
 
-def _imported_pictures(view: View) -> dict[str, StoredPicture]:
+def _imported_pictures(view: View) -> dict[str, Picture]:
     """The mask and depth that were imported with a picture."""
     found = {}
     if (mask := view.imported_mask) is not None:
-        found["glass"] = StoredPicture(pixels=np.where(mask[..., None], view.image, view.image // 5))
+        found["glass"] = np.where(mask[..., None], view.image, view.image // 5)
     if (depth := view.imported_depth) is not None:
         found["depth"] = depth_picture(depth, depth > 0)
     return found
@@ -75,24 +61,12 @@ def object_colors(count: int) -> UInt8[np.ndarray, "id 3"]:
     return np.concatenate([[NOTHING], 255 * np.array(hues).reshape(-1, 3)]).astype(np.uint8)
 
 
-def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> StoredPicture:
+def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> Picture:
     """Depth as grey: near is bright, black means no surface. The nearest and the farthest pixel span the scale."""
     picture = np.zeros((*depth.shape, 3), np.uint8)
     if not is_there.any():
-        return StoredPicture(pixels=picture)
+        return picture
     near, far = float(depth[is_there].min()), float(depth[is_there].max())
     share = (depth[is_there] - near) / max(far - near, 1e-9)
     picture[is_there] = (NEAREST - (NEAREST - FARTHEST) * share).astype(np.uint8)[:, None]
-    return StoredPicture(pixels=picture, metres=(near, far))
-
-
-def _outline(ids: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels next to a pixel of another object."""
-    edge = np.zeros(ids.shape, bool)
-    edge[1:] |= ids[1:] != ids[:-1]
-    edge[:, 1:] |= ids[:, 1:] != ids[:, :-1]
-    return edge
-
-
-def _ids(ids: UInt8[np.ndarray, "h w"]) -> tuple[int, ...]:
-    return tuple(int(item) for item in np.unique(ids) if item)
+    return picture

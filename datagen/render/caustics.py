@@ -129,16 +129,9 @@ def _count_distinct(values: Shaped[np.ndarray, " photon"]) -> int:
 def _sum_by_entry(
     entries: UInt64[np.ndarray, " photon"], power: Float32[np.ndarray, " photon"]
 ) -> tuple[UInt64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """The entries that occur, in ascending order, and the power of each, added in the order of the photons.
-
-    Entries have 37 bits at most; each is sorted with its photon's number below it, because sorting numbers takes
-    less than half as long as sorting their places, as `np.unique(..., return_inverse=True)` does (NumPy 2.4).
-    """
-    bits = np.uint64(len(entries).bit_length())
-    ordered = np.sort(entries << bits | np.arange(len(entries), dtype=np.uint64))
-    photon, ordered = (ordered & ((np.uint64(1) << bits) - np.uint64(1))).astype(np.int64), ordered >> bits
-    is_first = np.concatenate([[True], ordered[1:] != ordered[:-1]])
-    return ordered[is_first], np.bincount(np.cumsum(is_first) - 1, power[photon])
+    """The entries that occur, in ascending order, and the power of each, added in the order of the photons."""
+    found, index = np.unique(entries, return_inverse=True)
+    return found, np.bincount(index, power)
 
 
 def _cube_size(p: Float32[np.ndarray, "photon 3"]) -> float:

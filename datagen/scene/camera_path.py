@@ -1,17 +1,14 @@
-"""Camera paths for films: a turn around a scene, a curve through its test views, or another program's key frames."""
+"""Camera paths for films: a turn around a scene, or a curve through its test views."""
 
 import math
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.cameras import Cameras, look_at
 from datagen.data.dataset import Dataset
-from datagen.data.transforms import read_transforms
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig
+from datagen.scene.description import CameraList, CameraRig
 from datagen.scene.folder import listed_cameras, open_scene
 
 NAMES = ("orbit", "spline")
@@ -25,17 +22,17 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
     Args:
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
-            less than a circle; `spline` runs through the interpolating test views; anything else is a transforms file
-            of key frames, through which it runs. A spline has the dataset's lens, principal point included, or the
-            file's; an orbit has its target in the middle of the pictures.
+            less than a circle; `spline` runs through the interpolating test views. A spline has the dataset's lens,
+            principal point included; an orbit has its target in the middle of the pictures.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.
     """
     if not 2 <= frames <= MAX_FRAMES:
         raise HyalineError(f"--frames: is {frames}; expected 2 to {MAX_FRAMES:,}")
-    views = dataset.cameras("interpolating")
-    lens: Lens = views
+    if path not in NAMES:
+        raise HyalineError(f"--path: is {path!r}; expected {' or '.join(NAMES)}")
+    views = lens = dataset.cameras("interpolating")
     wide = lens.width if width is None else width
     high = round(wide * lens.height / lens.width) if height is None else height
     for name, value in (("--width", wide), ("--height", high)):
@@ -45,13 +42,8 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
     if path == "orbit":
         rig = open_scene(dataset).cameras if dataset.objects else listed_cameras(dataset)  # Without meshes, no scene.
         poses, center = _orbit(rig, frames), None
-    elif path == "spline":
-        poses = _curve(views.world_from_camera, frames)
     else:
-        keys, own = _read_keys(Path(path))
-        poses = _curve(keys, frames)
-        if own is not None:
-            lens, center = own, own.center
+        poses = _curve(views.world_from_camera, frames)
     if center is not None:
         center = (center[0] / lens.width * wide, center[1] / lens.height * high)
     return Cameras(world_from_camera=poses, fov_x=lens.fov_x, width=wide, height=high, center=center)
@@ -83,12 +75,3 @@ def _curve(keys: Float[np.ndarray, "key 4 4"], frames: int) -> Float[np.ndarray,
     poses[:, :3, 3] = PchipInterpolator(times, keys[:, :3, 3])(at)
     poses[:, :3, :3] = RotationSpline(times, Rotation.from_matrix(keys[:, :3, :3]))(at).as_matrix()
     return poses
-
-
-def _read_keys(file: Path) -> tuple[Float[np.ndarray, "key 4 4"], Lens | None]:
-    """The key cameras of a file, and their lens if the file has one."""
-    if not file.is_file():
-        raise HyalineError(f"{file}: no such file; --path takes {', '.join(NAMES)} or a JSON file of key frames")
-    keys = read_transforms(file, most=MAX_FRAMES)
-    lens = keys.lens(left_out=[]) if keys.has_lens() else None
-    return np.stack([keys.pose(frame) for frame in keys.frames]), lens

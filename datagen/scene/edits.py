@@ -10,7 +10,6 @@ import dataclasses
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Literal, cast
 
 import numpy as np
@@ -18,10 +17,9 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
-from datagen.scene.soundness import MAX_TOUCHING, check_scene, surface_area
+from datagen.scene.soundness import check_scene
 from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
@@ -110,7 +108,6 @@ def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
         for name in edit.objects:
             choose(f"edit {describe_edit(edit)!r}: object", name, there)
         edited = VERBS[edit.verb](edited, edit)
-        _check_contact(scene, edited, edit)
         try:
             check_scene(edited.scene)
         except HyalineError as error:
@@ -212,25 +209,3 @@ def _foot(mesh: Mesh) -> np.ndarray:
     """Centre of the bottom of the bounding box."""
     low, high = mesh.vertices.min(axis=0).astype(np.float64), mesh.vertices.max(axis=0).astype(np.float64)
     return np.array([*(low + high)[:2] / 2, low[2]])
-
-
-def _check_contact(before: Scene, edited: EditedScene, edit: Edit) -> None:
-    """Rejects an edit that makes surfaces coincide: peeling would lose layers there, and light paths go astray.
-
-    What touched before, such as a mug and the floor that it is moved on, may touch as much afterwards.
-    """
-    old = {item.name: item for item in before.objects}
-    there = [item for item in edited.scene.objects if is_there(item.mesh)]
-    for pair in combinations(sorted(there, key=surface_area), 2):
-        small, large = pair
-        if all(item is old.get(item.name) for item in pair):
-            continue
-        share = touching_share(small.mesh, large.mesh)
-        if share <= MAX_TOUCHING:
-            continue
-        one, other = (old[edited.copies.get(item.name, item.name)].mesh for item in pair)
-        if one is other or share > touching_share(one, other) + MAX_TOUCHING:
-            raise HyalineError(
-                f"edit {describe_edit(edit)!r}: {100 * share:.1f} % of the surface of {small.name} would lie in "
-                f"faces of {large.name}; leave a gap of a millimetre, or extend one into the other"
-            )

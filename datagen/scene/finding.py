@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.data.config import Resolution, square
 from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.scene.builtin import SCENES, find_builtin
+from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
@@ -41,14 +41,12 @@ def is_made_by_code(name: str) -> bool:
 def find_scene(
     given: str,
     *,
-    built: Path | None = None,
     resolution: Resolution = DEFAULT_RESOLUTION,
     imports: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> Scene:
     """The scene of a folder with a scene.json, a built-in one by its name, or one of a plug-in.
 
     Args:
-        built: a dataset that may hold the same built-in scene, unwrapped.
         resolution: of the pictures, which the ground of an imported scene is made for.
         imports: how a file is imported.
     """
@@ -67,4 +65,4 @@ def find_scene(
         return load_scene(Path(given))
     if (source := find_source(given, is_of_files=False)) is not None:
         return source.find(given, resolution, imports)
-    return find_builtin(given, built=built)
+    return make_scene(given)

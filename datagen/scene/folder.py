@@ -1,30 +1,27 @@
 """A scene's folder on disk: scene.json, meshes/*.ply and image textures."""
 
 import dataclasses
-import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar, cast
-
-import numpy as np
-from jaxtyping import Float
 
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_materials
-from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.meshes import is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
+from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms, transforms_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
-from datagen.disk.records import Json, from_json, load_json, shown, to_json
+from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, read_regular, shown, to_json
 from datagen.disk.storage import check_files, commit, dump_json
-from datagen.scene.camera_list import CameraList, camera_files, read_camera_list
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
+    CameraList,
     CameraRig,
     Environment,
     EnvironmentMap,
@@ -38,40 +35,9 @@ from datagen.scene.images import read_map
 from datagen.scene.materials import Material
 from datagen.scene.mending import mend_scene
 from datagen.scene.soundness import check_names, check_scene
-from datagen.scene.values import Vector, as_vector, check_positive
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
-
-
-@dataclass(frozen=True, kw_only=True)
-class Transform:
-    """Scales a mesh about its own origin, rotates it, and then moves it."""
-
-    scale: Vector = (1.0, 1.0, 1.0)
-    """Factors along the mesh's own x, y and z."""
-    rotation_deg: Vector = (0.0, 0.0, 0.0)
-    """Rotation about the world's x, then y, then z axis; anticlockwise when looking against the axis."""
-    translation: Vector = (0.0, 0.0, 0.0)
-    """Offset in metres."""
-
-    def __post_init__(self) -> None:
-        for factor in self.scale:
-            check_positive("transform scale", factor)
-        for name, values in (("rotation_deg", self.rotation_deg), ("translation", self.translation)):
-            if not all(map(math.isfinite, values)):
-                raise HyalineError(f"transform {name}: is {values}; expected three numbers")
-
-    def rotation(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation matrix, world from object, without scale."""
-        turned = np.eye(3)
-        for axis, angle in enumerate(np.radians(self.rotation_deg)):
-            one, other = (axis + 1) % 3, (axis + 2) % 3
-            about = np.eye(3)
-            about[[one, other], [one, other]] = np.cos(angle)
-            about[one, other], about[other, one] = -np.sin(angle), np.sin(angle)
-            turned = about @ turned
-        return turned
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,8 +48,6 @@ class _ObjectFile:
     mesh: str | None
     """PLY file, relative to the scene's folder; null if an edit removed the object."""
     material: Material
-    transform: Transform = field(default_factory=Transform)
-    """Applied to the mesh when the scene is read."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -108,10 +72,6 @@ class _OneMaterial:
     """A material of any kind, as a record."""
 
     material: Material
-
-
-FILE_RECORD: type = _SceneFile
-"""The record of scene.json, from which its schema is generated."""
 
 
 def save_scene(scene: Scene, folder: Path) -> None:
@@ -148,8 +108,6 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
     # Parsed and written again, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
-    for described in cast(list[dict[str, Json]], data["objects"]):
-        del described["transform"]  # Already applied to the mesh.
     if scene.license is None:
         del data["license"]  # Scenes without a license keep the bytes they had before the key existed.
     if file.cameras is None:
@@ -179,6 +137,31 @@ def listed_cameras(dataset: Dataset) -> CameraList:
     return CameraList(**{split: owner.cameras(split) for split in SPLITS})
 
 
+def camera_files(cameras: CameraList) -> dict[str, bytes]:
+    """The files in which a scene's folder lists its cameras, by name."""
+    bare = {split: dataclasses.replace(cameras.of(split), near=None, far=None) for split in SPLITS}
+    return {TRANSFORMS_FILES[split]: transforms_bytes(bare[split], split) for split in SPLITS}
+
+
+def read_camera_list(folder: Path) -> CameraList:
+    """The cameras that lie in a scene's folder, or in the dataset around it."""
+    # A dataset has them beside scene/; its variants/NAME/, beside whose scene/ are none for training, has its cameras.
+    around = [place for place in list(folder.parents)[:3] if (place / "dataset.json").is_file()]
+    inside = [place for place in (folder, *around) if (place / TRANSFORMS_FILES["train"]).is_file()]
+    if not inside:
+        raise HyalineError(
+            f"{folder / 'scene.json'}: has no cameras; expected `cameras` there, or "
+            f"{', '.join(TRANSFORMS_FILES[split] for split in SPLITS)} beside it"
+        )
+    paths = {split: find_file(inside[0], TRANSFORMS_FILES[split], where=str(inside[0])) for split in SPLITS}
+    return CameraList(
+        **{
+            split: parse_transforms(read_regular(path, at_most=MAX_JSON_BYTES), where=str(path))
+            for split, path in paths.items()
+        }
+    )
+
+
 def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], CameraList] | None = None) -> Scene:
     """The checked scene in a folder. Objects without an atlas get one; each repair prints a line.
 
@@ -193,28 +176,19 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
     listed = data.get("objects")
     if isinstance(listed, list) and len(listed) > MAX_OBJECTS:
         raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
-    if isinstance(described := data.get("cameras"), dict) and described.get("type") == "CameraList":
-        raise HyalineError(
-            f"{path}: cameras: no CameraList is read any more; list them in transforms files instead (docs/scenes.md)"
-        )
-    if isinstance(listed, list) and any(isinstance(item, dict) and item.get("cutout") for item in listed):
-        raise HyalineError(f"{path}: a cutout is no longer read; import the mesh with its mask by `datagen import`")
     file = _parse_scene(data, path)
     objects, without_uv = [], set()
     for item in file.objects:
         mesh, has_uv = no_mesh(), True
         if item.mesh is not None:
             mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
-        material = item.material
-        if item.transform != Transform():
-            mesh, material = transformed(mesh, item.transform), transformed_material(material, item.transform)
         if not has_uv:
             without_uv.add(item.name)
         for image in item.material.images().values():
             texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
             if not texture.is_file():
                 raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
-        objects.append(SceneObject(name=item.name, mesh=mesh, material=material))
+        objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
     scene = Scene(
         name=file.name,
         description=file.description,
@@ -246,28 +220,6 @@ def with_materials(scene: Scene, materials: Mapping[str, Material]) -> Scene:
 def material_json(material: Material) -> Json:
     """A material as scene.json has it, for `write_proxies`."""
     return cast(dict[str, Json], to_json(_OneMaterial(material=material)))["material"]
-
-
-def transformed(mesh: Mesh, transform: Transform) -> Mesh:
-    """The mesh after a transform; uv stay the same."""
-    rotation, scale = transform.rotation(), np.array(transform.scale)
-    vertices = (mesh.vertices.astype(np.float64) * scale) @ rotation.T + transform.translation
-    # Normals transform by the inverse transpose.
-    normals = (mesh.normals.astype(np.float64) / scale) @ rotation.T
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
-    return dataclasses.replace(mesh, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32))
-
-
-def transformed_material(material: Material, transform: Transform) -> Material:
-    """The material of a transformed object: the origins of its patterns move with it.
-
-    A pattern's directions and scale stay those of the world.
-    """
-    for name, pattern in material.solids().items():
-        place = transform.rotation() @ (np.array(transform.scale) * pattern.origin) + transform.translation
-        material = material.with_fields({name: dataclasses.replace(pattern, origin=as_vector(place))})
-    return material
 
 
 def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:

@@ -150,7 +150,10 @@ def _check_size(width: int, height: int, where: str) -> None:
 
 
 def _read_hdr(data: bytes, where: str) -> RadianceMap:
-    """A Radiance picture of RGBE pixels in the usual order, from the top and from the left."""
+    """A Radiance picture of RGBE pixels in the usual order, from the top and from the left.
+
+    Mitsuba 3.9's own reader writes beyond its memory when a file is damaged, and accepts files that are cut short.
+    """
     header, blank, rest = data.partition(b"\n\n")
     size, end, _ = rest[:256].partition(b"\n")
     words = size.split()

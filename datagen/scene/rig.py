@@ -11,8 +11,7 @@ from datagen.data.config import SPLITS, DatasetConfig, Split
 from datagen.data.depth_range import with_depth_range
 from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import CameraRig, Scene
+from datagen.scene.description import CameraList, CameraRig, Scene
 from datagen.scene.soundness import check_cameras_outside
 from datagen.scene.values import Vector
 

@@ -1,67 +1,24 @@
-"""Vertex normals for shading: which ones disagree with their faces, and how to compute them."""
-
-import dataclasses
+"""Vertex normals for shading: which ones disagree with their faces, and new ones."""
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh, vertex_normals, welded
+from datagen.data.meshes import Mesh, welded
 
 MAX_OPPOSING = 0.01
 """Share of face corners whose normal may point to the back of the face. The worst good asset that was measured has
 0.0009, one with flipped normals 1; rendered glass with flipped normals is 25 dB off."""
 
-EDGE_TILT_DEG = 30.0
-"""Angle between a normal and its face above which an edge counts as smoothed. A ball with eight segments around has 22,
-a smoothly shaded box 55."""
-
 
 def count_without_normal(mesh: Mesh) -> int:
     """Number of vertices of faces whose normal is 0 or not finite."""
-    return int(_is_without(mesh)[np.unique(mesh.faces)].sum())
+    return int(is_without_normal(mesh)[np.unique(mesh.faces)].sum())
 
 
 def opposing_share(mesh: Mesh) -> float:
     """The share of face corners whose normal points to the back of their face."""
     normals = mesh.normals.astype(np.float64)[mesh.faces]
     return float((np.einsum("fc,fkc->fk", _face_normals(mesh), normals) < 0).mean())
-
-
-def edge_tilt_deg(mesh: Mesh) -> float:
-    """The largest angle between a normal and its face in degrees, if edges are shaded smoothly; else 0.
-
-    Facets of a round surface tilt by less than `EDGE_TILT_DEG`; bevelled ones, too, but for a share of `MAX_OPPOSING`.
-    """
-    faces = _face_normals(mesh)
-    areas = np.linalg.norm(faces, axis=-1)
-    unit = faces / np.where(areas > 0, areas, 1)[:, None]
-    cosine = np.einsum("fc,fkc->fk", unit, mesh.normals.astype(np.float64)[mesh.faces]).min(axis=-1)
-    tilts = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    is_edge = (tilts > EDGE_TILT_DEG) & (areas > 0)
-    return float(tilts[is_edge].max()) if areas[is_edge].sum() > MAX_OPPOSING * areas.sum() else 0.0
-
-
-def mended_normals(mesh: Mesh, *, crease_deg: float) -> tuple[Mesh, str | None]:
-    """The mesh with usable shading normals, and a remark on what was done; the same mesh if all is well.
-
-    Args:
-        crease_deg: faces that meet at a sharper angle get a hard edge if all normals are computed again.
-    """
-    bad = _is_without(mesh)
-    bad_share = float(bad[mesh.faces].mean())
-    known = dataclasses.replace(mesh, normals=np.where(bad[:, None], 0, mesh.normals).astype(np.float32))
-    if (opposing := opposing_share(known)) > MAX_OPPOSING:
-        remark = f"{100 * opposing:.1f} % of its vertex normals pointed to the back of their faces"
-        return with_new_normals(mesh, crease_deg=crease_deg), f"{remark}; normals were computed again"
-    if bad_share > MAX_OPPOSING:
-        remark = f"{100 * bad_share:.1f} % of its vertex normals were 0 or not finite"
-        return with_new_normals(mesh, crease_deg=crease_deg), f"{remark}; normals were computed again"
-    if bad_share > 0:
-        normals = np.where(bad[:, None], vertex_normals(mesh.vertices, mesh.faces), mesh.normals)
-        few = dataclasses.replace(mesh, normals=normals.astype(np.float32))
-        count = count_without_normal(mesh)
-        return few, f"{count} of its vertex normals were 0 or not finite; these were computed again"
-    return mesh, None
 
 
 def with_new_normals(mesh: Mesh, *, crease_deg: float) -> Mesh:
@@ -118,7 +75,8 @@ def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     return vectors / np.where(lengths > 0, lengths, 1)
 
 
-def _is_without(mesh: Mesh) -> Bool[np.ndarray, " vertex"]:
+def is_without_normal(mesh: Mesh) -> Bool[np.ndarray, " vertex"]:
+    """Which vertices have a normal that is 0 or not finite."""
     lengths = np.linalg.norm(mesh.normals.astype(np.float64), axis=-1)
     return ~(np.isfinite(lengths) & (lengths > 1e-6))
 

@@ -3,7 +3,6 @@
 They are fast (a second for a scene of 100,000 triangles), since they run whenever a scene is made or read.
 """
 
-import dataclasses
 import re
 from itertools import combinations, permutations
 
@@ -14,7 +13,6 @@ from datagen.data.cameras import direction_of
 from datagen.data.config import SPLITS
 from datagen.data.depth_range import seeing
 from datagen.data.meshes import (
-    Mesh,
     check_closed,
     check_mesh,
     check_solid,
@@ -27,7 +25,7 @@ from datagen.data.meshes import (
 )
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.scene.contact import largest_coordinate, thin_share, thinnest_wall, touching_share
+from datagen.scene.contact import touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
@@ -35,9 +33,6 @@ from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, op
 MAX_TOUCHING = 0.005
 """Share of the smaller of two surfaces that may lie in the other, if one of them is glass. A ball on a floor has 0.1 %,
 a tumbler 4 %."""
-
-MAX_THIN = 0.005
-"""Share of a solid's surface where its wall may be too thin, since rims taper off."""
 
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 1000.0
 """Allowed distance in metres from the cameras to their target. Cameras see from a millimetre to ten kilometres."""
@@ -52,8 +47,6 @@ LARGEST = 50.0
 
 NAMED = 3
 """Objects that an error names."""
-OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turns a camera that looks along +z with y down, as OpenCV's poses do, into one that looks along -z with y up."""
 
 
 def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
@@ -101,7 +94,6 @@ def check_sound(scene: Scene) -> None:
     for item in there:
         if item.material.medium is not None:
             check_solid(item.mesh, where=_where(scene, item))
-            _check_walls(item.mesh, cameras, where=_where(scene, item))
     check_cameras_outside(scene, cameras)
     _check_contact(scene, there)
     _check_overlaps(scene, there)
@@ -115,12 +107,10 @@ def _check_seen(scene: Scene, there: list[SceneObject]) -> None:
     listed = [scene.cameras.of(split) for split in SPLITS]
     if any(any(seeing(cameras, item.mesh)) for cameras in listed for item in glass):
         return
-    flipped = [dataclasses.replace(one, world_from_camera=one.world_from_camera @ OPENCV) for one in listed]
-    seen = [shown for cameras in flipped for item in glass for shown in seeing(cameras, item.mesh)]
     raise HyalineError(
-        f"scene {scene.name}: no camera sees {', '.join(item.name for item in glass[:NAMED])}; "
-        + ("are the poses OpenCV's (y and z flipped)? Expected" if 2 * sum(seen) > len(seen) else "expected")
-        + " world_from_camera, looking along -z with +y up, in the meshes' axes and unit"
+        f"scene {scene.name}: no camera sees {', '.join(item.name for item in glass[:NAMED])}; expected "
+        "world_from_camera, looking along -z with +y up, in the meshes' axes and unit "
+        "(OpenCV's poses have y and z flipped)"
     )
 
 
@@ -190,21 +180,6 @@ def check_cameras_outside(scene: Scene, places: Float[np.ndarray, "place 3"]) ->
                 f"{_where(scene, item)}: a camera is inside this glass, at ({place}), but rays must start in air; "
                 "move it or the cameras, or scale it if it was not modelled in metres"
             )
-
-
-def _check_walls(mesh: Mesh, cameras: Float[np.ndarray, "place 3"], *, where: str) -> None:
-    """Rejects solids with walls too thin for rays in float32."""
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    distance = float(np.linalg.norm(np.maximum(np.abs(cameras - low), np.abs(cameras - high)), axis=-1).max())
-    reach = largest_coordinate(mesh.vertices)
-    limit = thinnest_wall(reach, distance)
-    share, thickness = thin_share(mesh, limit)
-    if share > MAX_THIN:
-        raise HyalineError(
-            f"{where}: its walls are {thickness:.2g} m thick over {100 * share:.0f} % of the surface; expected "
-            f"{limit:.2g} m or more, {reach:.3g} m from the origin and up to {distance:.3g} m from the cameras; "
-            "move the scene to the origin, make them thicker, or make it thin glass"
-        )
 
 
 def _check_contact(scene: Scene, there: list[SceneObject]) -> None:

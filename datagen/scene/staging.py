@@ -1,4 +1,4 @@
-"""What a foreign scene lacks to be rendered: its size in metres, a ground, and cameras all around."""
+"""Light and cameras for objects that bring none: softboxes all around, and a rig that frames the glass."""
 
 import math
 from collections.abc import Sequence
@@ -6,61 +6,18 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.config import Resolution
-from datagen.data.meshes import face_corners
-from datagen.scene.description import (
-    CameraRig,
-    Card,
-    SceneObject,
-    SoftEnvironment,
-    WalkPoint,
-)
-from datagen.scene.materials import Diffuse
-from datagen.scene.modelling import sheet
-from datagen.scene.remarks import Remarks
-from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color, Vector, as_vector
+from datagen.scene.description import CameraRig, Card, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.values import Vector, as_vector
 
-USUAL_SIZE = (0.02, 5.0)
-"""Metres: anything smaller or larger was not modelled in metres."""
-TABLE_TOP_SIZE = 0.3
-"""Size in metres given to a scene of unknown unit."""
 FOV_DEG = 40.0
 MARGIN = 1.1
 """How much wider a picture is than its content."""
-TEXELS_A_PERIOD = 4
-GROUND_RADII = 3.0
-"""Half the ground's side over the radius of the scene."""
-MIN_GAP, MAX_GAP = 3e-4, 1e-3
-"""Metres between the ground and the scene: coincident faces lose layers."""
-MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
-"""Degrees around the glass that a backdrop hides, and that are left for cameras."""
 WALK = ((-0.9, 40.0, 1.0), (-0.45, 20.0, 0.72), (0.0, 4.0, 0.85), (0.4, 12.0, 1.4), (0.7, 45.0, 1.9), (0.95, 25.0, 1.2))
 """Turn in half arcs, elevation in degrees and distance in radii of the points of an extrapolating walk."""
-WATCHED_POINTS = 8
-"""Points of the glass that cameras must see."""
-NUM_WAYS = 500
-"""Directions in which a place looks for the sky."""
-GRAZING_DEG = 25.0
-"""Degrees that cameras keep from the edge of a backdrop."""
 FRONT_DEG = -90.0
 """Azimuth from which files are meant to be seen: glTF's +z, ours -y."""
-
-
-def find_scale(size: float, *, metres: float, remarks: Remarks, where: str) -> float:
-    """Metres per unit for a scene of this size: the file's own, or a guess if that makes no sense."""
-    low, high = USUAL_SIZE
-    for unit, name in ((metres, ""), (1.0, "a metre"), (0.01, "a centimetre"), (0.001, "a millimetre")):
-        if low <= size * unit <= high:
-            if name:
-                remarks.approximate(
-                    where, f"would be {size * metres:.3g} m large, so its unit is taken for {name}; --scale sets it"
-                )
-            return unit
-    remarks.approximate(
-        where, f"would be {size * metres:.3g} m large; made {TABLE_TOP_SIZE} m large, --scale sets metres a unit"
-    )
-    return TABLE_TOP_SIZE / size
+ALL_AROUND = (FRONT_DEG - 180.0, FRONT_DEG + 180.0)
+"""First and last azimuth of a full circle."""
 
 
 def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
@@ -70,163 +27,30 @@ def subject_box(objects: Sequence[SceneObject]) -> Float[np.ndarray, "2 3"]:
     return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
-def has_ground(objects: Sequence[SceneObject]) -> bool:
-    """True where something opaque lies below the glass and around it."""
-    low, high = subject_box(objects)
-    middle, half = (low + high) / 2, (high - low) / 2
-    around = np.array([[1.2, 1.2], [1.2, -1.2], [-1.2, 1.2], [-1.2, -1.2]])
-    origins = np.concatenate([middle[:2] + around * half[:2], np.full((4, 1), middle[2])], axis=-1)
-    downwards = np.tile([0.0, 0.0, -1.0], (4, 1))
-    return int(np.isfinite(_distances(_opaque(objects), origins, downwards)).sum()) >= 3
-
-
-def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remarks: Remarks) -> SceneObject:
-    """A checkered ground just below everything, whose pattern the textures of a method can hold.
-
-    Args:
-        resolution: of the pictures; an object's texture is half as wide as square ones.
-    """
-    vertices = np.concatenate([item.mesh.vertices for item in objects]).astype(np.float64)
-    low, high = vertices.min(axis=0), vertices.max(axis=0)
-    box = subject_box(objects)
-    reach = float(np.linalg.norm(box[1] - box[0])) / 2
-    middle = (box[0] + box[1])[:2] / 2
-    half = max(GROUND_RADII * reach, 1.05 * float(np.abs(np.stack([low[:2], high[:2]]) - middle).max()))
-    gap = min(max(0.005 * reach, MIN_GAP), MAX_GAP)
-    texels = resolution.mean_side // 2
-    period = 2 * half * TEXELS_A_PERIOD / texels
-    remarks.note(
-        "ground",
-        f"added, {2 * half:.3g} m wide (pattern period {period:.3g} m, {TEXELS_A_PERIOD} texels at {resolution})",
-    )
-    height = float(low[2]) - gap
-    mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))
-    pattern = SolidTexture(
-        pattern="checker",
-        colors=((0.62, 0.55, 0.46), (0.22, 0.29, 0.40)),
-        scale=period,
-        origin=(float(middle[0]) + period / 4, float(middle[1]) + period / 4, height),
-    )
-    return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
-
-
-def make_rig(
+def rig_around(
     objects: Sequence[SceneObject],
-    remarks: Remarks,
     *,
     target: Vector | None = None,
     radius: float | None = None,
-    azimuth_deg: tuple[float, float] | None = None,
+    azimuth_deg: tuple[float, float] = ALL_AROUND,
     fov_deg: float = FOV_DEG,
 ) -> CameraRig:
-    """Cameras around `target`, or the glass, in the given arc, or on the side from which nothing opaque hides it."""
+    """Cameras around `target`, by default the middle of the glass, as near as shows all of it."""
     low, high = subject_box(objects)
     centre, reach = (low + high) / 2 if target is None else np.array(target), float(np.linalg.norm(high - low)) / 2
     distance = MARGIN * reach / math.sin(math.radians(fov_deg / 2)) if radius is None else radius
-    first, last = azimuth_deg or _open_arc(objects, centre, reach, distance, remarks)
+    first, last = azimuth_deg
     middle, half = (first + last) / 2, min((last - first) / 2, 100.0)
     places = [centre + radii * distance * np.array(towards(middle + turn * half, up)) for turn, up, radii in WALK]
     return CameraRig(
         target=as_vector(centre),
         radius=distance,
         elevation_deg=(5.0, 65.0),
-        azimuth_deg=(first, last),
+        azimuth_deg=azimuth_deg,
         fov_deg=fov_deg,
         target_jitter=0.08,
         walk=tuple(WalkPoint(position=as_vector(place), target=as_vector(centre)) for place in places),
     )
-
-
-def _free_name(name: str, objects: Sequence[SceneObject]) -> str:
-    taken = {item.name for item in objects}
-    choices = (name, *(f"{name}_{index}" for index in range(len(taken) + 1)))
-    return next(choice for choice in choices if choice not in taken)
-
-
-def _open_arc(
-    objects: Sequence[SceneObject],
-    target: Float[np.ndarray, "3"],
-    reach: float,
-    radius: float,
-    remarks: Remarks,
-) -> tuple[float, float]:
-    """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
-    glass = [item.mesh.vertices for item in objects if item.material.is_glass]
-    # A backdrop may be close behind a wide row of glass, so rays begin at the glass itself.
-    points = _far_apart(np.concatenate(glass).astype(np.float64), WATCHED_POINTS) if glass else target[None]
-    begin = (0.02 if glass else 1.05) * reach
-    step = 10
-    azimuths = FRONT_DEG + np.arange(0, 360, step)
-    directions = np.array([towards(a, e) for a in azimuths for e in (8.0, 45.0)])
-    origins = (points + begin * directions[:, None]).reshape(-1, 3)
-    distances = _distances(_opaque(objects), origins, directions.repeat(len(points), axis=0))
-    is_seen = (distances > radius - begin).reshape(len(azimuths), -1)
-    # Some of the points are on the back of the glass, and may be in the wall behind it.
-    is_open = is_seen.mean(axis=-1) >= 0.5
-    # Things among the glass hide it only here and there.
-    if (~is_open).sum() * step < MIN_BACKDROP_DEG:
-        return FRONT_DEG - 180.0, FRONT_DEG + 180.0
-    # The widest run of open azimuths on the circle.
-    runs = [0] * len(azimuths)
-    for start in range(len(azimuths)):
-        while runs[start] < len(azimuths) and is_open[(start + runs[start]) % len(azimuths)]:
-            runs[start] += 1
-    best = int(np.argmax(runs))
-    if runs[best] * step < MIN_ARC_DEG:
-        remarks.approximate("cameras", "everything is in a closed space; cameras all around see it from outside")
-        return FRONT_DEG - 180.0, FRONT_DEG + 180.0
-    first = float(azimuths[best])
-    first -= 360.0 if first > 180 else 0.0
-    first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
-    remarks.note("cameras", f"are at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
-    return first, last
-
-
-def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.ndarray, "chosen 3"]:
-    """At most `count` of the points, each as far as can be from those before it."""
-    points = points[:: max(1, len(points) // 4096)]
-    chosen = [int(points[:, 2].argmax())]
-    distances = np.linalg.norm(points - points[chosen[0]], axis=-1)
-    while len(chosen) < count and distances.max() > 0:
-        chosen.append(int(distances.argmax()))
-        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=-1))
-    return points[chosen]
-
-
-def is_enclosed(objects: Sequence[SceneObject], place: Float[np.ndarray, "3"]) -> bool:
-    """Whether no straight way leads from a place to the sky, but through glass."""
-    ways = np.random.default_rng(0).normal(size=(NUM_WAYS, 3))
-    return bool(np.isfinite(_distances(_opaque(objects), np.tile(place, (NUM_WAYS, 1)), ways)).all())
-
-
-def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
-    opaque = [face_corners(item.mesh) for item in objects if not item.material.is_glass]
-    return np.concatenate(opaque).astype(np.float64) if opaque else np.zeros((0, 3, 3))
-
-
-def _distances(
-    corners: Float[np.ndarray, "face 3 3"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
-) -> Float[np.ndarray, " ray"]:
-    """Metres along each ray to the first face; infinite where it meets none. Source: Moeller and Trumbore 1997."""
-    found = np.full(len(origins), np.inf)
-    if not len(corners):
-        return found
-    a, b, c = np.moveaxis(corners, 1, 0)
-    edge_b, edge_c = b - a, c - a
-    for index, (origin, direction) in enumerate(zip(origins, directions)):
-        across = np.cross(direction, edge_c)
-        determinant = np.einsum("fc,fc->f", edge_b, across)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = 1 / determinant
-            from_a = origin - a
-            u = np.einsum("fc,fc->f", from_a, across) * inverse
-            turned = np.cross(from_a, edge_b)
-            v = (turned @ direction) * inverse
-            distance = np.einsum("fc,fc->f", edge_c, turned) * inverse
-            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-        if hit.any():
-            found[index] = distance[hit].min()
-    return found
 
 
 def towards(azimuth_deg: float, elevation_deg: float) -> Vector:
@@ -254,8 +78,3 @@ LIGHT = SoftEnvironment(
 )
 """Softboxes and flags all around, as photographers show glass: bright cards draw highlights on it and caustics below
 it, dark ones its outline. All are wide enough to be found by chance, so that pictures need few samples."""
-
-
-def even_sky(radiance: Color) -> SoftEnvironment:
-    """The same light from all around."""
-    return SoftEnvironment(zenith=radiance, horizon=radiance, ground=radiance)

@@ -28,9 +28,8 @@ from datagen.machine.mitsuba_variant import no_collection
 from datagen.render.mitsuba_scene import load_geometry_mitsuba, shape_name, shapes_by_id, to_columns
 from datagen.scene.materials import Material, check_material
 from datagen.scene.media import find_media
-from datagen.trace.branch_outputs import Kept
+from datagen.trace.branch_outputs import Filled, FirstVertices, Kept, PathEnds, join_ends, pack_ends
 from datagen.trace.branches import follow_branches
-from datagen.trace.path_ends import FirstVertices, Outputs, PathEnds, join_ends, pack_ends
 from datagen.trace.surface_tables import LIMITS, Limits, Tints, make_tables
 
 RECORDINGS = 64
@@ -41,7 +40,7 @@ PIECES = 8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LightPaths:
+class TracedPaths:
     """The vertices of all branches of a bundle of rays, in the order in which the camera's ray reaches them.
 
     A branch ends on an opaque surface (its last vertex), outside the scene (`has_left`), or after `max_depth` surfaces.
@@ -66,12 +65,6 @@ class LightPaths:
     """Unit direction in which the branch left the scene; 0 if it did not."""
     end_throughput: Float32[np.ndarray, "branch ray 3"]
     """Share of the environment's radiance from there that reaches the camera; 0 if the branch did not leave."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TracedPaths(LightPaths):
-    """Light paths fresh from the tracer, with quantities that are not stored."""
-
     uv_slope: Float32[np.ndarray, "branch vertex ray 2"]
     """Change of uv from the vertex to where the ray would hit a surface one metre below this one, to first order."""
     disperses: Bool[np.ndarray, " ray"]
@@ -165,25 +158,20 @@ class LightPathTracer:
         """
         count = len(directions)
         outputs = self._run(origins, directions, limits, None, seed=seed, facets=facets, channel=channel)
-
-        def array(name: str, *shape: int) -> np.ndarray:
-            return outputs[name].numpy().reshape(shape)
-
         ends = limits.max_branches, count
         places = limits.max_branches, limits.max_vertices, count
-        return TracedPaths(
-            object_id=self._object_id[array("object_id", *places)],
-            uv=array("uv", *places, 2),
-            direction=array("direction", *places, 3),
-            position=array("position", *places, 3),
-            normal=array("normal", *places, 3),
-            throughput=array("throughput", *places, 3),
-            uv_slope=array("uv_slope", *places, 2),
-            has_left=array("has_left", *ends).astype(bool),
-            end_direction=array("end_direction", *ends, 3),
-            end_throughput=array("end_throughput", *ends, 3),
-            disperses=array("disperses", count).astype(bool) if self._tables.disperses else np.zeros(count, bool),
-        )
+        shapes = {
+            "object_id": places,
+            **dict.fromkeys(("uv", "uv_slope"), (*places, 2)),
+            **dict.fromkeys(("direction", "position", "normal", "throughput"), (*places, 3)),
+            "has_left": ends,
+            **dict.fromkeys(("end_direction", "end_throughput"), (*ends, 3)),
+        }
+        found = {name: outputs[name].numpy().reshape(shape) for name, shape in shapes.items()}
+        found["object_id"] = self._object_id[found["object_id"]]
+        found["has_left"] = found["has_left"].astype(bool)
+        disperses = outputs["disperses"].numpy().astype(bool) if self._tables.disperses else np.zeros(count, bool)
+        return TracedPaths(**found, disperses=disperses)
 
     def trace_ends(
         self,
@@ -207,7 +195,7 @@ class LightPathTracer:
         count = len(directions)
         limits = limits._replace(max_vertices=1)
 
-        def run(rays: np.ndarray | slice, stacked: tuple[int, ...], facets: np.ndarray | None, channel: int) -> Outputs:
+        def run(rays: np.ndarray | slice, stacked: tuple[int, ...], facets: np.ndarray | None, channel: int) -> Filled:
             kept = Kept(stacked, has_details)
             return self._run(origins[rays], directions[rays], limits, kept, seed=seed, facets=facets, channel=channel)
 
@@ -250,7 +238,7 @@ class LightPathTracer:
         seed: int,
         facets: Float32[np.ndarray, "ray 2"] | None,
         channel: int,
-    ) -> Outputs:
+    ) -> Filled:
         """What the kernel gives, by name."""
         import drjit as dr
         import mitsuba as mi

@@ -18,9 +18,9 @@ from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import shown
-from datagen.scene.camera_list import CameraList
-from datagen.scene.remarks import Remarks
+from datagen.scene.description import CameraList
 from hyaline_import.foreign import lens_of, read_foreign, rotation_of
+from hyaline_import.remarks import Remarks
 
 NAMES = ("transforms.json", "transforms_train.json")
 

@@ -18,10 +18,10 @@ from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
 from datagen.scene.materials import Material
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
-from datagen.scene.surfaces import mesh_of, seams_joined
 from datagen.scene.values import Color
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import mesh_of, seams_joined
 
 Axis = Literal["x", "y", "z"]
 Factor = Literal["metallic", "roughness", "transmission"]

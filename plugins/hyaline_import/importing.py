@@ -29,12 +29,10 @@ from datagen.scene.description import (
 from datagen.scene.finding import DEFAULT_RESOLUTION
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
-from datagen.scene.mending import mend_scene, mend_surface
-from datagen.scene.remarks import Remark, Remarks
-from datagen.scene.shading_normals import edge_tilt_deg, with_new_normals
+from datagen.scene.mending import mend_scene
+from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
-from datagen.scene.staging import LIGHT, even_sky, find_scale, has_ground, make_ground, make_rig
-from datagen.scene.surfaces import closed, made_sound, mesh_of, shape_of
+from datagen.scene.staging import LIGHT
 from hyaline_import.cameras import listed_cameras, read_camera_file
 from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
@@ -60,8 +58,12 @@ from hyaline_import.foreign_files import (
 )
 from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
 from hyaline_import.mapping import Mapper, lets_light_through
+from hyaline_import.mending import mend_surface, with_mended_surfaces
 from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import cut_of, veiled
+from hyaline_import.remarks import Remark, Remarks
+from hyaline_import.staging import even_sky, find_scale, has_ground, make_ground, make_rig
+from hyaline_import.surfaces import closed, edge_tilt_deg, made_sound, mesh_of, shape_of
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
@@ -148,7 +150,8 @@ class Made:
         used = {image.path for item in scene.objects for image in item.material.images().values()}
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
         without_uv = self.without_uv & {item.name for item in scene.objects}
-        scene = mend_scene(dataclasses.replace(scene, baked={**baked, **scene.baked}), without_uv=without_uv)
+        scene = with_mended_surfaces(dataclasses.replace(scene, baked={**baked, **scene.baked}))
+        scene = mend_scene(scene, without_uv=without_uv)
         scene = _without_gone(with_cuts(scene, self.cuts), world.remarks, where=where)
         check_scene(scene)
         return scene

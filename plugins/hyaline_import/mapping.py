@@ -16,13 +16,13 @@ from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
 from datagen.scene.import_choices import Thin
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.remarks import Remarks
 from datagen.scene.substances import MAX_DISPERSION
-from datagen.scene.surfaces import Shape
 from datagen.scene.textures import ImageTexture, Reflectance
 from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
 from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import Shape
 
 MIN_ALPHA = 0.001
 """Smallest GGX alpha that is rendered; below it a surface is smooth."""

@@ -29,8 +29,8 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.materials.optics import MAX_PRIORITY
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.modelling import merged
-from datagen.scene.remarks import Remarks
 from datagen.scene.soundness import MAX_TOUCHING
+from hyaline_import.remarks import Remarks
 
 STEP = 2 * TOLERANCE
 """Metres by which a surface is moved where it coincides with another; twice as many each time until it is free."""

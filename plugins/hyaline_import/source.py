@@ -51,9 +51,9 @@ def write_arrays(folder: Path, path: Path) -> None:
     import numpy as np
 
     from datagen.machine.confined import allow_triangles
-    from datagen.scene.remarks import Remarks
     from hyaline_import.foreign import joined
     from hyaline_import.foreign_files import READERS, ending_of
+    from hyaline_import.remarks import Remarks
 
     whole = joined(READERS.find(ending_of(path))(path, Remarks()).objects)
     allow_triangles(len(whole.faces))

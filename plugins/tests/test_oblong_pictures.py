@@ -15,7 +15,7 @@ from datagen.data.config import SPLITS, Resolution
 from datagen.data.images import read_png
 from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.quantities.view_quantities import quantities
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.folder import load_scene, save_scene
 
 LENS = {"fl_x": 30, "fl_y": 30, "cx": 14, "cy": 22.5, "w": 48, "h": 32}

@@ -34,7 +34,6 @@ LONGEST = (
     "plugins/hyaline_paper/tests/test_deepvoxels.py",
     "plugins/hyaline_photos/tests/capture/test_capture.py",
     "plugins/tests/reliability/test_processes.py",
-    "tests/datagen/look/test_drawings.py",
     "plugins/tests/reliability/test_foreign_code.py",
     "plugins/hyaline_random/tests/test_drawing.py",
 )

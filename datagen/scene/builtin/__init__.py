@@ -1,24 +1,18 @@
 """The built-in scenes: made by code, one file each, with the same bytes every time."""
 
-import contextlib
 import dataclasses
 import importlib
 from collections.abc import Callable
-from importlib import metadata
-from pathlib import Path
 
 import numpy as np
 
-from datagen.data.dataset import open_dataset
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh
 from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
-from datagen.disk.errors import HyalineError
-from datagen.disk.storage import is_intact, private_cache, sha256, write_hashed
-from datagen.machine.processes import ROOT
 from datagen.scene.atlas import unwrap_all
-from datagen.scene.description import Scene
-from datagen.scene.folder import open_scene, scene_files
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.materials import Material
+from datagen.scene.modelling import Point, moved, resting, rounded_box, transformed
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
@@ -46,65 +40,25 @@ def make_scene(name: str) -> Scene:
     return scene
 
 
-def find_builtin(name: str, *, built: Path | None = None) -> Scene:
-    """A built-in scene: taken from a dataset that contains it, else made.
-
-    Args:
-        built: a dataset that may contain the same scene, unwrapped.
-    """
-    choose("scene", name, SCENES)
-    return (None if built is None else _same_scene(name, built)) or make_scene(name)
+# What the scenes are furnished with
 
 
-def _same_scene(name: str, root: Path) -> Scene | None:
-    """A built-in scene as a dataset contains it, which saves unwrapping it; None if that is another scene.
-
-    The dataset's copy is used if all its checksums match, and if it equals the scene made today except for uv.
-    """
-    try:
-        dataset = open_dataset(root)
-        stored = open_scene(dataset)
-    except HyalineError:
-        return None
-    files = {path: promised for path, promised in dataset.files.items() if path.startswith("scene/")}
-    if not _was_compared(name, files):
-        scene = SCENES[name]()
-        objects = tuple(
-            dataclasses.replace(item, mesh=there.mesh)
-            for item, there in zip(scene.objects, stored.objects)
-            if is_there(there.mesh) and _same_surface(item.mesh, there.mesh)
-        )
-        same = dataclasses.replace(scene, objects=objects, license=stored.license)
-        if files != {f"scene/{path}": sha256(data) for path, data in scene_files(same).items()}:
-            return None
-        _keep_compared(name, files)
-    return dataclasses.replace(stored, folder=None, license=OWN_LICENSE)
+GAP = 0.001
+"""Metres between touching objects: coincident faces lose layers."""
 
 
-def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
-    """True if unwrapping added only uv and seams: the faces have the same corners and normals."""
-    return len(mesh.faces) == len(unwrapped.faces) and all(
-        np.array_equal(values[mesh.faces], others[unwrapped.faces])
-        for values, others in ((mesh.vertices, unwrapped.vertices), (mesh.normals, unwrapped.normals))
-    )
+def slab(name: str, size: Point, center: Point, material: Material, *, bevel: float = 0.004) -> SceneObject:
+    """A floor, wall, board or picture: a box with slightly rounded edges."""
+    return SceneObject(name=name, mesh=moved(rounded_box(size, bevel=bevel), center), material=material)
 
 
-# Modelling a scene only to compare it takes a second, so the user's cache keeps which comparisons succeeded.
+def put_on(height: float, name: str, mesh: Mesh, material: Material, x: float, y: float) -> SceneObject:
+    """An object at (x, y) with its lowest point a gap above a surface."""
+    return SceneObject(name=name, mesh=resting(mesh, (x, y, height + GAP)), material=material)
 
 
-def _was_compared(name: str, files: dict[str, str]) -> bool:
-    """True if these files were found to be the scene that today's code and libraries make."""
-    cache = private_cache("scenes")
-    return cache is not None and is_intact(cache / _key(name, files))
-
-
-def _keep_compared(name: str, files: dict[str, str]) -> None:
-    if (cache := private_cache("scenes")) is not None:
-        with contextlib.suppress(OSError):  # A full disk: the next command compares again.
-            write_hashed(cache / _key(name, files), name.encode())
-
-
-def _key(name: str, files: dict[str, str]) -> str:
-    code = [path.read_bytes() for path in sorted(ROOT.glob("datagen/**/*.py"))]
-    versions = [metadata.version(package) for package in ("numpy", "scipy", "trimesh")]
-    return sha256(repr((name, sorted(files.items()), versions)).encode() + b"".join(code))
+def put_enlarged(
+    scale: float, height: float, name: str, mesh: Mesh, material: Material, x: float, y: float
+) -> SceneObject:
+    """An object modelled on z = 0, enlarged and put on a surface at (x, y)."""
+    return SceneObject(name=name, mesh=transformed(mesh, scale * np.eye(3), (x, y, height + GAP)), material=material)

@@ -6,7 +6,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
-from datagen.scene.builtin.objects import GAP, put_on, slab
+from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
 from datagen.scene.modelling import (

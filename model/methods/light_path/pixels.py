@@ -26,8 +26,8 @@ from model.batches.rays import black, load_views_of, to_device
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
+    from datagen.trace.branch_outputs import PathEnds
     from datagen.trace.light_path import LightPathTracer, TracedPaths
-    from datagen.trace.path_ends import PathEnds
 
 
 STACKED_VERTICES = (4, 2)

@@ -10,12 +10,9 @@ from datagen.data.config import SPLITS, Split
 from datagen.data.depth_range import seeing
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import MAX_OBJECTS, Scene
+from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, Material, ThinDielectric
-from datagen.scene.remarks import Remarks
-from datagen.scene.staging import even_sky
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.choices import DatasetImportChoices
 from hyaline_import.datasets.layouts import ForeignSurface
@@ -24,6 +21,8 @@ from hyaline_import.foreign_files import EXPORT_ADVICE, READERS, check_overrides
 from hyaline_import.importing import Made, World, unique_names
 from hyaline_import.mapping import Mapper
 from hyaline_import.overlaps import apart, nested
+from hyaline_import.remarks import Remarks
+from hyaline_import.staging import even_sky
 
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
 """Stands in for the unknown light: such a scene is never rendered."""

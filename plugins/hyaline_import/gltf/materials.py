@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 from hyaline_import.fields import read
@@ -29,6 +28,7 @@ from hyaline_import.foreign import (
 from hyaline_import.gltf import records
 from hyaline_import.gltf.file import GltfFile
 from hyaline_import.pictures import decoded, stored
+from hyaline_import.remarks import Remarks
 
 IGNORED = {
     "KHR_materials_anisotropy": "brushed grain (anisotropy)",

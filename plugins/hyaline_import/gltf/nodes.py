@@ -13,10 +13,10 @@ from jaxtyping import Float
 from datagen.data.cameras import MAX_SKEW
 from datagen.data.cameras import Camera as Taken
 from datagen.disk.errors import HyalineError
-from datagen.scene.remarks import Remarks
 from hyaline_import.foreign import MAX_SURFACES, lens_of, rotation_of
 from hyaline_import.gltf.file import GltfFile
 from hyaline_import.gltf.records import Camera, Instancing, Node
+from hyaline_import.remarks import Remarks
 
 INSTANCING, LAMPS = "EXT_mesh_gpu_instancing", "KHR_lights_punctual"
 MAX_NODES = 20_000

@@ -12,7 +12,6 @@ from datagen.data.cameras import Camera
 from datagen.data.metadata import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.scene.remarks import Remarks
 from datagen.terminal.distribution import install_command
 from hyaline_import.foreign import (
     MAX_SURFACES,
@@ -27,6 +26,7 @@ from hyaline_import.gltf.materials import TextureUse, clamped, read_material
 from hyaline_import.gltf.nodes import Instance, instances
 from hyaline_import.gltf.posing import bend, morph, skin_matrices
 from hyaline_import.gltf.records import Draco, Gltf, Primitive
+from hyaline_import.remarks import Remarks
 
 DRACO = "KHR_draco_mesh_compression"
 TRIANGLES = 4

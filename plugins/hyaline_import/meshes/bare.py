@@ -7,7 +7,6 @@ import numpy as np
 
 from datagen.data.ply import MAX_PLY_BYTES, read_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.remarks import Remarks
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -16,6 +15,7 @@ from hyaline_import.foreign import (
     ForeignScene,
     read_foreign,
 )
+from hyaline_import.remarks import Remarks
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE | re.IGNORECASE)

@@ -17,7 +17,6 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import shown
 from datagen.scene.images import opened_image
-from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
 from hyaline_import.foreign import (
@@ -35,6 +34,7 @@ from hyaline_import.foreign import (
     read_foreign,
     substance_of,
 )
+from hyaline_import.remarks import Remarks
 
 MAX_BYTES = 1 << 28
 WIDTHS = {"v": 3, "vt": 2, "vn": 3}

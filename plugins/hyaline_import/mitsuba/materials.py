@@ -8,12 +8,12 @@ import numpy as np
 from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.gltf.materials import mirrored
 from hyaline_import.mitsuba.nodes import Node
 from hyaline_import.pictures import stored
+from hyaline_import.remarks import Remarks
 
 IORS = {
     "vacuum": 1.0, "helium": 1.000036, "hydrogen": 1.000132, "air": 1.000277, "carbon dioxide": 1.00045,

@@ -19,7 +19,6 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.description import MAP_ENDINGS
 from datagen.scene.images import read_map
 from datagen.scene.modelling import ball, sheet
-from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
 from hyaline_import.foreign import (
     MAX_SURFACES,
@@ -40,6 +39,7 @@ from hyaline_import.meshes.bare import read_ply_file
 from hyaline_import.meshes.obj import read_obj
 from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from hyaline_import.mitsuba.nodes import Node, NodeList
+from hyaline_import.remarks import Remarks
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
 """Top-level nodes that do not change the scene, or that shapes refer to."""

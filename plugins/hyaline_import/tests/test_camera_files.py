@@ -17,12 +17,12 @@ from datagen.data.dataset import open_dataset
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.remarks import Remarks
 from hyaline_export.formats import export_dataset
 from hyaline_import.cameras import colmap_images, read_camera_file
 from hyaline_import.importing import import_scene
+from hyaline_import.remarks import Remarks
 
 
 @pytest.fixture(scope="module")

@@ -24,8 +24,8 @@ from support.gltf import BOX, GltfBuilder
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine import confined
-from datagen.scene.remarks import Remarks
 from hyaline_import.importing import READERS
+from hyaline_import.remarks import Remarks
 
 
 @pytest.fixture(autouse=True)

@@ -27,14 +27,14 @@ from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.modelling import ball, lathe, sheet
-from datagen.scene.remarks import Remarks
 from datagen.scene.rig import make_cameras
-from datagen.scene.shading_normals import edge_tilt_deg
-from datagen.scene.staging import LIGHT, make_ground
-from datagen.scene.surfaces import mesh_of
+from datagen.scene.staging import LIGHT
 from datagen.scene.textures import ImageTexture, SolidTexture
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.lights import glowing
+from hyaline_import.remarks import Remarks
+from hyaline_import.staging import make_ground
+from hyaline_import.surfaces import edge_tilt_deg, mesh_of
 
 
 def scene_with_glass() -> GltfBuilder:

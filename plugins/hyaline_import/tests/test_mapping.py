@@ -14,13 +14,13 @@ from support.gltf import BOX, GltfBuilder, clear, glass
 from datagen.disk.errors import HyalineError
 from datagen.scene.import_choices import ImportChoices, Thin
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.remarks import Remarks
-from datagen.scene.surfaces import Shape
 from datagen.scene.textures import ImageTexture
 from hyaline_import.foreign import ForeignMaterial
 from hyaline_import.gltf.scene import read_gltf
 from hyaline_import.importing import import_scene
 from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import Shape
 
 CLOSED = Shape(is_closed=True, has_uv=True)
 OPEN = Shape(is_closed=False, has_uv=True)

@@ -24,9 +24,9 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball, merged, moved
-from datagen.scene.remarks import Remarks
-from datagen.scene.surfaces import closed
 from hyaline_import.importing import import_scene
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import closed
 
 BALL = ball(0.1, subdivisions=3)
 

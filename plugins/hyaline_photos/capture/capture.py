@@ -19,7 +19,6 @@ from datagen.scene.description import SceneObject
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
-from datagen.scene.remarks import Remarks
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
@@ -31,6 +30,7 @@ from hyaline_import.foreign_files import scene_name
 from hyaline_import.importing import Made, scene_object, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
+from hyaline_import.remarks import Remarks
 from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens

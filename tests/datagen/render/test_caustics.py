@@ -70,14 +70,6 @@ def test_following_caustics_changes_no_mean_and_less_noise(
     assert gain > 1.3
 
 
-@pytest.mark.parametrize("most", [0, 1, 50, 10**12])
-def test_distinct_values_are_counted(most: int) -> None:
-    from datagen.render.caustics import _count_distinct
-
-    values = np.random.default_rng(0).integers(0, most, 1000, endpoint=True).astype(np.uint64)
-    assert _count_distinct(values) == len(set(values.tolist()))
-
-
 @pytest.mark.parametrize("most", [0, 50, (1 << 37) - 1])
 def test_power_is_summed_by_entry_in_the_order_of_the_photons(most: int) -> None:
     from datagen.render.caustics import _sum_by_entry

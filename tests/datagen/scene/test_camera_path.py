@@ -1,8 +1,6 @@
-"""Tests of camera paths: closed turns, curves that pass their keys, and files that hold none."""
+"""Tests of camera paths: closed turns, and curves that pass their keys."""
 
 import dataclasses
-import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,31 +53,6 @@ def test_a_spline_passes_through_every_test_view(dataset: Dataset) -> None:
     np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (9, 1, 1)), atol=1e-12)
 
 
-def test_key_frames_come_from_a_file_with_their_lens(dataset: Dataset, tmp_path: Path) -> None:
-    poses = dataset.cameras("train").world_from_camera[:4]
-    file = tmp_path / "keys.json"
-    frames = [{"transform_matrix": pose.tolist()} for pose in poses]
-    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
-    cameras = make_path(dataset, str(file), 7, width=30, height=10)
-    np.testing.assert_allclose(cameras.world_from_camera[::2], poses, atol=1e-9)
-    assert (cameras.fov_x, cameras.width, cameras.height) == (0.7, 30, 10)
-
-
-def test_a_principal_point_stays_where_it_is_in_the_picture(dataset: Dataset, tmp_path: Path) -> None:
-    lens = dataset.cameras("interpolating")
-    file = tmp_path / "keys.json"
-    told = {"camera_angle_x": 0.7, "cx": 12, "cy": 3, "w": 40, "h": 20}
-    frames = [{"transform_matrix": pose.tolist()} for pose in lens.world_from_camera]
-    file.write_text(json.dumps({**told, "frames": frames}))
-    assert make_path(dataset, str(file), 3, width=80, height=20).center == (24, 3)
-    file.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
-    assert make_path(dataset, str(file), 3, width=80, height=20).center is None
-    for name, center in (("spline", (2, 6)), ("orbit", None)):
-        aside = dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4))
-        moved = Aside(dataset, aside)
-        assert make_path(moved, name, 3, width=8, height=8).center == center  # type: ignore[arg-type]
-
-
 class Aside:
     """A dataset whose lens has its principal point aside."""
 
@@ -90,39 +63,17 @@ class Aside:
         return self._lens
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        ("{}", "has 0 frames; expected 1 to 10,000"),
-        ('{"frames": [{}]}', r"frames\[0\]\.transform_matrix: "),
-        ('{"frames": [{"transform_matrix": [["1", 0, 0, 0]]}]}', r"frames\[0\]\.transform_matrix: "),
-        ('{"frames": [{"transform_matrix": [[2,0,0,0],[0,2,0,0],[0,0,2,0],[0,0,0,1]]}]}', "expected a rotation"),
-        (
-            '{"camera_angle_x": 9, "frames": [{"transform_matrix": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}',
-            "has no lens",
-        ),
-        (
-            '{"camera_angle_x": 1, "cx": 99, "cy": 1, "w": 8, "h": 8, "frames": [{}]}',
-            "principal point is 99, 1; expected",
-        ),
-        (
-            '{"camera_angle_x": 1, "cx": 0, "cy": 0, "w": 0, "h": 8, "frames": [{}]}',
-            "is 0 x 8 pixels; expected at least",
-        ),
-        ("[", "not a JSON file"),
-    ],
-)
-def test_a_file_without_cameras_is_refused_in_a_line_that_names_it(
-    dataset: Dataset, tmp_path: Path, content: str, problem: str
+@pytest.mark.parametrize(("path", "center"), [("spline", (2, 6)), ("orbit", None)])
+def test_a_principal_point_stays_where_it_is_in_the_picture(
+    dataset: Dataset, path: str, center: tuple[int, int] | None
 ) -> None:
-    file = tmp_path / "keys.json"
-    file.write_text(content)
-    with pytest.raises(HyalineError, match=rf"keys\.json: .*{problem}"):
-        make_path(dataset, str(file), 4, width=None, height=None)
+    lens = dataset.cameras("interpolating")
+    aside = Aside(dataset, dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4)))
+    assert make_path(aside, path, 3, width=8, height=8).center == center  # type: ignore[arg-type]
 
 
 def test_impossible_films_are_refused(dataset: Dataset) -> None:
-    with pytest.raises(HyalineError, match="swirl: no such file; --path takes orbit, spline or a JSON file of key fra"):
+    with pytest.raises(HyalineError, match="--path: is 'swirl'; expected orbit or spline"):
         make_path(dataset, "swirl", 4, width=None, height=None)
     with pytest.raises(HyalineError, match="--frames: is 1; expected 2 to 10,000"):
         make_path(dataset, "spline", 1, width=None, height=None)

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
-from datagen.render import mitsuba_scene
 from datagen.render.mitsuba_scene import bake_texture, linear_texels
 from datagen.scene.modelling import (
     ball,
@@ -18,7 +17,6 @@ from datagen.scene.modelling import (
     filled,
     filleted,
     lathe,
-    leaf,
     merged,
     moved,
     rotation,
@@ -153,15 +151,6 @@ def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
     assert np.einsum("vi,vi->v", again.normals, again.vertices).min() > 0.9999
 
 
-def test_leaf_is_one_sheet_of_few_triangles_that_faces_up() -> None:
-    blade = leaf(0.1, 0.04, droop=0.3)
-    check_mesh(blade, where="leaf")
-    assert len(blade.faces) == 16
-    assert open_edges(blade) == 10  # Five along each rim.
-    a, b, c = np.moveaxis(face_corners(blade).astype(np.float64), 1, 0)
-    assert (np.cross(b - a, c - a)[:, 2] > 0).all()
-
-
 def test_moving_turning_and_merging_keep_the_parts() -> None:
     box = rounded_box((1, 2, 3), bevel=0.1)
     both = merged([box, moved(turned(box, (0, 0, 1), 90), (10, 0, 0))])
@@ -199,37 +188,6 @@ def test_every_pattern_mixes_its_two_colors_and_shows_both(pattern: str) -> None
     np.testing.assert_array_equal(values, evaluate_texture(texture, points()))
 
 
-def test_a_bake_in_pieces_has_the_bits_of_a_bake_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 2, 0), cells=(3, 2))
-    textures = [SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.1) for pattern in PATTERNS]  # pyright: ignore[reportArgumentType]
-    pieces = [bake_texture(texture, mesh, 200) for texture in textures]
-    monkeypatch.setattr(mitsuba_scene, "POINTS_AT_ONCE", 1 << 20)
-    for texture, piece in zip(textures, pieces, strict=True):
-        np.testing.assert_array_equal(bake_texture(texture, mesh, 200), piece)
-
-
-def test_a_texture_is_baked_once_and_has_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    baked: list[SolidTexture] = []
-
-    def bake(texture: SolidTexture, mesh: Mesh, size: int) -> np.ndarray:
-        baked.append(texture)
-        return bake_texture(texture, mesh, size)
-
-    monkeypatch.setattr(mitsuba_scene, "bake_texture", bake)
-    mesh = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), cells=(3, 2))
-    texture, scene = SolidTexture(pattern="marble", colors=(RED, BLUE), scale=0.1), synthetic_scene()
-    for _ in range(2):
-        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), bake_texture(texture, mesh, 128))
-    assert len(baked) == 1
-    (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
-    kept.write_bytes(kept.read_bytes()[:-50])
-    np.testing.assert_array_equal(linear_texels(scene, mesh, texture), bake_texture(texture, mesh, 128))
-    linear_texels(scene, dataclasses.replace(mesh, uv=mesh.uv + np.float32(0.1)), texture)
-    linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
-    assert len(baked) == 4
-
-
 @pytest.mark.parametrize("pattern", ["checker", "stripes"])
 def test_checker_and_stripes_repeat_after_scale_and_swap_after_half(pattern: str) -> None:
     texture = SolidTexture(pattern=pattern, colors=(RED, BLUE), scale=0.25, axis="x")  # pyright: ignore[reportArgumentType]
@@ -256,3 +214,19 @@ def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
 
 
 GOLDEN = (0.0, 0.027354258112609386, 0.2896695521194488)
+
+
+def test_a_baked_texture_is_kept_and_a_damaged_one_is_baked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    mesh, scene = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), cells=(3, 2)), synthetic_scene()
+    texture = SolidTexture(pattern="marble", colors=(RED, BLUE), scale=0.1)
+    expected = bake_texture(texture, mesh, 128)
+    for _ in range(2):
+        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+        (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
+    kept.write_bytes(kept.read_bytes()[:-50])
+    np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+    linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
+    assert len(list((tmp_path / "hyaline" / "textures").iterdir())) == 2

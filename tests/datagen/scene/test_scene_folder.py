@@ -2,26 +2,22 @@
 
 import dataclasses
 import json
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from support.commands import call
-from support.soon import ending_within
 from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import unwrap
 from datagen.scene.description import CameraRig, Lobe, RectangleLight, Scene, SceneObject
-from datagen.scene.folder import Transform, load_scene, save_scene, scene_files
+from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.materials import Dielectric, Diffuse, Plastic
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.textures import ImageTexture
 
 
 def edit(folder: Path, change: object) -> None:
@@ -49,37 +45,6 @@ def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) ->
     assert (tmp_path / "copy" / "photo.png").read_bytes() == (tmp_path / "mine" / "photo.png").read_bytes()
 
 
-def test_a_transform_scales_turns_and_moves_an_object_with_its_normals_and_its_pattern(tmp_path: Path) -> None:
-    scene = synthetic_scene()
-    checker = Diffuse(color=SolidTexture(pattern="checker", colors=((0, 0, 0), (1, 1, 1)), scale=0.1, origin=(1, 0, 0)))
-    mug = SceneObject(name="mug", mesh=unwrap(ball(0.2, subdivisions=2), where="mug"), material=checker)
-    save_scene(dataclasses.replace(scene, objects=(scene.objects[1], mug)), tmp_path)
-    transform = {"scale": [1, 2, 1], "rotation_deg": [0, 0, 90], "translation": [0.5, 0.25, 1]}
-    edit(tmp_path, lambda data: data["objects"][1].update(transform=transform))
-    moved_mug = load_scene(tmp_path).objects[1]
-    # Twice as long along its own y, which after a quarter turn about z is the world's -x.
-    x, y, z = mug.mesh.vertices.T
-    assert moved_mug.mesh.vertices == pytest.approx(np.stack([0.5 - 2 * y, 0.25 + x, 1 + z], axis=1), abs=1e-6)
-    nx, ny, nz = mug.mesh.normals.T
-    expected = np.stack([-ny / 2, nx, nz], axis=1)
-    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
-    assert moved_mug.mesh.normals == pytest.approx(expected, abs=1e-6)
-    assert np.array_equal(moved_mug.mesh.uv, mug.mesh.uv)
-    assert moved_mug.material.solids()["color"].origin == pytest.approx((0.5, 1.25, 1.0))
-    # What is written has the transform in its meshes.
-    save_scene(load_scene(tmp_path), tmp_path / "again")
-    assert "transform" not in (tmp_path / "again" / "scene.json").read_text()
-    assert np.array_equal(load_scene(tmp_path / "again").objects[1].mesh.vertices, moved_mug.mesh.vertices)
-
-
-def test_rotations_follow_each_other_about_the_axes_of_the_world() -> None:
-    # +x: about x it stays, about y it comes to -z, about z that stays.
-    turned = Transform(rotation_deg=(30, 90, 45)).rotation() @ np.array([1.0, 0, 0])
-    assert turned == pytest.approx((0, 0, -1))
-    with pytest.raises(HyalineError, match=r"transform scale: is -1\.0; expected a positive number"):
-        Transform(scale=(1, 1, -1.0))
-
-
 def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
     save_scene(synthetic_scene(), tmp_path)
     import trimesh
@@ -99,7 +64,6 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
             lambda d: d["objects"][0]["material"].update(ior=0),
             r"scene\.json: object pane.material: ior: is 0\.0; expected .* at least 1",
         ),
-        (lambda d: d["objects"][0]["material"].update(ior=-1.5), r"ior: is -1\.5"),
         (
             lambda d: d["objects"][0]["material"].update(iro=1.5),
             r"scene\.json: object pane\.material: unknown key 'iro'",
@@ -111,14 +75,10 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
         (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
         (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the file is missing"),
         (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
-        (lambda d: d["objects"][0].update(name="a/b"), r"object name 'a/b'"),
         (lambda d: d["objects"][1].pop("mesh"), r"scene\.json: object floor: key 'mesh' is missing"),
         (lambda d: d["objects"][1].update(mesh=7), r"scene\.json: object floor\.mesh: is 7; expected text"),
         (lambda d: d["objects"][1].update(material={"type": "Gold"}), r"object floor\.material\.type: is 'Gold'"),
-        (lambda d: d["objects"].append(3), r"scene\.json: objects\[2\]: is 3; expected an object"),
         (lambda d: d["objects"][1].update(name="\x1b[2J", mesh=7), r"scene\.json: objects\[1\]\.mesh: is 7"),
-        (lambda d: d["cameras"].update(radius=-1), r"camera radius: is -1"),
-        (lambda d: d.pop("cameras"), r"scene.json: has no cameras; expected"),
         (
             lambda d: d["objects"][0].update(material={"type": "Dielectric", "ior": 1.5}),
             r"object pane: 4 open edges; glass must be a closed mesh",
@@ -128,10 +88,8 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
 def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, change: object, message: str) -> None:
     save_scene(synthetic_scene(), tmp_path)
     edit(tmp_path, change)
-    with ending_within(60):
-        answer = call("datagen build --scene .")
-    assert answer.status == 1
-    assert re.search(message, answer.error), answer.err
+    with pytest.raises(HyalineError, match=message):
+        load_scene(tmp_path)
 
 
 @pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])

@@ -17,8 +17,8 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.description import Lobe, SceneObject, SoftEnvironment
 from datagen.scene.materials import Dielectric, Diffuse, Material, RoughDielectric
+from datagen.trace.branch_outputs import PathEnds
 from datagen.trace.light_path import LightPathTracer
-from datagen.trace.path_ends import PathEnds
 from datagen.trace.surface_tables import Limits
 
 use_mitsuba()

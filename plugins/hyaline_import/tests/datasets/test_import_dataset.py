@@ -29,7 +29,7 @@ from datagen.disk.errors import HyalineError
 from datagen.look.look import look_page
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.rig import make_cameras
@@ -382,7 +382,7 @@ def flip(pose: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize(
     ("written", "question"),
     [
-        (flip, r"are the poses OpenCV's \(y and z flipped\)\? Expected"),
+        (flip, r"OpenCV's poses have y and z flipped"),
         (np.linalg.inv, "expected"),
         (lambda pose: np.eye(4) + 90 * np.eye(4, k=3), "expected"),
     ],

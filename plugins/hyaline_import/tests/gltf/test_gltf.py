@@ -13,15 +13,15 @@ from support.gltf import BOX, GltfBuilder
 from datagen.data.images import png_bytes
 from datagen.data.meshes import face_corners, signed_volume, welded
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_list import CameraList
+from datagen.scene.description import CameraList
 from datagen.scene.images import bilinear, linear_pixels, look_up
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.modelling import ball
-from datagen.scene.remarks import Remarks
-from datagen.scene.surfaces import mesh_of
 from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.gltf.scene import read_gltf
 from hyaline_import.importing import import_scene
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import mesh_of
 
 CORNERS = BOX.vertices[BOX.faces]
 

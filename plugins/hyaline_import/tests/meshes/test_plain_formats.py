@@ -17,12 +17,12 @@ from support.soon import soon
 from datagen.data.meshes import open_edges, signed_volume
 from datagen.data.ply import write_ply
 from datagen.scene.materials import Diffuse, ThinDielectric
-from datagen.scene.remarks import Remarks
-from datagen.scene.surfaces import made_sound, mesh_of
 from datagen.scene.textures import ImageTexture
 from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.foreign_files import READERS
 from hyaline_import.pictures import stored
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import made_sound, mesh_of
 
 
 def read(path: Path, data: bytes | str, remarks: Remarks | None = None) -> ForeignScene:

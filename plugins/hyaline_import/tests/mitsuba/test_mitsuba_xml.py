@@ -19,17 +19,16 @@ from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.camera_list import CameraList
-from datagen.scene.description import EnvironmentMap, SoftEnvironment
+from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
 from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
-from datagen.scene.remarks import Remarks
-from datagen.scene.surfaces import mesh_of
 from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.importing import import_scene
 from hyaline_import.mitsuba.scene import read_mitsuba
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import mesh_of
 
 use_mitsuba()
 import mitsuba as mi  # noqa: E402

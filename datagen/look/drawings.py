@@ -1,0 +1,236 @@
+"""Drawings of a dataset: its cameras from above, and the light paths of a few pixels that show glass.
+
+A ray from the camera splits where it hits glass: one part is refracted, the other reflected. Each is followed until it
+ends on something opaque or leaves for the sky.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from jaxtyping import Bool, Float, Int, UInt8
+
+from datagen.data.cameras import Camera
+from datagen.data.config import Split
+from datagen.data.dataset import Dataset, View
+from datagen.data.geometries import true_meshes
+from datagen.data.meshes import is_there
+from datagen.data.variants import evenly
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.pages.charts import COLORS
+from datagen.quantities.surfaces import Surfaces, surfaces_of
+from datagen.terminal.distribution import naming_parts
+from datagen.trace.light_path import TracedPaths
+from datagen.trace.surface_tables import Limits
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Picture = UInt8[np.ndarray, "h w 3"]
+
+PIXELS = 900
+"""Longer side of a drawing."""
+MOST_CAMERAS = 120
+"""Cameras drawn per split; if there are more, an even selection."""
+FRUSTUM_SHARE = 0.04
+"""Depth of a drawn camera, relative to the extent of all cameras."""
+RAYS = 5
+"""Rays whose paths are drawn."""
+MOST_VIEWS = 8
+"""Training views that are searched for the one with the best examples."""
+ASKED = 40
+"""Candidate rays along the longer side of a picture, at most."""
+MOST_SURFACES = 10
+"""Paths with more surfaces are not used as examples."""
+SKY_REACH = 0.3
+"""Length of the line to the sky, relative to the distance from the camera to the glass."""
+SKY = "sky"
+LIMITS = Limits(max_branches=2, max_vertices=24)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DrawnPath:
+    """One branch of a camera's ray."""
+
+    ray: int
+    """Number of the ray in the drawing, from 1."""
+    pixel: tuple[int, int]
+    """Column and row."""
+    points: Float[np.ndarray, "point 3"]
+    """The camera, the surfaces along the path, and its end, or a point towards the sky; in metres."""
+    through: str
+    """Names of the objects before its end."""
+    end: str
+    """Name of the object on which it ends, or `SKY`."""
+    is_reflected: bool
+    """Whether it is reflected at the first surface; otherwise it is refracted there."""
+
+
+def draw_cameras(dataset: Dataset) -> Picture:
+    """The cameras of all splits as wedges, and the boxes of the glass, from above with +y up."""
+    cameras = {split: dataset.cameras(split) for split in dataset.splits}
+    places = np.concatenate([item.world_from_camera[:, :2, 3] for item in cameras.values()])
+    depth = FRUSTUM_SHARE * max(float(np.ptp(places, axis=0).max()), 1e-6)
+
+    def draw(axes: "Axes") -> None:
+        for item, mesh in zip(dataset.objects, true_meshes(dataset), strict=True):
+            if item.is_glass and is_there(mesh):
+                low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
+                axes.fill(*np.array([low, (high[0], low[1]), high, (low[0], high[1])]).T, color="#9fb6c8")
+        for place, (split, views) in enumerate(cameras.items()):
+            drawn = evenly(min(MOST_CAMERAS, len(views)), len(views))
+            for view in drawn:
+                axes.plot(*wedge(views[view], depth)[:, :2].T, color=COLORS[place % len(COLORS)], linewidth=1)
+            label = f"{split}: {len(drawn)} of {len(views):,} cameras"
+            centres = views.world_from_camera[drawn, :2, 3].T
+            axes.plot(*centres, ".", color=COLORS[place % len(COLORS)], label=label)
+        axes.set_aspect("equal")
+        axes.legend(loc="upper left")
+
+    return _drawing(draw, 1.0)
+
+
+def wedge(camera: Camera, depth: float) -> Float[np.ndarray, "4 3"]:
+    """A camera's place and the ends of its middle row, `depth` metres ahead, as a closed line."""
+    across = np.tan(camera.fov_x / 2) * depth
+    corners = np.array([(0, 0, 0), (-across, 0, -depth), (across, 0, -depth), (0, 0, 0)])
+    return corners @ camera.world_from_camera[:3, :3].T + camera.world_from_camera[:3, 3]
+
+
+def draw_light_paths(view: View, paths: list[DrawnPath]) -> Picture:
+    """Paths over a view's picture, projected straight into it: solid to a disc if refracted, dashed if reflected.
+
+    A ring surrounds each ray's pixel. Lines without a mark at their end lead to the sky or out of the picture.
+    """
+    camera = view.camera
+
+    def draw(axes: "Axes") -> None:
+        axes.imshow(view.image, extent=(0, camera.width, camera.height, 0), interpolation="nearest")
+        axes.set(xlim=(0, camera.width), ylim=(camera.height, 0))
+        for path in sorted(paths, key=lambda path: not path.is_reflected):
+            places = projected(camera, path.points[1:])
+            color, style = (COLORS[1], "--") if path.is_reflected else (COLORS[0], "-")
+            axes.plot(*places.T, color="white", linewidth=4)
+            axes.plot(*places.T, style, color=color, marker="o", markersize=4)
+            if path.end != SKY and len(places) == len(path.points) - 1:
+                axes.plot(*places[-1], "D" if path.is_reflected else "o", color=color, markersize=9)
+        for ray, (column, row) in {path.ray: path.pixel for path in paths}.items():
+            at = column + 0.5, row + 0.5
+            axes.plot(*at, "o", fillstyle="none", color="white", markersize=18, markeredgewidth=4)
+            axes.plot(*at, "o", fillstyle="none", color="black", markersize=18, markeredgewidth=2)
+            axes.annotate(str(ray), at, (10, 6), textcoords="offset points", weight="bold", backgroundcolor="white")
+
+    return _drawing(draw, camera.height / camera.width)
+
+
+def _drawing(draw: Callable[["Axes"], None], aspect: float) -> Picture:
+    """What `draw` draws on axes that fill a picture of this height over its width."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    width = PIXELS / max(1.0, aspect)
+    figure = Figure(figsize=(width / 72, width * aspect / 72), dpi=72)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.axis("off")
+    draw(axes)
+    canvas.draw()
+    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
+def projected(camera: Camera, p_world: Float[np.ndarray, "point 3"]) -> Float[np.ndarray, "place 2"]:
+    """Points of a path in the picture, up to where it passes behind the camera."""
+    places, depth = camera.project(p_world)
+    behind = np.flatnonzero(depth <= 1e-3 * depth[0])
+    return places[: behind[0]] if len(behind) else places
+
+
+def find_light_paths(dataset: Dataset) -> tuple[View, list[DrawnPath]] | None:
+    """Paths of up to `RAYS` rays of one training view: the best of a few, by how far its glass shifts what is seen."""
+    if not any(item.is_glass for item in dataset.objects):
+        return None
+    surfaces = surfaces_of(dataset)
+    with naming_parts("datagen look"):
+        use_mitsuba()
+        tracer = surfaces.tracer
+    split: Split = "train" if "train" in dataset.splits else dataset.splits[0]
+    cameras = dataset.cameras(split)
+    best, found = 0.0, None
+    for view in evenly(min(MOST_VIEWS, len(cameras)), len(cameras)):
+        camera = cameras[view]
+        origin, directions = camera.rays()
+        step = -(-max(camera.width, camera.height) // ASKED)
+        pixels = np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step].reshape(2, -1)[::-1].T
+        rays = np.ascontiguousarray(directions[pixels[:, 1], pixels[:, 0]])
+        traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
+        shift, is_fit = _shifts(camera, pixels, traced, surfaces)
+        if is_fit.any() and (total := 1e-3 + float(shift[is_fit].sum())) > best:
+            best, found = total, (view, origin, pixels, traced, _choose(pixels, np.where(is_fit, shift + 1e-3, 0)))
+    if found is None:
+        return None
+    view, origin, pixels, traced, chosen = found
+    paths = []
+    for number, ray in enumerate(chosen, 1):
+        pixel = int(pixels[ray, 0]), int(pixels[ray, 1])
+        paths += [
+            path
+            for branch in (0, 1)
+            if (path := _path_of(number, ray, branch, pixel, origin, traced, dataset)) is not None
+        ]
+    return dataset.view(split, view), paths
+
+
+def _shifts(
+    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
+) -> tuple[Float[np.ndarray, " ray"], Bool[np.ndarray, " ray"]]:
+    """Distance in widths from each ray's pixel to its end in the picture, 0 if that is not seen; which hit glass."""
+    ids = traced.object_id[0]
+    count = (ids > 0).sum(axis=0)
+    last = traced.position[0, np.maximum(count - 1, 0), np.arange(len(pixels))].astype(np.float64)
+    seen, depth = camera.project(last)
+    is_inside = (depth > 0) & (seen > 0).all(axis=1) & (seen < (camera.width, camera.height)).all(axis=1)
+    shift = np.linalg.norm(seen - pixels - 0.5, axis=1) / camera.width
+    is_seen = is_inside & ~traced.has_left[0] & (count <= MOST_SURFACES)
+    return np.where(is_seen, shift, 0), surfaces.is_glass[ids[0]] & ((count > 1) | traced.has_left[0])
+
+
+def _choose(pixels: Int[np.ndarray, "ray 2"], score: Float[np.ndarray, " ray"]) -> list[int]:
+    """The rays of the highest scores that are apart from each other."""
+    chosen: list[int] = []
+    while len(chosen) < RAYS and score.max() > 0:
+        chosen.append(int(score.argmax()))
+        score = np.where(np.linalg.norm(pixels - pixels[chosen[-1]], axis=1) < np.ptp(pixels) / 8, 0, score)
+    return chosen
+
+
+def _path_of(
+    number: int,
+    ray: int,
+    branch: int,
+    pixel: tuple[int, int],
+    origin: Float[np.ndarray, "3"],
+    traced: TracedPaths,
+    dataset: Dataset,
+) -> DrawnPath | None:
+    """The refracted (0) or the reflected branch (1) of a ray, if there is one."""
+    ids, has_left = traced.object_id[branch, :, ray], bool(traced.has_left[branch, ray])
+    names = [dataset.objects[item - 1].name for item in ids[ids > 0]]
+    points = [origin, *traced.position[branch, ids > 0, ray]]
+    if branch:
+        if not names and not has_left:
+            return None
+        first = traced.position[0, 0, ray]
+        names, points = [dataset.objects[traced.object_id[0, 0, ray] - 1].name, *names], [origin, first, *points[1:]]
+    if has_left:
+        reach = SKY_REACH * float(np.linalg.norm(points[1] - origin))
+        points.append(points[-1] + reach * traced.end_direction[branch, ray])
+        names.append(SKY)
+    return DrawnPath(
+        ray=number,
+        pixel=pixel,
+        points=np.array(points, np.float64),
+        through=", ".join(dict.fromkeys(names[:-1])),
+        end=names[-1],
+        is_reflected=branch == 1,
+    )
