@@ -75,7 +75,7 @@ def make(
         raise UsageError(f"--amount {amount:g}: does not go with --assign; write OBJECT=noise-{amount:g}")
     if not assign and (rest, name) != (TRUTH, MIXED):
         raise UsageError("--rest, --name: go with --assign OBJECT=KIND; leave them out")
-    from datagen.data.layer_writing import check_settings
+    from datagen.data.layers import check_settings
 
     one_kind = _one_kind(kind, amount)
     check_settings(num_layers=num_layers, workers=workers)

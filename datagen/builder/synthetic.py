@@ -10,10 +10,9 @@ from datagen.data.dataset import Dataset, DatasetObject
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
-from datagen.data.layer_writing import create_layers, write_layers
-from datagen.data.layers import Layers, quantize_uv
+from datagen.data.layers import Layers, quantize_uv, start_layers
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import commit_view, write_head
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
@@ -150,7 +149,9 @@ def write_synthetic_dataset(
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
-    create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
+    meshes_hash = geometry_hash(dataset, TRUTH)
+    start_layers(layers_root(root, TRUTH), size, num_layers=num_layers, geometry_hash=meshes_hash)
+    store = dataset.layer_store()
     noise = rng.normal(0, 1e-3, (*size.shape, 3)).astype(np.float32)
     for split in SPLITS:
         stored = dataset.cameras(split)
@@ -159,5 +160,5 @@ def write_synthetic_dataset(
             picture = shade(layers)
             png, exr = png_bytes(picture), encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
             commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
-            write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
+            store.write(split, view, layers, overflow_share=0.0)
     return dataset

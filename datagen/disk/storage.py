@@ -60,6 +60,13 @@ def commit(path: Path, data: bytes) -> None:
         sync_folder(path.parent)
 
 
+def commit_all(root: Path, files: Mapping[str, bytes]) -> dict[str, str]:
+    """Commits files, given by path relative to `root`; their SHA-256 by the same paths."""
+    for path, data in files.items():
+        commit(root / path, data)
+    return {path: sha256(data) for path, data in files.items()}
+
+
 def try_place(path: Path) -> None:
     """Raises an OSError if no file can be committed at `path`, before work is done for one."""
     with naming(path), _temporary(path, b"") as temporary:

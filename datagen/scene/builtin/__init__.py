@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from datagen.data.config import OWN_LICENSE
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, is_there
-from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import is_intact, private_cache, sha256, write_hashed

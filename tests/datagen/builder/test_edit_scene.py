@@ -10,9 +10,8 @@ import torch
 from support.synthetic import pixel_rays, quad, synthetic_scene, trace
 
 from datagen.builder.build import build_dataset, peel_dataset
-from datagen.builder.build_variant import build_variant
-from datagen.builder.find_edit_masks import find_edit_mask, shows_objects
-from datagen.builder.plan_variant import plan_edit
+from datagen.builder.edit_masks import find_edit_mask, shows_objects
+from datagen.builder.variants import build_variant, plan_edit
 from datagen.builder.verify import verify_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square

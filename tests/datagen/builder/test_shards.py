@@ -10,17 +10,17 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.builds import build, build_whole, command, tree
 from support.commands import run
 from support.synthetic import synthetic_scene
 
-from datagen.builder.build import _start_beside_others, open_or_start
-from datagen.builder.shards import Shard, parse_shard
+from datagen.builder.build import open_or_start
+from datagen.builder.choices import parse_shard
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.geometries import geometry_hash
+from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, LAYERS
@@ -140,19 +140,19 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
     scene = synthetic_scene()
     cameras = make_cameras(scene.cameras, config)
 
-    def start(root: Path, shard: bool) -> str:
+    def start(root: Path) -> str:
         dataset = open_or_start(scene, root, config, cameras, overwrite=False)
-        root = layers_root(dataset.root, TRUTH)
-        _start_beside_others(dataset, TRUTH, geometry_hash(dataset, TRUTH), num_layers=4)
+        root, meshes_hash = layers_root(dataset.root, TRUTH), geometry_hash(dataset, TRUTH)
+        start_layers(root, config.resolution, num_layers=4, geometry_hash=meshes_hash)
         return dataset.seal
 
     (tmp_path / "alone").mkdir()
-    seal = start(tmp_path / "alone", False)
+    seal = start(tmp_path / "alone")
     for attempt in range(4):
         root = tmp_path / f"at-once-{attempt}"
         root.mkdir()
         with ThreadPoolExecutor(8) as pool:
-            assert set(pool.map(start, [root] * 8, [True] * 8)) == {seal}
+            assert set(pool.map(start, [root] * 8)) == {seal}
         assert tree(root) == tree(tmp_path / "alone")
 
 
@@ -174,14 +174,6 @@ def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
         pass
     with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
         pass
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7, 40])
-def test_parts_are_disjoint_even_and_make_the_whole(count: int) -> None:
-    tasks = list(range(23))
-    parts = [Shard(number=number, count=count).of(tasks) for number in range(1, count + 1)]
-    assert sorted(np.concatenate(parts).astype(int).tolist()) == tasks
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/2", "a/b", "1/2/3", "", "½/2"])
