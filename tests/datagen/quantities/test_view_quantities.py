@@ -67,10 +67,6 @@ def test_masks_and_materials_are_those_of_the_scene(found: ViewQuantities) -> No
     assert found.material_names == ("Dielectric", "Diffuse", "Plastic", "ThinDielectric")
     kinds = [found.material_names.index(type(item.material).__name__) + 1 for item in glass_scene().objects]
     assert np.array_equal(found.material_id, np.array([0, *kinds])[found.object_id])
-    solid = found.object_mask("ball") | found.object_mask("slab")
-    assert np.array_equal(found.material_mask("Dielectric"), solid) and solid.any()
-    with pytest.raises(HyalineError, match="has no material 'Glass'; its kinds are Dielectric, Diffuse, Plastic, Thin"):
-        found.material_mask("Glass")
     assert np.array_equal(found.ior, np.array([0, 0, 1.5, 1.6, 1.5, 0], np.float32)[found.object_id])
 
 
