@@ -70,9 +70,6 @@ class DatasetObject:
     name: str
     is_glass: bool
 
-    def __post_init__(self) -> None:
-        check_name(self.name, where="object name")
-
 
 @dataclass(frozen=True, kw_only=True)
 class Head:
@@ -88,6 +85,8 @@ class Head:
     license: str | None = None
 
     def __post_init__(self) -> None:
+        for item in self.objects:
+            check_name(item.name, where="object name")
         for file in self.files:
             check_relative(file, where="files")
 

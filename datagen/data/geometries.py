@@ -216,8 +216,11 @@ def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
 
 
 def geometry_hash(dataset: Dataset, geometry: str) -> str:
-    """Hash of a geometry's meshes, which layers record."""
-    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
+    """Hash of a geometry's meshes, verified, which layers record."""
+    check_has_meshes(dataset)
+    root = geometry_root(dataset.home.root, geometry)
+    files = _mesh_files(dataset.home, geometry).values()
+    return sha256(b"".join(read_promised(root, file, promised) for file, promised in files))
 
 
 @dataclass(frozen=True, kw_only=True)
