@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import numcodecs.blosc
 import numpy as np
 import pytest
 from support.synthetic import write_synthetic_dataset
@@ -69,12 +68,6 @@ def test_a_file_that_is_none_is_refused_whatever_it_holds() -> None:
 def test_an_array_of_another_type_or_shape_is_refused(dtype: str, shape: tuple[int, ...], message: str) -> None:
     with pytest.raises(HyalineError, match=message):
         decode_array(encode_array(VALUES), np.dtype(dtype), shape, where="file")
-
-
-def test_a_buffer_that_does_not_hold_a_npy_file_is_refused() -> None:
-    data = numcodecs.blosc.compress(b"x" * (VALUES.nbytes + 128), b"zstd", 5)
-    with pytest.raises(HyalineError, match=r"is not a \.npy file of uint16"):
-        decode_array(data, UINT16, SHAPE, where="file")
 
 
 def test_layers_that_do_not_fit_into_a_file_are_refused_before_anything_is_written(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Tests the quantities of views against closed formulas: a ball, a slab, a pane and a cube above a floor."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from support.checked import unchecked
@@ -131,8 +129,3 @@ def test_thickness_is_the_length_inside_solid_glass(found: ViewQuantities) -> No
     assert np.abs(thick - slab)[only_slab].max(initial=0) < 1e-4
     pane = found.object_mask("pane") & (chord == 0) & (slab == 0)
     assert not thick[pane].any()
-
-
-def test_what_is_asked_for_twice_is_read_once(tmp_path: Path, dataset: Dataset) -> None:
-    first, second = (quantities(dataset.view("train", index)) for index in (0, 1))
-    assert first.surfaces is second.surfaces and first.layers is first.layers
