@@ -13,13 +13,14 @@ from datagen.data.config import (
     RENDERED,
     SPLITS,
     DatasetConfig,
+    DatasetObject,
     Imported,
     Split,
     config_difference,
     describe_views,
     unknown_license,
 )
-from datagen.data.dataset import Dataset, DatasetObject, open_dataset
+from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_meshes
 from datagen.data.layers import check_settings, record_path_of_layers, start_layers
 from datagen.data.paths import HIDDEN, TRUTH, layers_root

@@ -12,13 +12,14 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import (
     TEST_SPLITS,
     DatasetConfig,
+    DatasetObject,
     SceneEdit,
     Split,
     SplitConfig,
     Variant,
     config_difference,
 )
-from datagen.data.dataset import Dataset, DatasetObject, find_num_layers, open_dataset
+from datagen.data.dataset import Dataset, find_num_layers, open_dataset
 from datagen.data.geometries import (
     list_geometries,
     read_assignment,

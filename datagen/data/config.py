@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, Self
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name
+from datagen.disk.names import check_name, check_relative
 from datagen.disk.records import shown
 
 MAX_SIDE = 8192
@@ -113,11 +113,6 @@ class SplitConfig:
 
     def __str__(self) -> str:
         return f"{self.views} views of {self.spp} samples per pixel"
-
-    @property
-    def samples(self) -> int:
-        """Samples of one pixel, summed over the views."""
-        return self.views * (self.spp or 0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,6 +268,43 @@ class Imported:
 
 RENDERED = (".png", ".exr")
 """Endings of the files of a rendered view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetObject:
+    """One object as users of the dataset see it; its id is 1 + its place in `Dataset.objects`."""
+
+    name: str
+    is_glass: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """The content of dataset.json."""
+
+    version: int
+    config: DatasetConfig
+    objects: tuple[DatasetObject, ...]
+    files: dict[str, str]
+    """SHA-256 of the files of scene and cameras, by path relative to the dataset."""
+    variant: Variant | None = None
+    imported: Imported | None = None
+    license: str | None = None
+
+    def __post_init__(self) -> None:
+        for item in self.objects:
+            check_name(item.name, where="object name")
+        for file in self.files:
+            check_relative(file, where="files")
+
+    @property
+    def splits(self) -> tuple[Split, ...]:
+        return SPLITS if self.variant is None else self.variant.splits
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Endings of the files of each view."""
+        return RENDERED if self.imported is None else self.imported.endings
 
 
 OWN_LICENSE = "CC0-1.0"

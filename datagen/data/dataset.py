@@ -44,6 +44,8 @@ from datagen.data.config import (
     SPLITS,
     TEST_SPLITS,
     DatasetConfig,
+    DatasetObject,
+    Head,
     Imported,
     SceneEdit,
     Split,
@@ -57,47 +59,10 @@ from datagen.data.paths import HIDDEN, TRUTH, layers_root, record_path, where_da
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.checked import checked
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.names import check_name, check_relative, real_path
+from datagen.disk.names import real_path
 from datagen.disk.ownership import LAYERS
 from datagen.disk.records import Json, entry, from_json, shown
 from datagen.disk.storage import MAKE_AGAIN, Opened, check_files, load_sealed, read_promised, seal_of, sha256
-
-
-@dataclass(frozen=True, kw_only=True)
-class DatasetObject:
-    """One object as users of the dataset see it; its id is 1 + its place in `Dataset.objects`."""
-
-    name: str
-    is_glass: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class Head:
-    """The content of dataset.json."""
-
-    version: int
-    config: DatasetConfig
-    objects: tuple[DatasetObject, ...]
-    files: dict[str, str]
-    """SHA-256 of the files of scene and cameras, by path relative to the dataset."""
-    variant: Variant | None = None
-    imported: Imported | None = None
-    license: str | None = None
-
-    def __post_init__(self) -> None:
-        for item in self.objects:
-            check_name(item.name, where="object name")
-        for file in self.files:
-            check_relative(file, where="files")
-
-    @property
-    def splits(self) -> tuple[Split, ...]:
-        return SPLITS if self.variant is None else self.variant.splits
-
-    @property
-    def endings(self) -> tuple[str, ...]:
-        """Endings of the files of each view."""
-        return RENDERED if self.imported is None else self.imported.endings
 
 
 def read_head(root: Path) -> tuple[Head, str]:

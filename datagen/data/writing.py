@@ -11,8 +11,18 @@ from pathlib import Path
 from typing import cast
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DATASET_VERSION, RENDERED, DatasetConfig, Imported, Split, Variant, ViewRecord
-from datagen.data.dataset import Dataset, DatasetObject, Head, open_dataset, read_head
+from datagen.data.config import (
+    DATASET_VERSION,
+    RENDERED,
+    DatasetConfig,
+    DatasetObject,
+    Head,
+    Imported,
+    Split,
+    Variant,
+    ViewRecord,
+)
+from datagen.data.dataset import Dataset, open_dataset, read_head
 from datagen.data.geometries import proxy_files
 from datagen.data.layers import layers_files
 from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
