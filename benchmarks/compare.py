@@ -13,11 +13,10 @@ from jaxtyping import UInt8
 
 from benchmarks.browser import open_file, running_browser, watched_page
 from datagen.builder.build import peel_dataset
-from datagen.builder.plan_variant import plan_edit
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.builder.variants import plan_edit
+from datagen.data.config import TEST_SPLITS, Split, Variant
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import is_there
-from datagen.data.metadata import Variant
 from datagen.data.paths import TRUTH
 from datagen.data.variants import variant_root
 from datagen.data.writing import write_head

@@ -5,18 +5,14 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import UInt8
 from PIL import Image, ImageDraw, ImageFont
 
-from datagen.builder.film import path_trace
+from datagen.builder.film import Picture, check_film, path_trace, write_film
 from datagen.data.dataset import open_dataset
-from datagen.data.film import check_film, write_film
 from datagen.disk.errors import HyalineError
 from datagen.scene.camera_path import make_path
 from model.run.predict import film_pictures
 from model.run.run_folder import check_trained_on, read_run
-
-Picture = UInt8[np.ndarray, "h w 3"]
 
 CAPTION = 20
 """Rows under each picture for its name."""
@@ -46,7 +42,7 @@ def draw_turntable(
     names = names or tuple(folder.name for folder in runs)
     if not runs or len(names) != len(runs):
         raise HyalineError(f"names: are {', '.join(names)} for {len(runs)} runs; expected one for each run")
-    check_film(out, fps, frames=frames, overwrite=overwrite)
+    check_film(out, fps, overwrite=overwrite)
     dataset = open_dataset(Path(read_run(runs[0]).dataset))
     cameras = make_path(dataset, path, frames, width=size, height=None)
     columns = [list(path_trace(dataset, cameras, spp=spp))]
@@ -55,7 +51,7 @@ def draw_turntable(
         check_trained_on(folder, config, dataset)
         columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))(0)))
     pages = _side_by_side(columns, ("truth, path-traced", *names))
-    write_film(out, lambda _: pages, fps, frames=frames, key="", overwrite=True)
+    write_film(out, pages, fps)
 
 
 def _side_by_side(columns: list[list[Picture]], names: tuple[str, ...]) -> Iterator[Picture]:

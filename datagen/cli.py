@@ -62,8 +62,7 @@ def build(
         scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
             random: glassware generated from --seed. random-0007 is the random scene of seed 7.
     """
-    from datagen.builder.build_command import build_scenes
-    from datagen.builder.shards import count_missing
+    from datagen.builder.build_command import build_scenes, count_missing
 
     hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
@@ -120,10 +119,10 @@ def peel(
         overwrite: Peel again even if layers exist.
     """
     from datagen.builder.build import peel_dataset, summary
-    from datagen.builder.build_variant import peel_variants
-    from datagen.data.dataset import open_dataset
+    from datagen.builder.variants import peel_variants
+    from datagen.data.dataset import find_num_layers, open_dataset
     from datagen.data.geometries import check_geometry
-    from datagen.data.layer_writing import check_settings, find_num_layers
+    from datagen.data.layers import check_settings
 
     opened = open_dataset(find_dataset(dataset))
     if num_layers is None:
@@ -151,14 +150,14 @@ def film(
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         spp: Samples per pixel.
     """
-    from datagen.builder.film import film_scene, plan_film
+    from datagen.builder.film import path_trace, plan_film, write_film
     from datagen.data.dataset import open_dataset
 
     opened = open_dataset(find_dataset(dataset))
     out = choices.out or Path(f"{opened.name}-truth.webp")
     cameras = plan_film(opened, choices, out)
     say(f"{opened.root}: rendering {out}")
-    film_scene(opened, cameras, out, fps=choices.fps, spp=spp, overwrite=choices.overwrite)
+    write_film(out, path_trace(opened, cameras, spp=spp), choices.fps)
     tell(str(out))
 
 

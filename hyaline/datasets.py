@@ -14,8 +14,7 @@ from datagen.data.config import Split as Split
 from datagen.data.dataset import Dataset, has_layers
 from datagen.data.dataset import View as View
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
-from datagen.data.layer_writing import check_settings
-from datagen.data.layers import Layers, round_mantissa
+from datagen.data.layers import Layers, check_settings, round_mantissa
 from datagen.data.meshes import Mesh as Mesh
 from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.disk.checked import checked
@@ -131,8 +130,7 @@ def build(
         HyalineError: a scene that would render wrong, a setting out of range, or something else in `folder`.
     """
     from datagen.builder.build import build_dataset, summary
-    from datagen.builder.choices import SizeChoices
-    from datagen.builder.presets import configure, fit_to_scene
+    from datagen.builder.choices import SizeChoices, configure, fit_to_scene
     from datagen.scene.finding import find_scene
 
     for key in size:

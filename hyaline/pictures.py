@@ -45,8 +45,7 @@ def show(item: Scene | Dataset | View | Run) -> Image.Image:
 
 @naming_parts("hyaline.show")
 def _scene_picture(scene: Scene) -> UInt8[np.ndarray, "h w 3"]:
-    from datagen.builder.choices import SizeChoices
-    from datagen.builder.presets import configure, fit_to_scene
+    from datagen.builder.choices import SizeChoices, configure, fit_to_scene
     from datagen.data.images import srgb_from_linear, to_8bit
     from datagen.machine.mitsuba_variant import use_mitsuba
     from datagen.render.truth import Renderer, render_view

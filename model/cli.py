@@ -162,23 +162,20 @@ def film(
         device: Where to compute; auto uses a GPU if there is one.
     """
     from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, WEIGHTS, find_run, open_trained
+    from model.run.run_folder import FOLDER, find_run, open_trained
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
     refuse_owned(out, FOLDER)
-    from datagen.builder.film import plan_film
-    from datagen.data.film import film_key, write_film
-    from datagen.disk.storage import sha256_file
+    from datagen.builder.film import plan_film, write_film
 
     cameras = plan_film(opened, choices, out)
     say(f"{run}: rendering {out}")
     from model.run.predict import film_pictures
 
     draw = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    key = film_key(cameras, opened.seal, sha256_file(run / WEIGHTS))
-    write_film(out, draw, choices.fps, frames=len(cameras), key=key, overwrite=choices.overwrite)
+    write_film(out, draw(0), choices.fps)
     tell(str(out))
 
 

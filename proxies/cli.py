@@ -48,7 +48,7 @@ def make(
         workers: Parallel processes.
         overwrite: Replace existing proxies and layers.
     """
-    from datagen.data.layer_writing import check_settings
+    from datagen.data.layers import check_settings
     from proxies.make import assign_kinds, make_and_peel
 
     if kind != "ellipsoid" if assign else name != MIXED:

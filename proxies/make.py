@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from datagen.builder.build import peel_dataset
-from datagen.builder.build_variant import peel_variants
+from datagen.builder.variants import peel_variants
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_assignment, read_meshes, read_proxy_records, write_proxies
 from datagen.data.meshes import Mesh

@@ -37,7 +37,7 @@ HOMES = {
     "colour": {"eval"},
     "xatlas": {"datagen/scene/atlas.py"},
     "manifold3d": {"datagen/data/meshes.py"},
-    "numcodecs": {"datagen/data/layers.py", "datagen/data/layer_writing.py"},
+    "numcodecs": {"datagen/data/layers.py"},
     "OpenEXR": {"datagen/data/images.py"},
     "submitit": {"datagen/machine/launch.py"},
 }

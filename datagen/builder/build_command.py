@@ -4,15 +4,20 @@ import dataclasses
 from pathlib import Path
 
 from datagen.builder.build import build_dataset, refuse_unlit, summary
-from datagen.builder.build_variant import build_variant, peel_variants
-from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
-from datagen.builder.plan_variant import plan_angles, plan_edit, plan_larger
-from datagen.builder.presets import configure, fit_to_scene
-from datagen.builder.shards import count_missing, parse_shard
+from datagen.builder.choices import (
+    AddChoices,
+    BuildChoices,
+    ShardChoices,
+    SizeChoices,
+    configure,
+    fit_to_scene,
+    parse_shard,
+)
+from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.layer_writing import check_settings
-from datagen.data.paths import DATA_ROOT, TRUTH
-from datagen.data.variants import TWINS
+from datagen.data.layers import check_settings, record_path_of_layers
+from datagen.data.paths import DATA_ROOT, TRUTH, layers_root, record_path
+from datagen.data.variants import TWINS, list_variants, open_variant
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
@@ -27,11 +32,7 @@ from datagen.terminal.preview import preview
 def build_scenes(
     scene: str, choices: BuildChoices, size: SizeChoices, launch: ShardChoices, imports: ImportChoices
 ) -> list[Dataset]:
-    """Builds the dataset of a scene; of `random`, as many as `choices` count.
-
-    Raises:
-        HyalineError: choices that do not go together, or whatever building raises.
-    """
+    """Builds the dataset of a scene; of `random`, as many as `choices` count."""
     in_parts = "--shard" if choices.shard else "--launcher" if launch.launcher else ""
     if in_parts and choices.overwrite:
         raise UsageError(f"--overwrite: cannot be combined with {in_parts}; delete the folder first")
@@ -81,14 +82,15 @@ def _build_scene(
         refuse_others(choices.out or DATA_ROOT / name, DATASET)
     scene = find_scene(name, resolution=config.resolution, imports=imports)
     root = choices.out or DATA_ROOT / scene.name
-    config = fit_to_scene(config, scene, size)
     if launch.launcher is not None:
         # What follows then finds all views made, and reads every byte of them.
-        _build_in_jobs(name, root, choices, size, launch, imports)
+        words = _job_words(name, choices, size, imports)
+        parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
+        _run_jobs(root, {f"part {part}": [*words, "--shard", part] for part in parts}, launch)
     made = build_dataset(
         scene,
         root,
-        config,
+        fit_to_scene(config, scene, size),
         num_layers=size.num_layers,
         workers=choices.workers,
         overwrite=choices.overwrite,
@@ -98,51 +100,49 @@ def _build_scene(
     missing, total = (0, 0) if part is None else count_missing(made)
     if part is not None:
         left = f"; {missing} of {total} pictures and layers are for the other parts to make"
-        rest = left if missing else ", and with it the dataset"
-        say(f"{root}: part {part} is done{rest}")
+        say(f"{root}: part {part} is done{left if missing else ', and with it the dataset'}")
     if not missing:
         say_all(summary(made, TRUTH))
         _preview(made, choices.preview)
     return made
 
 
+def count_missing(dataset: Dataset) -> tuple[int, int]:
+    """How many views, and sets of layers of views, are not committed yet, and how many there are in all.
+
+    Counts the records, which are written last; only a build without a part reads every byte. Variants count, too, but
+    for edits, which one machine makes.
+    """
+    variants = [open_variant(dataset, name) for name in list_variants(dataset.root)]
+    paths = [
+        path
+        for one in (dataset, *(variant for variant in variants if variant.edit is None))
+        for split, count in one.num_views.items()
+        for view in range(count)
+        for path in (
+            record_path(one.root, split, view),
+            record_path_of_layers(layers_root(one.root, TRUTH), split, view),
+        )
+    ]
+    return sum(not path.is_file() for path in paths), len(paths)
+
+
 def _build_seeds_in_jobs(
     scene: str, choices: BuildChoices, count: int, size: SizeChoices, launch: ShardChoices
 ) -> None:
-    """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded.
-
-    Raises:
-        HyalineError: the cluster took no job, or a job failed.
-    """
+    """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded."""
     each = -(-count // launch.shards)
     jobs = {}
     for first in range(choices.seed, choices.seed + count, each):
         seeds = min(each, choices.seed + count - first)
         part = dataclasses.replace(choices, seed=first, count=seeds)
         jobs[f"seeds {first} to {first + seeds - 1}"] = _job_words(scene, part, size, ImportChoices())
-    root = choices.out or DATA_ROOT / scene
+    _run_jobs(choices.out or DATA_ROOT / scene, jobs, launch)
+
+
+def _run_jobs(root: Path, jobs: dict[str, list[str]], launch: ShardChoices) -> None:
     failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
     raise_failures(str(root), failures, len(jobs))
-
-
-def _build_in_jobs(
-    scene: str,
-    root: Path,
-    choices: BuildChoices,
-    size: SizeChoices,
-    launch: ShardChoices,
-    imports: ImportChoices,
-) -> None:
-    """Builds all parts of a dataset at `root` in jobs, and returns when all have succeeded.
-
-    Raises:
-        HyalineError: the cluster took no job, or a job failed.
-    """
-    words = _job_words(scene, choices, size, imports)
-    parts = [f"{number}/{launch.shards}" for number in range(1, launch.shards + 1)]
-    jobs = {f"part {part}": [*words, "--shard", part] for part in parts}
-    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
-    raise_failures(str(root), failures, launch.shards)
 
 
 def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: ImportChoices) -> list[str]:
@@ -151,11 +151,7 @@ def _job_words(scene: str, choices: BuildChoices, size: SizeChoices, imports: Im
 
 
 def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
-    """Adds an edited scene, twins, splits by angle or larger pictures to a dataset.
-
-    Raises:
-        HyalineError: nothing to add, choices that do not go together, or whatever building raises.
-    """
+    """Adds an edited scene, twins, splits by angle or larger pictures to a dataset."""
     refuse_unlit(base, what="another view")
     edits = [choices.edit] if choices.edit else []
     edits += [(twin,) for twin in TWINS] if choices.twins else []

@@ -1,11 +1,17 @@
-"""The flags of `datagen build`, `datagen add` and `datagen film`."""
+"""The flags of `datagen build`, `datagen add` and `datagen film`; presets and parts of a build."""
 
+import dataclasses
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from datagen.disk.errors import UsageError
+from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution, square
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices
+from datagen.scene.description import Scene
+from datagen.scene.rig import with_listed_shape, with_listed_views
+from datagen.terminal.command import choose
 
 PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
 
@@ -122,3 +128,80 @@ class FilmChoices:
     """Height in pixels. Default: from the width and the dataset's aspect ratio."""
     overwrite: bool = False
     """Replace an existing film."""
+
+
+def _preset(name: str, side: int, train: tuple[int, int], test: tuple[int, int]) -> DatasetConfig:
+    split = SplitConfig(views=test[0], spp=test[1])
+    return DatasetConfig(
+        scene="scene",
+        preset=name,
+        resolution=square(side),
+        train=SplitConfig(views=train[0], spp=train[1]),
+        interpolating=split,
+        extrapolating=split,
+    )
+
+
+PRESETS: dict[str, DatasetConfig] = {
+    "tiny": _preset("tiny", 32, train=(8, 16), test=(3, 64)),  # Tests: seconds.
+    "small": _preset("small", 64, train=(60, 64), test=(8, 256)),  # Many scenes: a minute on two cores.
+    "demo": _preset("demo", 128, train=(100, 64), test=(12, 512)),  # A first look: minutes.
+    "standard": _preset("standard", 256, train=(200, 64), test=(20, 512)),  # Comparing methods: half an hour.
+    "paper": _preset("paper", 512, train=(1000, 64), test=(40, 512)),  # The paper's size: a night.
+}
+"""Samples per pixel are powers of two, as Sobol's sequence likes."""
+
+
+def configure(preset: str, size: SizeChoices, *, seed: int) -> DatasetConfig:
+    """The configuration of a new dataset; `fit_to_scene` completes it when the scene is known."""
+    usual = PRESETS[choose("preset", preset, PRESETS)]
+    test = _given(usual.interpolating, views=size.test_views, spp=size.test_spp)
+    return dataclasses.replace(
+        usual,
+        train=_given(usual.train, views=size.views, spp=size.spp),
+        interpolating=test,
+        extrapolating=test,
+        resolution=usual.resolution if size.resolution is None else parse_resolution(str(size.resolution)),
+        ceiling_db=size.ceiling,
+        max_depth=size.max_depth,
+        seed=seed,
+    )
+
+
+def _given(split: SplitConfig, **values: int | None) -> SplitConfig:
+    return dataclasses.replace(split, **{name: value for name, value in values.items() if value is not None})
+
+
+def fit_to_scene(config: DatasetConfig, scene: Scene, size: SizeChoices) -> DatasetConfig:
+    """The configuration with the scene's name; what `size` leaves open is as in the scene, if it lists its cameras."""
+    config = dataclasses.replace(config, scene=scene.name)
+    if size.resolution is None:
+        config = with_listed_shape(config, scene.cameras)
+    has_views = size.views is not None or size.test_views is not None
+    return config if has_views else with_listed_views(config, scene.cameras)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shard:
+    """One of `count` disjoint parts of the views of a dataset, which several machines may make at once.
+
+    Machines meet in the folder alone, without a lock that all of them would have to see (flock often ends at the
+    machine). So a part never deletes or replaces anything but by the same bytes: what several need (scene, cameras,
+    heads) each writes whole and of the same content, and a head that stands there is never replaced. What a killed part
+    left is cleared by a build without a part, when all have ended.
+    """
+
+    number: int
+    """From 1 to `count`."""
+    count: int
+
+    def __str__(self) -> str:
+        return f"{self.number}/{self.count}"
+
+
+def parse_shard(text: str) -> Shard:
+    """The part that `--shard 2/4` names."""
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise HyalineError(f"shard: is {text!r}; expected the part and the number of parts, such as 2/4")
+    return Shard(number=int(found[1]), count=int(found[2]))

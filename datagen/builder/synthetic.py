@@ -1,19 +1,19 @@
 """A tiny dataset made without Mitsuba: a glass pane over a textured floor, ray-traced by closed formula."""
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, Resolution, SplitConfig, square
-from datagen.data.dataset import Dataset, DatasetObject
+from datagen.data.cameras import Cameras, direction_of, look_at
+from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, SplitConfig, square
+from datagen.data.dataset import Dataset
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
-from datagen.data.layer_writing import create_layers, write_layers
-from datagen.data.layers import Layers, quantize_uv
+from datagen.data.layers import Layers, quantize_uv, start_layers
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import commit_view, write_head
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
@@ -51,16 +51,6 @@ def synthetic_scene() -> Scene:
             walk=(WalkPoint(position=(2, 0, 2), target=(0, 0, 0)), WalkPoint(position=(0, 2, 1), target=(0, 0, 0))),
         ),
     )
-
-
-def look_at(position: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """world_from_camera (4, 4), OpenGL convention, +z up."""
-    back = (position - target) / np.linalg.norm(position - target)
-    right = np.cross([0.0, 0.0, 1.0], back)
-    right /= np.linalg.norm(right)
-    matrix = np.eye(4)
-    matrix[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
-    return matrix
 
 
 def pixel_rays(cameras: Cameras, view: int) -> tuple[np.ndarray, np.ndarray]:
@@ -120,16 +110,9 @@ def write_synthetic_dataset(
         sees_nothing: the last extrapolating camera looks away from all objects.
         scene_name: what the dataset calls its scene.
     """
-    few = SplitConfig(views=2, spp=4)
     size = resolution if isinstance(resolution, Resolution) else square(resolution)
-    config = DatasetConfig(
-        scene=scene_name,
-        preset="tiny",
-        resolution=size,
-        train=SplitConfig(views=train_views, spp=4),
-        interpolating=few,
-        extrapolating=few,
-    )
+    config = DatasetConfig.even(scene_name, size, 2)
+    config = dataclasses.replace(config, preset="tiny", train=SplitConfig(views=train_views, spp=4))
     scene = synthetic_scene()
     rng = np.random.default_rng(0)
     cameras = {}
@@ -137,10 +120,7 @@ def write_synthetic_dataset(
         poses = []
         for _ in range(config.split(split).views):
             azimuth, elevation = rng.uniform(0, 2 * np.pi), rng.uniform(0.6, 1.3)
-            way = np.array(
-                [np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)]
-            )
-            poses.append(look_at(3 * way, np.zeros(3)))
+            poses.append(look_at(3 * direction_of(np.array(elevation), np.array(azimuth)), np.zeros(3)))
         if sees_nothing and split == "extrapolating":
             away = poses[-1][:3, 3]
             poses[-1] = look_at(away, 2 * away)
@@ -150,7 +130,9 @@ def write_synthetic_dataset(
     objects = (DatasetObject(name="pane", is_glass=True), DatasetObject(name="floor", is_glass=False))
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
-    create_layers(dataset, TRUTH, num_layers=num_layers, geometry_hash=geometry_hash(dataset, TRUTH))
+    meshes_hash = geometry_hash(dataset, TRUTH)
+    start_layers(layers_root(root, TRUTH), size, num_layers=num_layers, geometry_hash=meshes_hash)
+    store = dataset.layer_store()
     noise = rng.normal(0, 1e-3, (*size.shape, 3)).astype(np.float32)
     for split in SPLITS:
         stored = dataset.cameras(split)
@@ -159,5 +141,5 @@ def write_synthetic_dataset(
             picture = shade(layers)
             png, exr = png_bytes(picture), encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
             commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
-            write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
+            store.write(split, view, layers, overflow_share=0.0)
     return dataset

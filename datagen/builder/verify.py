@@ -4,6 +4,7 @@ Damage is a file of the dataset that is missing, does not hold what was promised
 followed, a pipe never opened). The commands that made the dataset mend it; files of others are a remark.
 """
 
+import contextlib
 import os
 import stat
 from collections.abc import Callable, Iterable, Mapping
@@ -13,7 +14,7 @@ from typing import NamedTuple
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_proxy_records
-from datagen.data.layers import DTYPES, array_file, record_path_of_layers
+from datagen.data.layers import DTYPES, LayerStore, array_file, record_path_of_layers
 from datagen.data.paths import TRUTH, geometry_root, image_path, layers_root, record_path
 from datagen.data.variants import EDIT_MASKS_FOLDER, VARIANTS_FOLDER, edit_mask_files
 from datagen.disk.errors import HyalineError
@@ -43,21 +44,12 @@ class Findings(NamedTuple):
 
 
 def verify_dataset(root: Path) -> Findings:
-    """Reads every file of a dataset, with its layers, proxies and variants; of a variant, that one's.
-
-    Raises:
-        HyalineError: no dataset there, or its head is lost or damaged.
-    """
-    dataset = open_dataset(root)
-    search = _Search(root)
-    search.check_dataset(dataset)
+    """Reads every file of a dataset, with its layers, proxies and variants; of a variant, that one's."""
+    dataset, search = open_dataset(root), _Search(root)
+    search.add_record(root / DATASET.head, root, lambda: search.add_dataset(dataset))
     for name in _names(root / VARIANTS_FOLDER, DATASET.head, "records"):
         path = root / VARIANTS_FOLDER / name
-        if search.check(path / DATASET.head):
-            try:
-                search.check_dataset(open_dataset(path))
-            except HyalineError as error:
-                search.refuse(path / DATASET.head, error)
+        search.add_record(path / DATASET.head, path, lambda path=path: search.add_dataset(open_dataset(path)))
     return search.findings(withheld=sum(dataset.num_views[split] for split in dataset.withheld))
 
 
@@ -77,70 +69,43 @@ def tell_findings(root: Path, found: Findings, *, as_json: bool) -> None:
 
 
 class _Search:
-    """The state of one search."""
+    """What a dataset promises, and what is wrong with it."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self.promised: dict[Path, str | None] = {}
+        """SHA-256 of each file; None for records, which hold their own."""
         self.known: set[Path] = set()
-        self.hashes: dict[Path, str] = {}
-        """SHA-256 of the files that verify."""
+        """Files that are no part of the dataset yet, but may become one."""
         self.problems: dict[Path, str] = {}
 
-    def check(self, path: Path, promised: str | None = None) -> bool:
-        """Expects a file of these bytes (or of any); notes where it is not so."""
-        self.known.add(path)
-        place, what = _obstacle(self.root, path) or (path, "")
-        if not what:
-            self.hashes[path] = sha256_file(path)
-            if promised in (None, self.hashes[path]):
-                return True
-            what = "damaged or edited (checksum differs)"
-        self.hashes.pop(path, None)
-        self.problems.setdefault(place, what)
-        return False
+    def add_record(self, path: Path, root: Path, read: Callable[[], Mapping[str, str]]) -> None:
+        """Adds a record, and the files below `root` that it promises."""
+        self.promised[path] = None
+        if _obstacle(self.root, path) is None:
+            try:
+                self.promised |= {root / file: sha256 for file, sha256 in read().items()}
+            except HyalineError as error:
+                self.problems.setdefault(path, str(error).removeprefix(f"{path}: ").split("; ")[0])
 
-    def refuse(self, path: Path, error: HyalineError) -> None:
-        """Notes a file that cannot be read as what it should be."""
-        self.hashes.pop(path, None)
-        self.problems.setdefault(path, str(error).removeprefix(f"{path}: ").split("; ")[0])
-
-    def check_record(self, path: Path, root: Path, promised: Callable[[], Mapping[str, str]]) -> bool:
-        """Checks a record and the files below `root` that it promises; False if it cannot be read."""
-        if not self.check(path):
-            return False
-        try:
-            files = promised()
-        except HyalineError as error:
-            self.refuse(path, error)
-            return False
-        for file, sha256 in files.items():
-            self.check(root / file, sha256)
-        return True
-
-    def check_views(self, root: Path, records: Mapping[Path, Callable[[], Mapping[str, str]]]) -> None:
-        """Checks the records of views and their files; views without a record are one problem."""
-        unmade = []
-        for path, promised in records.items():
-            self.known.add(path)
-            place, _ = _obstacle(self.root, path) or (path, "")
-            if os.path.lexists(place):
-                self.check_record(path, root, promised)
-            else:
-                unmade.append(path)
+    def add_views(self, root: Path, records: Mapping[Path, Callable[[], Mapping[str, str]]]) -> None:
+        """Adds the records of views and their files; views without a record are one problem."""
+        unmade = [path for path in records if not os.path.lexists((_obstacle(self.root, path) or [path])[0])]
+        for path, read in records.items():
+            if path not in unmade:
+                self.add_record(path, root, read)
         if unmade:
-            self.problems[root] = (
-                f"unfinished: {len(unmade)} of {len(records)} views have no record ({_some(self.root, unmade)})"
-            )
+            self.known |= {*unmade}
+            what = f"{len(unmade)} of {len(records)} views have no record ({_some(self.root, unmade)})"
+            self.problems[root] = f"unfinished: {what}"
 
-    def check_dataset(self, dataset: Dataset) -> None:
-        """A dataset or a variant: its record, what that promises, views and geometries."""
+    def add_dataset(self, dataset: Dataset) -> dict[str, str]:
+        """A dataset or a variant: views, edit masks and geometries; the files of its head."""
         root = dataset.root
-        self.check_record(root / DATASET.head, root, lambda: dataset.files)
-        splits: list[Split] = [split for split in dataset.splits if split not in dataset.withheld]
-        views = [view for split in splits for view in dataset.views(split)]
+        views = [view for split in dataset.splits if split not in dataset.withheld for view in dataset.views(split)]
         pictures = [image_path(root, view.split, view.index) for view in views]
         self.known |= {path.with_suffix(ending) for path in pictures for ending in dataset.endings}
-        self.check_views(
+        self.add_views(
             root,
             {
                 record_path(root, view.split, view.index): lambda view=view: view.record.files  # Opened when called.
@@ -148,70 +113,66 @@ class _Search:
             },
         )
         if dataset.edit is not None:
-            path = root / EDIT_MASKS_FOLDER / EDIT_MASKS.head
-            self.check_record(path, root, lambda: edit_mask_files(dataset))
-        self.check_layers(dataset, TRUTH, is_due=dataset.imported is None)
-        around = root if dataset.parent is None else dataset.parent.root
-        peeled = (
-            set() if around == root else {path.parts[-4] for path in around.glob(f"proxies/*/layers/*/{LAYERS.head}")}
-        )
+            masks = root / EDIT_MASKS_FOLDER
+            self.add_record(masks / EDIT_MASKS.head, masks, lambda: edit_mask_files(masks))
+        self.add_layers(dataset, TRUTH, is_due=dataset.imported is None)
+        around = set() if dataset.parent is None else {*dataset.parent.root.glob(f"proxies/*/layers/*/{LAYERS.head}")}
+        peeled = {path.parts[-4] for path in around}
         for geometry in sorted({*_names(root / "proxies", PROXIES.head, "meshes", "layers"), *peeled}):
             if dataset.home is dataset:
                 place = geometry_root(root, geometry)
-                self.check_record(
+                self.add_record(
                     place / PROXIES.head,
                     place,
                     lambda name=geometry: {item.file: item.sha256 for item in read_proxy_records(dataset, name)},
                 )
-            self.check_layers(dataset, geometry, is_due=geometry in peeled)
+            self.add_layers(dataset, geometry, is_due=geometry in peeled)
+        return {**dataset.files}
 
-    def check_layers(self, dataset: Dataset, geometry: str, *, is_due: bool) -> None:
+    def add_layers(self, dataset: Dataset, geometry: str, *, is_due: bool) -> None:
         """The layers of a geometry, if they were ever made."""
         root = layers_root(dataset.root, geometry)
-        head = root / LAYERS.head
-        if not (is_due or os.path.lexists(root)) or not self.check(head):
-            return
-        try:
-            store = dataset.layer_store(geometry)
-        except HyalineError as error:
-            self.refuse(head, error)
-            return
-        try:
-            if store.head.geometry != geometry_hash(dataset, geometry):
-                self.problems.setdefault(head, "was made of other meshes than are there now")
-        except HyalineError:
-            pass  # The meshes have lines of their own.
-        views = [view for split in dataset.splits for view in dataset.views(split)]
-        self.known |= {root / array_file(view.split, view.index, name) for view in views for name in DTYPES}
-        self.check_views(
-            root,
-            {
-                record_path_of_layers(root, view.split, view.index): lambda view=view: (
-                    store.record(view.split, view.index).files
-                )
-                for view in views
-            },
-        )
+        if is_due or os.path.lexists(root):
+            self.add_record(root / LAYERS.head, root, lambda: self.add_store(dataset, dataset.layer_store(geometry)))
+
+    def add_store(self, dataset: Dataset, store: LayerStore) -> dict[str, str]:
+        with contextlib.suppress(HyalineError):  # Damaged meshes have lines of their own.
+            if store.head.geometry != geometry_hash(dataset, store.geometry):
+                self.problems.setdefault(store.root / LAYERS.head, "was made of other meshes than are there now")
+        views: list[tuple[Split, int]] = [
+            (split, view) for split, count in dataset.num_views.items() for view in range(count)
+        ]
+        self.known |= {store.root / array_file(*view, name) for view in views for name in DTYPES}
+        reads = {
+            record_path_of_layers(store.root, *view): lambda view=view: store.record(*view).files for view in views
+        }
+        self.add_views(store.root, reads)
+        return {}
 
     def findings(self, *, withheld: int) -> Findings:
-        for path in self.known:  # Also what is in the way of files that are not made yet.
+        files: dict[str, str] = {}
+        for path, promised in sorted(self.promised.items()):
+            if obstacle := _obstacle(self.root, path):
+                self.problems.setdefault(*obstacle)
+            elif path not in self.problems:
+                digest = files[path.relative_to(self.root).as_posix()] = sha256_file(path)
+                if promised not in (None, digest):
+                    del files[path.relative_to(self.root).as_posix()]
+                    self.problems[path] = "damaged or edited (checksum differs)"
+        for path in self.known:  # What is in the way of files that are not made yet.
             if (obstacle := _obstacle(self.root, path)) and os.path.lexists(obstacle[0]):
                 self.problems.setdefault(*obstacle)
         remarks = []
         walked = ((place, [*folders, *names]) for place, folders, names in os.walk(self.root))
-        found = [Path(place) / name for place, names in walked for name in names]
-        foreign = {path for path in found if path.is_symlink() or not path.is_dir()} - self.known - {*self.problems}
-        if foreign:
-            remarks.append(
-                f"{self.root}: {len(foreign)} files are no part of the dataset and were not looked at: "
-                f"{_some(self.root, sorted(foreign))}"
-            )
+        found = {Path(place) / name for place, names in walked for name in names}
+        foreign = {path for path in found if path.is_symlink() or not path.is_dir()}
+        if foreign := sorted(foreign - self.known - self.promised.keys() - self.problems.keys()):
+            what = f"{len(foreign)} files are no part of the dataset and were not looked at"
+            remarks.append(f"{self.root}: {what}: {_some(self.root, foreign)}")
         if withheld:
             remarks.append(f"{self.root}: a verifier keeps the pictures of its {withheld} test views")
         return Findings(
-            files={path.relative_to(self.root).as_posix(): self.hashes[path] for path in sorted(self.hashes)},
-            problems=[f"{path}: {what}" for path, what in self.problems.items()],
-            remarks=remarks,
+            files=files, problems=[f"{path}: {what}" for path, what in self.problems.items()], remarks=remarks
         )
 
 

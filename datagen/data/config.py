@@ -1,16 +1,15 @@
-"""How a dataset is configured: its splits, their sizes and resolution, and how they are rendered."""
+"""Records in a dataset's head and beside its views: configuration, variant, import, view, licence."""
 
 import dataclasses
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, Self
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name
-from datagen.disk.records import Json, entry, from_json, shown
+from datagen.disk.names import check_name, check_relative
+from datagen.disk.records import shown
 
 MAX_SIDE = 8192
 """Pixels; a larger number is probably a typo."""
@@ -115,11 +114,6 @@ class SplitConfig:
     def __str__(self) -> str:
         return f"{self.views} views of {self.spp} samples per pixel"
 
-    @property
-    def samples(self) -> int:
-        """Samples of one pixel, summed over the views."""
-        return self.views * (self.spp or 0)
-
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetConfig:
@@ -182,19 +176,152 @@ def describe_views(views: Iterable[tuple[Split, int]]) -> str:
     return "; ".join(parts)
 
 
-def config_of(head: Mapping[str, Json], path: Path) -> DatasetConfig:
-    """The configuration in a dataset's head."""
-    version = head.get("version")
-    if version != DATASET_VERSION:
-        again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
-        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
-    return from_json(DatasetConfig, entry(head, "config", where=path), where=f"{path}: config")
-
-
 def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:
     """The first value that differs between two configurations, as `seed is 0 there and 3 here`; None when equal."""
-    for item in dataclasses.fields(old):
-        before, after = getattr(old, item.name), getattr(new, item.name)
-        if before != after:
-            return f"{item.name} is {before} there and {after} here"
-    return None
+    names = (item.name for item in dataclasses.fields(old))
+    pairs = ((name, getattr(old, name), getattr(new, name)) for name in names)
+    return next((f"{name} is {old} there and {new} here" for name, old, new in pairs if old != new), None)
+
+
+ROUNDING_MSE = 2 / 12 / 255**2
+"""What rounding two pictures to 8 bits adds to their mean squared difference, unless both are nearly free of noise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewRecord:
+    """One view: how it was made, and its files. Written last. Fields of the renderer are None for imported views."""
+
+    dataset: str
+    """Seal of the view's dataset."""
+    split: Split
+    view: int
+    seed: int | None = None
+    spp: int | None = None
+    """Samples per pixel that were drawn, both halves together."""
+    noise_mse: float | None = None
+    """Estimated mean squared error of the clipped sRGB image against its limit for infinitely many samples."""
+    variant: str | None = None
+    """The Mitsuba variant that rendered it."""
+    files: dict[str, str]
+    """SHA-256 by path, relative to the dataset."""
+
+    @property
+    def ceiling_db(self) -> float | None:
+        """The PSNR in dB that noise and 8 bits would leave a perfect method; None if unknown."""
+        return None if self.noise_mse is None else -10 * math.log10(self.noise_mse + ROUNDING_MSE)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneEdit:
+    """How the scene of a variant differs from that of the dataset around it."""
+
+    edits: tuple[str, ...]
+    """The edits in order, as `datagen.scene.edits.parse_edit` reads them."""
+    changed: tuple[str, ...]
+    """Names of the objects that were removed, moved, copied or given another material."""
+    copies: dict[str, str]
+    """The original of each copy: no renderer was trained on the copies, but on these."""
+
+    def __post_init__(self) -> None:
+        for name in (*self.changed, *self.copies, *self.copies.values()):
+            check_name(name, where="object name")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A dataset inside another one."""
+
+    of: str
+    """Seal of its parent, the dataset around it."""
+    splits: tuple[Split, ...]
+    """Its splits."""
+    edit: SceneEdit | None = None
+    """None: it has the parent's scene, meshes and proxies. Otherwise it has the parent's test cameras."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """Where the pictures come from if they were not rendered here.
+
+    Their noise, radiance and light are unknown. Without imported meshes, there is no scene.
+    """
+
+    layout: str
+    """Layout of the source folder: refref, openmaterial, blender, nerfstudio or capture."""
+    source: str
+    """Name of the source folder."""
+    source_sha256: str
+    """Hash of the pictures and everything else that was read."""
+    has_masks: bool
+    has_depth: bool
+    has_objects: bool = False
+    """There is a mask for each object of glass."""
+    remarks: tuple[str, ...] = ()
+    """Decisions and omissions, a line each."""
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Endings of the files of a view."""
+        masks, depth = (".mask.png",) * self.has_masks, (".depth.npy",) * self.has_depth
+        return (".png", *masks, *depth, *(".objects.png",) * self.has_objects)
+
+
+RENDERED = (".png", ".exr")
+"""Endings of the files of a rendered view."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetObject:
+    """One object as users of the dataset see it; its id is 1 + its place in `Dataset.objects`."""
+
+    name: str
+    is_glass: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Head:
+    """The content of dataset.json."""
+
+    version: int
+    config: DatasetConfig
+    objects: tuple[DatasetObject, ...]
+    files: dict[str, str]
+    """SHA-256 of the files of scene and cameras, by path relative to the dataset."""
+    variant: Variant | None = None
+    imported: Imported | None = None
+    license: str | None = None
+
+    def __post_init__(self) -> None:
+        for item in self.objects:
+            check_name(item.name, where="object name")
+        for file in self.files:
+            check_relative(file, where="files")
+
+    @property
+    def splits(self) -> tuple[Split, ...]:
+        return SPLITS if self.variant is None else self.variant.splits
+
+    @property
+    def endings(self) -> tuple[str, ...]:
+        """Endings of the files of each view."""
+        return RENDERED if self.imported is None else self.imported.endings
+
+
+OWN_LICENSE = "CC0-1.0"
+"""SPDX name of the licence of built-in and random scenes, which code generates, and of pictures of them. CC0, because
+pictures end up in batches, crops and merged sets that cannot carry attributions."""
+OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
+
+MAX_LICENSE_LENGTH = 500
+"""Characters of a foreign file's licence that are kept."""
+
+
+def unknown_license(source: str) -> str:
+    """The licence of data that states none: whom to ask."""
+    return f"unknown; ask the author of {source}"
+
+
+def license_line(*parts: object) -> str | None:
+    """A foreign file's licence in one line; None if none of the parts is a text."""
+    lines = (" ".join(part.split()) for part in parts if isinstance(part, str))
+    return "; ".join(dict.fromkeys(filter(None, lines)))[:MAX_LICENSE_LENGTH] or None

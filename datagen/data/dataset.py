@@ -35,40 +35,44 @@ from typing import Literal, cast
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
+from PIL import Image
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import SPLITS, TEST_SPLITS, DatasetConfig, Split, config_of
-from datagen.data.images import decode_exr, decode_png, read_npy
-from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers, read_layers
-from datagen.data.metadata import (
+from datagen.data.config import (
+    DATASET_VERSION,
     RENDERED,
+    SPLITS,
+    TEST_SPLITS,
+    DatasetConfig,
+    DatasetObject,
+    Head,
     Imported,
     SceneEdit,
+    Split,
     Variant,
     ViewRecord,
-    imported_of,
     unknown_license,
-    variant_of,
 )
-from datagen.data.paths import HIDDEN, TRUTH, image_path, layers_root, record_path, where_datasets_are
+from datagen.data.images import decode_exr, decode_png, read_npy
+from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers
+from datagen.data.paths import HIDDEN, TRUTH, layers_root, record_path, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.checked import checked
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.names import check_name, check_relative, real_path
+from datagen.disk.names import real_path
 from datagen.disk.ownership import LAYERS
-from datagen.disk.records import Json, entry, from_json
+from datagen.disk.records import Json, entry, from_json, shown
 from datagen.disk.storage import MAKE_AGAIN, Opened, check_files, load_sealed, read_promised, seal_of, sha256
 
 
-@dataclass(frozen=True, kw_only=True)
-class DatasetObject:
-    """One object as users of the dataset see it; its id is 1 + its place in `Dataset.objects`."""
-
-    name: str
-    is_glass: bool
-
-    def __post_init__(self) -> None:
-        check_name(self.name, where="object name")
+def read_head(root: Path) -> tuple[Head, str]:
+    """The head of the dataset in a folder, and its seal."""
+    path = root / "dataset.json"
+    content = load_sealed(path)
+    if (version := content.get("version")) != DATASET_VERSION:
+        again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
+    return from_json(Head, content, where=str(path)), seal_of(content)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,6 +89,10 @@ class Dataset:
     """Hash of the head, which includes the hash of scene and cameras: names the data in a run's record."""
     files: Mapping[str, str]
     """SHA-256 of the files of scene and cameras, by path relative to `root`."""
+    splits: tuple[Split, ...] = SPLITS
+    """The splits that are there."""
+    endings: tuple[str, ...] = RENDERED
+    """Endings of the files of each view."""
     variant: Variant | None = None
     """None unless this is a variant of the dataset around it."""
     parent: "Dataset | None" = None
@@ -112,11 +120,6 @@ class Dataset:
         return self if self.parent is None or self.edit is not None else self.parent
 
     @property
-    def splits(self) -> tuple[Split, ...]:
-        """The splits that are there."""
-        return SPLITS if self.variant is None else self.variant.splits
-
-    @property
     def edit(self) -> SceneEdit | None:
         """How the scene differs from the parent's; None where it does not, or there is none."""
         return None if self.variant is None else self.variant.edit
@@ -131,11 +134,6 @@ class Dataset:
         """The splits whose pictures a verifier keeps: the test splits of a hidden scene as it is published."""
         kept = self.is_hidden and not any((self.root / "records" / split).exists() for split in TEST_SPLITS)
         return TEST_SPLITS if kept else ()
-
-    @property
-    def endings(self) -> tuple[str, ...]:
-        """Endings of the files of each view."""
-        return RENDERED if self.imported is None else self.imported.endings
 
     @property
     def num_views(self) -> dict[Split, int]:
@@ -158,7 +156,7 @@ class Dataset:
     def views(self, split: Split) -> "list[View]":
         """Every view of a split, in order."""
         self._check_split(split)
-        return [self.view(split, index) for index in range(self.num_views[split])]
+        return [View(dataset=self, split=split, index=index) for index in range(self.config.split(split).views)]
 
     @checked
     def cameras(self, split: Split) -> Cameras:
@@ -168,8 +166,8 @@ class Dataset:
         return self._opened.get(self.root / file, lambda: self._read_cameras(file))
 
     def _read_cameras(self, file: str) -> Cameras:
-        path, promised = self.root / file, entry(self.files, file, where=self.root)
-        return parse_transforms(read_promised(self.root, file, promised), where=str(path))
+        promised = entry(self.files, file, where=self.root)
+        return parse_transforms(read_promised(self.root, file, promised), where=str(self.root / file))
 
     @checked
     def layer_store(self, geometry: str = TRUTH) -> LayerStore:
@@ -240,8 +238,7 @@ class View:
     @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
         """The 8-bit sRGB picture: what metrics compare."""
-        picture = decode_png(self._read(".png"), where=str(self.dataset.root / self._file(".png")))
-        return np.asarray(picture.convert("RGB"))
+        return np.asarray(self._picture(".png").convert("RGB"))
 
     @property
     def image_sha256(self) -> str:
@@ -264,7 +261,7 @@ class View:
             raise HyalineError(
                 f"{self.dataset.root}: its radiance and noise are unknown; its pictures were imported, take `image`"
             )
-        return decode_exr(self._read(".exr"), where=str(self.dataset.root / self._file(".exr")))
+        return decode_exr(self._read(".exr"), where=self._place(".exr"))
 
     @property
     def camera(self) -> Camera:
@@ -274,7 +271,8 @@ class View:
     @checked
     def layers(self, geometry: str = TRUTH) -> Layers:
         """The surfaces along each pixel's straight ray: of the scene's own meshes, or of proxies, such as `box`."""
-        return read_layers(self.dataset.layer_store(geometry), self.split, self.index)
+        arrays = self.dataset.layer_store(geometry).read(self.split, self.index)
+        return Layers(uv=np.moveaxis(arrays["uv"], 0, -1), object_id=arrays["object_id"], depth=arrays["depth"])
 
     @checked
     def object_ids(self, geometry: str = TRUTH) -> UInt8[np.ndarray, "layer h w"]:
@@ -284,31 +282,19 @@ class View:
     @property
     def imported_mask(self) -> Bool[np.ndarray, "h w"] | None:
         """Pixels that see glass, by the mask that was imported; None where there was none."""
-        if ".mask.png" not in self.dataset.endings:
-            return None
-        picture = decode_png(self._read(".mask.png"), where=str(self.dataset.root / self._file(".mask.png")))
-        return np.asarray(picture.convert("L")) > 127
+        has_mask = ".mask.png" in self.dataset.endings
+        return np.asarray(self._picture(".mask.png").convert("L")) > 127 if has_mask else None
 
     @property
     def imported_depth(self) -> Float32[np.ndarray, "h w"] | None:
         """Metres along the axis to the first surface, 0 where there is none, as imported; None where there was none."""
-        if ".depth.npy" not in self.dataset.endings:
-            return None
-        return read_npy(self._read(".depth.npy"), where=str(self.dataset.root / self._file(".depth.npy")))
+        has_depth = ".depth.npy" in self.dataset.endings
+        return read_npy(self._read(".depth.npy"), where=self._place(".depth.npy")) if has_depth else None
 
     @property
     def imported_object_ids(self) -> UInt8[np.ndarray, "h w"] | None:
         """Id of the object of glass that a pixel sees, by the masks that were imported, 0 elsewhere; None without."""
-        if ".objects.png" not in self.dataset.endings:
-            return None
-        return np.asarray(
-            decode_png(self._read(".objects.png"), where=str(self.dataset.root / self._file(".objects.png")))
-        )
-
-    @property
-    def mask_sha256(self) -> str | None:
-        """SHA-256 of the file of `imported_mask`, verified."""
-        return sha256(self._read(".mask.png")) if ".mask.png" in self.dataset.endings else None
+        return np.asarray(self._picture(".objects.png")) if ".objects.png" in self.dataset.endings else None
 
     @checked
     def mask(self, what: Literal["glass"]) -> Bool[np.ndarray, "h w"]:  # noqa: ARG002
@@ -321,7 +307,13 @@ class View:
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
 
     def _file(self, ending: str) -> str:
-        return image_path(Path(), self.split, self.index).with_suffix(ending).as_posix()
+        return f"images/{self.split}/{self.index:04d}{ending}"
+
+    def _place(self, ending: str) -> str:
+        return str(self.dataset.root / self._file(ending))
+
+    def _picture(self, ending: str) -> Image.Image:
+        return decode_png(self._read(ending), where=self._place(ending))
 
     def _read(self, ending: str) -> bytes:
         file = self._file(ending)
@@ -353,6 +345,14 @@ def has_glass_mask(dataset: Dataset) -> bool:
     return has_layers(dataset) or takes_imported_masks(dataset)
 
 
+def find_num_layers(dataset: Dataset, geometry: str) -> int | None:
+    """How many layers a geometry was peeled into; None if it was not."""
+    try:
+        return dataset.layer_store(geometry).head.num_layers
+    except HyalineError:
+        return None
+
+
 def open_dataset(root: Path) -> Dataset:
     """The dataset in a folder, its head verified (its views are verified as they are read)."""
     path = root / "dataset.json"
@@ -360,26 +360,20 @@ def open_dataset(root: Path) -> Dataset:
         raise DamagedError(f"{path}: is lost; restore it, or make the dataset in another folder")
     if not path.is_file():
         raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
-    head = load_sealed(path)
-    config = config_of(head, path)
-    variant = variant_of(head, path)
-    parent = None if variant is None else open_dataset(root.parent.parent)
-    if variant is not None and parent is not None and parent.seal != variant.of:
+    head, seal = read_head(root)
+    parent = None if head.variant is None else open_dataset(root.parent.parent)
+    if head.variant is not None and parent is not None and parent.seal != head.variant.of:
         raise HyalineError(f"{path}: belongs to a dataset that stood there before; build it again, or delete {root}")
     return Dataset(
         root=root,
-        config=config,
-        objects=from_json(tuple[DatasetObject, ...], entry(head, "objects", where=path), where=f"{path}: objects"),
-        seal=seal_of(head),
-        files=promised_files(head, path),
-        variant=variant,
+        config=head.config,
+        objects=head.objects,
+        seal=seal,
+        files=head.files,
+        splits=head.splits,
+        endings=head.endings,
+        variant=head.variant,
         parent=parent,
-        imported=imported_of(head, path),
-        stated_license=from_json(str, head["license"], where=f"{path}: license") if "license" in head else None,
+        imported=head.imported,
+        stated_license=head.license,
     )
-
-
-def promised_files(head: dict[str, Json], path: Path) -> dict[str, str]:
-    """SHA-256 of scene and camera files by path relative to the dataset, as a head at `path` promises them."""
-    files = from_json(dict[str, str], entry(head, "files", where=path), where=f"{path}: files")
-    return {check_relative(file, where=f"{path}: files"): promised for file, promised in files.items()}

@@ -17,12 +17,12 @@ from pathlib import Path
 from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
-from datagen.data.ply import read_ply, write_ply
+from datagen.data.ply import decode_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import check_files, commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import commit_all, commit_sealed, dump_json, load_sealed, read_promised, seal_bytes, sha256
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
@@ -61,6 +61,17 @@ class ProxyRecord:
         check_name(self.object, where="object name")
         if self.file != f"meshes/{self.object}.ply":
             raise HyalineError(f"proxy of {self.object}: lies at {self.file!r}; expected meshes/{self.object}.ply")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Head:
+    """proxies.json, but for the materials."""
+
+    version: int
+    kind: str
+    dataset: str
+    proxies: tuple[ProxyRecord, ...]
+    assignment: tuple[str, ...] | None = None
 
 
 def write_proxies(
@@ -102,60 +113,52 @@ def write_proxies(
         commit_sealed(root / PROXIES.head, content)
     else:
         begin(root, PROXIES, seal_bytes(content))
-    for file, data in files.items():
-        commit(root / file, data)
+    commit_all(root, files)
 
 
 def proxy_files(root: Path) -> list[str]:
     """The meshes that a folder of proxies lists, by path relative to it."""
+    return [record.file for record in _read_head(root)[0].proxies]
+
+
+def _read_head(root: Path) -> tuple[_Head, dict[str, Json]]:
+    """The content of proxies.json: its record, and the materials in it."""
     path = root / PROXIES.head
-    records = from_json(tuple[ProxyRecord, ...], load_sealed(path).get("proxies"), where=f"{path}: proxies")
-    return [record.file for record in records]
+    content = load_sealed(path)
+    if (version := content.get("version")) != PROXIES_VERSION:
+        raise HyalineError(f"{path}: format version {shown(version)}; this program reads {PROXIES_VERSION}")
+    materials = content.pop("materials", {})
+    if not isinstance(materials, dict):
+        raise HyalineError(f"{path}: materials: is {shown(materials)}; expected an object")
+    return from_json(_Head, content, where=str(path)), materials
 
 
 def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     """The list of a dataset's proxies of one kind, in object order."""
     dataset = dataset.home
-    path = geometry_root(dataset.root, kind) / "proxies.json"
-    if not path.is_file():
+    root = geometry_root(dataset.root, kind)
+    if not (root / PROXIES.head).is_file():
         check_has_meshes(dataset)
         if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
             choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
-        raise HyalineError(f"{path}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
-    content = load_sealed(path)
-    if content.get("version") != PROXIES_VERSION:
+        raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
+    head, _ = _read_head(root)
+    if (head.kind, head.dataset) != (kind, dataset.seal):
         raise HyalineError(
-            f"{path}: format version {shown(content.get('version'))}; this program reads {PROXIES_VERSION}"
+            f"{root / PROXIES.head}: holds {head.kind!r} of another dataset or folder; make them again with "
+            f"`{MAKERS[is_fitted(kind)]} --overwrite`"
         )
-    if unknown := sorted(set(content) - {"version", "kind", "dataset", "proxies", "assignment", "materials"}):
-        raise HyalineError(f"{path}: unknown key {unknown[0]!r}; make the proxies again")
-    if content.get("kind") != kind:
-        raise HyalineError(f"{path}: is of kind {content.get('kind')!r}; expected {kind!r}, as its folder is called")
-    if content.get("dataset") != dataset.seal:
-        raise HyalineError(
-            f"{path}: made for another dataset; make them again with `{MAKERS[is_fitted(kind)]} --overwrite`"
-        )
-    return from_json(tuple[ProxyRecord, ...], entry(content, "proxies", where=path), where=f"{path}: proxies")
+    return head.proxies
 
 
 def read_assignment(dataset: Dataset, geometry: str) -> tuple[str, ...] | None:
     """Each object's stand-in in a mixture, in object order; None for the truth and for one kind of proxy."""
-    if geometry == TRUTH:
-        return None
-    path = geometry_root(dataset.root, geometry) / "proxies.json"
-    assignment = load_sealed(path).get("assignment")
-    return None if assignment is None else from_json(tuple[str, ...], assignment, where=f"{path}: assignment")
+    return None if geometry == TRUTH else _read_head(geometry_root(dataset.root, geometry))[0].assignment
 
 
 def read_materials(dataset: Dataset, geometry: str) -> dict[str, Json]:
     """The materials, by name of the object, that a geometry has in place of the scene's."""
-    if not is_fitted(geometry):
-        return {}
-    path = geometry_root(dataset.home.root, geometry) / "proxies.json"
-    materials = load_sealed(path).get("materials", {})
-    if not isinstance(materials, dict):
-        raise HyalineError(f"{path}: materials: is {shown(materials)}; expected an object")
-    return materials
+    return _read_head(geometry_root(dataset.home.root, geometry))[1] if is_fitted(geometry) else {}
 
 
 def describe_geometry(dataset: Dataset, geometry: str) -> str:
@@ -166,13 +169,12 @@ def describe_geometry(dataset: Dataset, geometry: str) -> str:
     if assignment is None:
         return f"proxy geometry ({geometry})"
     most = max(sorted(set(assignment)), key=lambda kind: (assignment.count(kind), kind == TRUTH))
-    named = [kind for kind in dict.fromkeys(assignment) if kind != most]
-    parts = [
-        f"{kind} for {', '.join(item.name for item, own in zip(dataset.objects, assignment) if own == kind)}"
-        for kind in named
-    ]
-    what = "fitted" if is_fitted(geometry) else "proxy"
-    return f"{what} geometry ({geometry}: {'; '.join([*parts, f'{most} for the rest'])})"
+    objects = {kind: [] for kind in dict.fromkeys(assignment) if kind != most}
+    for item, kind in zip(dataset.objects, assignment, strict=False):
+        if kind != most:
+            objects[kind].append(item.name)
+    parts = [*(f"{kind} for {', '.join(names)}" for kind, names in objects.items()), f"{most} for the rest"]
+    return f"{'fitted' if is_fitted(geometry) else 'proxy'} geometry ({geometry}: {'; '.join(parts)})"
 
 
 def list_geometries(dataset: Dataset) -> list[str]:
@@ -198,11 +200,10 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     dataset = dataset.home
     check_has_meshes(dataset)
     root = geometry_root(dataset.root, geometry)
-    files = _mesh_files(dataset, geometry)
-    check_files(root, dict(files.values()))
-    meshes = {name: read_ply(root / file)[0] for name, (file, _) in files.items()}
-    for name, mesh in meshes.items():
-        check_mesh(mesh, where=str(root / files[name][0]))
+    meshes = {}
+    for name, (file, promised) in _mesh_files(dataset, geometry).items():
+        meshes[name], _ = decode_ply(read_promised(root, file, promised), where=str(root / file))
+        check_mesh(meshes[name], where=str(root / file))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
 
 
@@ -212,8 +213,11 @@ def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
 
 
 def geometry_hash(dataset: Dataset, geometry: str) -> str:
-    """Hash of a geometry's meshes, which layers record."""
-    return sha256(b"".join(write_ply(mesh) for mesh in read_meshes(dataset, geometry) if is_there(mesh)))
+    """Hash of a geometry's meshes, verified, which layers record."""
+    check_has_meshes(dataset)
+    root = geometry_root(dataset.home.root, geometry)
+    files = _mesh_files(dataset.home, geometry).values()
+    return sha256(b"".join(read_promised(root, file, promised) for file, promised in files))
 
 
 @dataclass(frozen=True, kw_only=True)

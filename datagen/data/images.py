@@ -102,8 +102,6 @@ def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) ->
 EXR_START = b"v/1\x01\x02\x00\x00\x00"
 """The first bytes of an EXR of scan lines in one part."""
 
-PIZ, ROWS_PER_BLOCK = 4, 32
-"""The compression of our files, and the number of rows that it compresses at once."""
 EXR_CHANNELS = ("R", "G", "B", "noise.R", "noise.G", "noise.B")
 
 MAX_EXR_SIDE = 1 << 16
@@ -139,80 +137,46 @@ def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> byte
 
 def decode_exr(data: bytes, *, where: str = "EXR") -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """Radiance and noise from the bytes of an EXR; the inverse of `encode_exr`."""
-    import OpenEXR
-
-    # On some files that are cut short, OpenEXR never ends.
-    check_exr(data, where=where)
-    try:
-        channels = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).channels()
-        values = [np.asarray(channels[name].pixels, np.float32) for name in EXR_CHANNELS]
-    except (RuntimeError, ValueError, KeyError) as error:
-        raise HyalineError(f"{where}: not an EXR with colours and noise ({error}); render it again") from error
+    channels = _exr_channels(data, where=where)
+    if missing := sorted({*EXR_CHANNELS} - channels.keys()):
+        raise HyalineError(f"{where}: has no channel {missing[0]}; render it again")
+    values = [channels[name] for name in EXR_CHANNELS]
     return np.stack(values[:3], axis=-1), np.stack(values[3:], axis=-1)
 
 
 def decode_radiance(data: bytes, *, where: str) -> Float32[np.ndarray, "h w 3"]:
     """The colours of any EXR of scan lines in one part, floats or halves."""
+    channels = _exr_channels(data, where=where)
+    names = "RGB" if "R" in channels else "YYY"
+    if not {*names} <= channels.keys():
+        raise HyalineError(f"{where}: has the channels {', '.join(channels)}; expected R, G and B")
+    return np.stack([channels[name] for name in names], axis=-1)
+
+
+def _exr_channels(data: bytes, *, where: str) -> dict[str, Float32[np.ndarray, "h w"]]:
+    """The channels of an EXR of scan lines by name; on some files that are cut short, OpenEXR itself never ends."""
     import OpenEXR
 
-    expected = "expected an OpenEXR file of scan lines with channels R, G and B"
     try:
-        attributes, place = exr_header(data)
+        attributes, place = _exr_header(data)
         left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
         rows_per_block = EXR_BLOCK_ROWS[attributes["compression"][0]]
-    except (KeyError, IndexError, ValueError, struct.error) as error:
-        raise HyalineError(f"{where}: cannot be read ({error}); {expected}") from error
-    width, height = right + 1 - left, bottom + 1 - top
-    if not (0 < width <= MAX_EXR_SIDE and 0 < height <= MAX_EXR_SIDE):
-        raise HyalineError(f"{where}: is {width} x {height} pixels; expected 1 to {MAX_EXR_SIDE}")
-    # On some files that are cut short, OpenEXR never ends.
-    if fault := missing_exr_block(data, place, first_row=top, height=height, rows_per_block=rows_per_block):
-        raise HyalineError(f"{where}: damaged, {fault}; {expected}")
-    try:
+        width, height = right + 1 - left, bottom + 1 - top
+        if not (0 < width <= MAX_EXR_SIDE and 0 < height <= MAX_EXR_SIDE):
+            raise ValueError(f"it has {width} x {height} pixels")
+        offsets = struct.unpack_from(f"<{-(-height // rows_per_block)}Q", data, place)
+        for block, offset in enumerate(offsets):
+            row, size = struct.unpack_from("<iI", data, min(offset, len(data)))
+            if row != top + block * rows_per_block or offset + 8 + size > len(data):
+                raise ValueError(f"block {block} is incomplete")
         channels = OpenEXR.File(io.BytesIO(data), separate_channels=True, num_threads=0).channels()
-        names = "RGB" if "R" in channels else "YYY"
-        planes = [np.asarray(channels[name].pixels, np.float32) for name in names]
-    except (RuntimeError, ValueError, KeyError) as error:
-        raise HyalineError(f"{where}: cannot be read ({error}); {expected}") from error
-    return np.stack(planes, axis=-1)
+        return {name: np.asarray(channel.pixels, np.float32) for name, channel in channels.items()}
+    except (KeyError, IndexError, ValueError, RuntimeError, struct.error) as error:
+        raise HyalineError(f"{where}: damaged, or no EXR of scan lines ({error}); render or save it again") from error
 
 
-def check_exr(data: bytes, *, where: str) -> None:
-    """Rejects files that are not in the EXR layout this package writes: scan lines, every block within the file."""
-    try:
-        attributes, place = exr_header(data)
-        window = struct.unpack("<4i", attributes["dataWindow"])
-        compression = attributes["compression"]
-    except (KeyError, ValueError, struct.error) as error:
-        raise HyalineError(f"{where}: damaged, the header of the EXR is incomplete; render it again") from error
-    width, height = window[2] + 1 - window[0], window[3] + 1 - window[1]
-    if compression != bytes([PIZ]) or not (0 < width <= MAX_EXR_SIDE and 0 < height <= MAX_EXR_SIDE):
-        raise HyalineError(f"{where}: damaged, an EXR of {width} x {height} pixels; render it again")
-    fault = missing_exr_block(data, place, first_row=window[1], height=height, rows_per_block=ROWS_PER_BLOCK)
-    if fault is not None:
-        raise HyalineError(f"{where}: damaged, {fault}; render it again")
-
-
-def missing_exr_block(data: bytes, place: int, *, first_row: int, height: int, rows_per_block: int) -> str | None:
-    """What is wrong with the blocks of scan lines whose table is at `place`; None if all lie within the file."""
-    count = -(-height // rows_per_block)
-    if len(data) < place + 8 * count:
-        return "the EXR ends before its pixels"
-    for block, offset in enumerate(struct.unpack_from(f"<{count}Q", data, place)):
-        if offset + 8 > len(data):
-            return f"block {block} of the EXR is missing"
-        row, size = struct.unpack_from("<iI", data, offset)
-        if row != first_row + block * rows_per_block or offset + 8 + size > len(data):
-            return f"block {block} of the EXR is incomplete"
-    return None
-
-
-def exr_header(data: bytes) -> tuple[dict[str, bytes], int]:
-    """The attributes by name, and where they end.
-
-    Raises:
-        ValueError: not an EXR of scan lines in one part, or truncated.
-    """
+def _exr_header(data: bytes) -> tuple[dict[str, bytes], int]:
+    """The attributes by name, and where they end."""
     if not data.startswith(EXR_START):
         raise ValueError("not an EXR")
     attributes: dict[str, bytes] = {}

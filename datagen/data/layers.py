@@ -1,4 +1,4 @@
-"""Straight layers: every surface along a pixel's ray, in memory and on disk.
+"""Straight layers: every surface along a pixel's ray, in memory and on disk, written head first, then view by view.
 
     LAYERS/layers.json                              sealed, written first: version, kind, geometry, number of layers
     LAYERS/arrays/SPLIT/0000.uv.npy.blosc           (2, layer, h, w) uint16: u, v times 65535, rounded
@@ -12,8 +12,10 @@ seam do not mix. Depth keeps 16 of its 23 mantissa bits (relative error 8e-6), w
 """
 
 import math
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Literal, cast
 
@@ -21,11 +23,20 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from datagen.data.config import Resolution, Split
-from datagen.data.paths import TRUTH, geometry_root, layers_root, view_name
+from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import LAYERS, PROXIES
-from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import check_files, home_of, load_sealed, read_promised, seal_of
+from datagen.disk.ownership import LAYERS, PROXIES, begin, is_ours
+from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.storage import (
+    check_files,
+    commit_all,
+    commit_sealed,
+    home_of,
+    load_sealed,
+    read_promised,
+    seal_bytes,
+    seal_of,
+)
 
 LAYERS_VERSION = 2
 
@@ -33,6 +44,12 @@ DTYPES = {"uv": np.dtype("<u2"), "object_id": np.dtype("|u1"), "depth": np.dtype
 """Types of a view's arrays, by name."""
 
 UV_SCALE = 65535
+
+MAX_ARRAY_BYTES = (1 << 31) - 256
+"""The largest array that fits into a Blosc buffer with its header."""
+
+MAX_WORKERS = 1024
+"""Processes; a larger number is probably a typo."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,17 +100,13 @@ class LayerStore:
     seal: str
     """Digest of the head, by which a run's record names the layers."""
 
-    @property
+    @cached_property
     def root(self) -> Path:
         """The folder LAYERS."""
         return layers_root(self.dataset_root, self.geometry)
 
     def read(self, split: Split, view: int, only: Collection[str] = tuple(DTYPES)) -> dict[str, np.ndarray]:
-        """One view's arrays by name (or those named in `only`), every byte of them verified.
-
-        Raises:
-            HyalineError: the view is not peeled, or damaged.
-        """
+        """One view's arrays by name (or those named in `only`), every byte of them verified."""
         promised = self.record(split, view).files
         arrays = {}
         for name in only:
@@ -104,11 +117,7 @@ class LayerStore:
         return arrays
 
     def record(self, split: Split, view: int) -> LayersRecord:
-        """The record of one peeled view.
-
-        Raises:
-            HyalineError: not peeled, damaged, or of another store.
-        """
+        """The record of one peeled view."""
         path = record_path_of_layers(self.root, split, view)
         if not path.is_file():
             raise HyalineError(f"{path}: the view is not peeled yet; finish with `datagen peel`")
@@ -129,13 +138,30 @@ class LayerStore:
             return False
         return True
 
+    def write(self, split: Split, view: int, layers: Layers, *, overflow_share: float) -> None:
+        """Commits one view's layers: their arrays, then the record."""
+        values = {
+            "uv": np.moveaxis(layers.uv, -1, 0),
+            "object_id": layers.object_id,
+            "depth": round_mantissa(layers.depth),
+        }
+        arrays = {
+            array_file(split, view, name): encode_array(value.astype(DTYPES[name], copy=False))
+            for name, value in values.items()
+        }
+        record = LayersRecord(
+            layers=self.seal,
+            split=split,
+            view=view,
+            num_layers=self.head.num_layers,
+            overflow_share=overflow_share,
+            files=commit_all(self.root, arrays),
+        )
+        commit_sealed(record_path_of_layers(self.root, split, view), cast(dict[str, Json], to_json(record)))
+
 
 def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> LayerStore:
-    """The store of a geometry's layers, its head verified.
-
-    Raises:
-        HyalineError: there is no such geometry, it was not peeled, or the head is damaged.
-    """
+    """The store of a geometry's layers, its head verified."""
     path = layers_root(dataset_root, geometry) / LAYERS.head
     if not path.is_file():
         roots = [geometry_root(place, geometry) for place in (dataset_root, home_of(dataset_root))]
@@ -157,19 +183,51 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
     )
 
 
-def read_layers(store: LayerStore, split: Split, view: int) -> Layers:
-    """One view's layers, every byte verified."""
-    arrays = store.read(split, view)
-    return Layers(uv=np.moveaxis(arrays["uv"], 0, -1), object_id=arrays["object_id"], depth=arrays["depth"])
+def check_settings(*, num_layers: int, workers: int) -> None:
+    """Checks settings before any work is done."""
+    if not isinstance(num_layers, int) or not 1 <= num_layers <= 255:
+        raise HyalineError(f"num_layers: is {num_layers}; expected 1 to 255")
+    if not 1 <= workers <= MAX_WORKERS:
+        raise HyalineError(f"workers: is {workers}; expected 1 to {MAX_WORKERS}")
+
+
+def start_layers(
+    root: Path, resolution: Resolution, *, num_layers: int, geometry_hash: str, replace: bool = False
+) -> None:
+    """Commits the head of the store in the folder `root`. Of several processes at once, one of their heads stays.
+
+    Args:
+        replace: replace an existing head; views that verify under the new one are kept.
+    """
+    largest = max(math.prod(array_shape(name, 1, resolution)) * dtype.itemsize for name, dtype in DTYPES.items())
+    if num_layers * largest > MAX_ARRAY_BYTES:
+        raise HyalineError(
+            f"num_layers: {num_layers} layers of {resolution} pixels do not fit into a file; expected at most "
+            f"{MAX_ARRAY_BYTES // largest}"
+        )
+    head = LayersHead(version=LAYERS_VERSION, kind="straight", geometry=geometry_hash, num_layers=num_layers)
+    content = cast(dict[str, Json], to_json(head))
+    if not is_ours(root, LAYERS):
+        begin(root, LAYERS, seal_bytes(content))
+    elif replace:
+        commit_sealed(root / LAYERS.head, content)
 
 
 def record_path_of_layers(root: Path, split: Split, view: int) -> Path:
-    return root / "records" / split / f"{view_name(view)}.json"
+    return root / f"records/{split}/{view:04d}.json"
 
 
 def array_file(split: Split, view: int, name: str) -> str:
     """Where a view's array lies, relative to LAYERS."""
-    return f"arrays/{split}/{view_name(view)}.{name}.npy.blosc"
+    return f"arrays/{split}/{view:04d}.{name}.npy.blosc"
+
+
+def layers_files(root: Path) -> list[str]:
+    """The files of a folder of layers besides its head, by relative path, records first: all that have their names."""
+    is_record, is_array = r"[0-9]{4,}\.json", rf"[0-9]{{4,}}\.({'|'.join(DTYPES)})\.npy\.blosc"
+    records = [path for path in sorted(root.glob("records/*/*")) if re.fullmatch(is_record, path.name)]
+    arrays = [path for path in sorted(root.glob("arrays/*/*")) if re.fullmatch(is_array, path.name)]
+    return [path.relative_to(root).as_posix() for path in (*records, *arrays)]
 
 
 def array_shape(name: str, num_layers: int, resolution: Resolution) -> tuple[int, ...]:
@@ -178,11 +236,7 @@ def array_shape(name: str, num_layers: int, resolution: Resolution) -> tuple[int
 
 
 def decode_array(data: bytes, dtype: np.dtype, shape: tuple[int, ...], *, where: str) -> np.ndarray:
-    """The array in the bytes of its file.
-
-    Raises:
-        HyalineError: it is not an array of this type and shape.
-    """
+    """The array in the bytes of its file, which has to have this type and shape."""
     # numcodecs 0.16 describes none of its compiled modules.
     from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue]
 
@@ -200,6 +254,17 @@ def decode_array(data: bytes, dtype: np.dtype, shape: tuple[int, ...], *, where:
     if npy[: len(header)].tobytes() != header:
         raise HyalineError(f"{where}: is not a .npy file of {dtype} with shape {shape}; peel it again")
     return npy[len(header) :].view(dtype).reshape(shape)
+
+
+def encode_array(values: np.ndarray) -> bytes:
+    """The bytes of an array's file."""
+    # numcodecs 0.16 describes none of its compiled modules.
+    from numcodecs import blosc  # pyright: ignore[reportAttributeAccessIssue]
+
+    # With several threads, the order of blocks would depend on timing.
+    blosc.use_threads = False
+    npy = npy_header(values.dtype, values.shape) + values.tobytes()
+    return blosc.compress(npy, b"zstd", 5, blosc.SHUFFLE, typesize=values.itemsize)
 
 
 def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:

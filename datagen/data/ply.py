@@ -1,13 +1,12 @@
 """PLY files: written here, and read from anywhere; polygons become triangles."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int, Int64
+from jaxtyping import Float64, Int32
 
 from datagen.data.meshes import Mesh, unfolded, vertex_normals
 from datagen.disk.errors import HyalineError
@@ -18,11 +17,11 @@ MAX_PLY_BYTES = 1 << 30
 MAX_HEADER_BYTES = 1 << 16
 MAX_POLYGONS = 4_000_000
 """Limit for lists of different lengths and for the triangles of polygons; both take more memory than triangles do."""
-ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+ORDERS = {"ascii": "=", "binary_little_endian": "<", "binary_big_endian": ">"}
 LETTERS = {
-    **{"char": "b", "uchar": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f", "double": "d"},
-    **{"int8": "b", "uint8": "B", "int16": "h", "uint16": "H", "int32": "i", "uint32": "I"},
-    **{"float32": "f", "float64": "d"},
+    **{"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4"},
+    **{"int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"},
+    **{"float": "f4", "double": "f8", "float32": "f4", "float64": "f8"},
 }
 """NumPy's letters for PLY's types of numbers."""
 
@@ -48,6 +47,11 @@ _OUR_VERTEX = np.dtype([("vertices", "<f4", 3), ("normals", "<f4", 3), ("uv", "<
 _OUR_FACE = np.dtype([("count", "u1"), ("indices", "<i4", 3)])
 
 
+Rows = np.ndarray | list[np.ndarray]
+Columns = dict[str, Rows]
+"""The properties of an element, a row each; lists of different lengths are a list of arrays."""
+
+
 def write_ply(mesh: Mesh) -> bytes:
     """Binary PLY with normals and uv (`s`, `t`); reading it back gives the same arrays."""
     vertices, faces = np.empty(len(mesh.vertices), _OUR_VERTEX), np.empty(len(mesh.faces), _OUR_FACE)
@@ -58,23 +62,31 @@ def write_ply(mesh: Mesh) -> bytes:
 
 
 def read_ply(path: Path) -> tuple[Mesh, bool]:
-    """The mesh in a PLY file, and whether the file has uv (otherwise all uv are 0).
+    """The mesh in a PLY file; see `decode_ply`."""
+    return decode_ply(read_regular(path, at_most=MAX_PLY_BYTES), where=str(path))
+
+
+def decode_ply(data: bytes, *, where: str) -> tuple[Mesh, bool]:
+    """The mesh in the bytes of a PLY file, and whether the file has uv (otherwise all uv are 0).
 
     Missing normals are computed, smooth over shared vertices.
     """
-    with _reading(path) as elements:
-        vertex = elements["vertex"]
-        positions = _positions(vertex, where=path)
-        faces = _faces(elements.get("face", {}), positions, where=path)
-        if not len(faces):
-            raise HyalineError(f"{path}: holds {shown(', '.join(elements))}, but no faces; expected a mesh of polygons")
+    with _refusing(where):
+        elements = _elements(data)
+        vertex, face = elements["vertex"], elements.get("face")
+        if not face:
+            raise HyalineError(
+                f"{where}: holds {shown(', '.join(elements))}, but no faces; expected a mesh of polygons"
+            )
+        positions = _positions(vertex, where)
+        faces = _triangles(face["vertex_indices" if "vertex_indices" in face else "vertex_index"], positions, where)
         has_normals = {"nx", "ny", "nz"} <= vertex.keys()
         normals = _stacked(vertex, ("nx", "ny", "nz")) if has_normals else vertex_normals(positions, faces)
-        uv_names = next((pair for pair in (("s", "t"), ("u", "v")) if set(pair) <= vertex.keys()), None)
+        uv_names = next((pair for pair in ("st", "uv") if {*pair} <= vertex.keys()), None)
         uv = _stacked(vertex, uv_names) if uv_names else np.zeros((len(positions), 2))
     mesh = Mesh(
         vertices=positions.astype(np.float32),
-        faces=faces.astype(np.int32),
+        faces=faces,
         normals=normals.astype(np.float32),
         uv=uv.astype(np.float32),
     )
@@ -83,51 +95,42 @@ def read_ply(path: Path) -> tuple[Mesh, bool]:
 
 def read_ply_points(path: Path) -> Float64[np.ndarray, "point 3"]:
     """The positions in a PLY file of points."""
-    with _reading(path) as elements:
-        return _positions(elements["vertex"], where=path).astype(np.float64)
+    data = read_regular(path, at_most=MAX_PLY_BYTES)
+    with _refusing(str(path)):
+        return _positions(_elements(data)["vertex"], str(path)).astype(np.float64)
 
 
-class _Column(NamedTuple):
-    """A property of all rows of an element."""
-
-    values: np.ndarray
-    """Those of lists one after the other."""
-    sizes: Int[np.ndarray, " row"]
-    """How many numbers each row has: 1, unless the property is a list."""
+def _stacked(columns: Columns, names: Iterable[str]) -> np.ndarray:
+    return np.stack([columns[name] for name in names], axis=-1)
 
 
-class _Property(NamedTuple):
-    name: str
-    dtype: np.dtype
-    size: np.dtype | None
-    """Type of the number that says how long a list is."""
-
-
-Columns = dict[str, _Column]
-
-
-def _stacked(columns: Columns, names: tuple[str, ...]) -> np.ndarray:
-    return np.stack([columns[name].values for name in names], axis=-1)
-
-
-def _positions(vertex: Columns, *, where: Path) -> np.ndarray:
-    positions = _stacked(vertex, ("x", "y", "z"))
+def _positions(vertex: Columns, where: str) -> np.ndarray:
+    positions = _stacked(vertex, "xyz")
     if not np.isfinite(positions).all():
         raise HyalineError(f"{where}: has positions that are not three finite numbers; export it again")
     return positions
 
 
-def _faces(columns: Columns, positions: np.ndarray, *, where: Path) -> Int64[np.ndarray, "face 3"]:
-    """Triangles of the polygons."""
-    if not columns:
-        return np.zeros((0, 3), np.int64)
-    corners, sizes = columns.get("vertex_indices") or columns["vertex_index"]
+@contextmanager
+def _refusing(where: str) -> Iterator[None]:
+    """Makes a HyalineError of what a broken file raises."""
+    try:
+        yield
+    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise HyalineError(f"{where}: not a PLY file that can be read ({reason}); export it again") from error
+
+
+def _triangles(polygons: Rows, positions: np.ndarray, where: str) -> Int32[np.ndarray, "face 3"]:
+    """The triangles of polygons."""
+    sizes = np.array([len(polygon) for polygon in polygons])
+    corners = polygons.reshape(-1) if isinstance(polygons, np.ndarray) else np.concatenate(polygons)
     if len(corners) and (corners.min() < 0 or corners.max() >= len(positions)):
         worst = corners.min() if corners.min() < 0 else corners.max()
         raise HyalineError(f"{where}: a face names vertex {worst:.0f}; expected 0 to {len(positions) - 1}")
-    if corners.dtype.kind == "f" and not np.array_equal(corners, np.rint(corners)):
+    if (corners != np.rint(corners)).any():
         raise ValueError("a face names a vertex by a fraction")
-    corners = corners.astype(np.int64)
+    corners = corners.astype(np.int32)
     if (sizes == 3).all():
         return corners.reshape(-1, 3)
     fans = np.maximum(sizes - 2, 0)
@@ -138,17 +141,6 @@ def _faces(columns: Columns, positions: np.ndarray, *, where: Path) -> Int64[np.
     return unfolded(positions, corners[np.repeat(np.cumsum(sizes) - sizes, fans)[:, None] + places], fans)
 
 
-@contextmanager
-def _reading(path: Path) -> Iterator[dict[str, Columns]]:
-    """The columns of a PLY file by element and property; what a broken file raises becomes a HyalineError."""
-    data = read_regular(path, at_most=MAX_PLY_BYTES)
-    try:
-        yield _elements(data)
-    except (ValueError, KeyError, IndexError, TypeError, OverflowError) as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        raise HyalineError(f"{path}: not a PLY file that can be read ({reason}); export it again") from error
-
-
 def _elements(data: bytes) -> dict[str, Columns]:
     header = re.match(rb"ply[ \t\r]*\n(.*?)^end_header[ \t\r]*\n", data[:MAX_HEADER_BYTES], re.DOTALL | re.MULTILINE)
     if header is None:
@@ -156,75 +148,51 @@ def _elements(data: bytes) -> dict[str, Columns]:
     at, lines = header.end(), [line.split() for line in header[1].decode("latin-1").split("\n")]
     form = next((line[1] for line in lines if line[:1] == ["format"]), "")
     order, is_text = ORDERS[form], form == "ascii"
-
-    def dtype(kind: str) -> np.dtype:
-        return np.dtype(np.float64) if is_text else np.dtype(order + LETTERS[kind])
-
-    listed: list[tuple[str, int, list[_Property]]] = []
+    if is_text:  # From here on a file in binary, of doubles alone.
+        data, at = np.array(data[at:].split(), np.float64).tobytes(), 0
+    listed: list[tuple[str, int, list[tuple[str, list[np.dtype]]]]] = []
     for line in lines:
         match line:
             case ["element", name, count]:
                 listed.append((name, int(count), []))
-            case ["property", "list", size, kind, name]:
-                listed[-1][2].append(_Property(name, dtype(kind), dtype(size)))
-            case ["property", kind, name]:
-                listed[-1][2].append(_Property(name, dtype(kind), None))
-    if is_text:  # From here on a file in binary, of doubles alone.
-        data, at = np.array(data[at:].split(), np.float64).tobytes(), 0
+            case ["property", *kinds, name]:
+                types = [np.dtype("f8" if is_text else order + LETTERS[kind]) for kind in kinds if kind != "list"]
+                listed[-1][2].append((name, types))
     found = {}
     for name, count, properties in listed:
-        found[name], at = _columns(data, at, count, properties)
+        found[name], at = _columns(data, at, count, properties) if count > 0 else ({}, at)
     if at != len(data):
         raise ValueError(f"it has {len(data) - at:,} bytes more than its header promises")
     return found
 
 
-def _columns(data: bytes, at: int, count: int, properties: list[_Property]) -> tuple[Columns, int]:
-    """The properties of an element's `count` rows from byte `at` on, and where the next element begins."""
-    if count < 1:
-        return {}, at
-    first, after = _row(data, at, properties)
-    stride = after - at
+def _columns(data: bytes, at: int, count: int, properties: list[tuple[str, list[np.dtype]]]) -> tuple[Columns, int]:
+    """The properties of an element's `count` rows from byte `at` on, and where the next element begins.
 
-    def all_rows(place: int, dtype: np.dtype, size: int) -> np.ndarray:
-        return np.ndarray((count, size), dtype, data, place, (stride, dtype.itemsize))
-
-    spans = list(zip(properties, first, strict=True))
-    if at + count * stride <= len(data) and all(
-        (all_rows(place - kind.itemsize, kind, 1) == size).all()
-        for (_, _, kind), (place, size) in spans
-        if kind is not None
-    ):
-        return {
-            name: _Column(all_rows(place, dtype, size).reshape(-1), np.broadcast_to(size, count))
-            for (name, dtype, _), (place, size) in spans
-        }, at + count * stride
+    A property has one type, or two if it is a list: that of its length comes first.
+    """
+    place, fields = at, []
+    for name, types in properties:
+        size = () if len(types) == 1 else (int(np.frombuffer(data, types[0], 1, place)[0]),)
+        fields += [(f"{name} size", types[0])] * len(size) + [(name, types[-1], size)]
+        place = at + np.dtype(fields).itemsize
+    if at + count * (place - at) <= len(data):
+        rows = np.frombuffer(data, fields, count, at)
+        sizes = [rows[name] for name, *_ in fields if name.endswith(" size")]
+        if all((size == size[0]).all() for size in sizes):
+            return {name: rows[name] for name, _ in properties}, at + rows.nbytes
     # The lists differ in length.
     if count > MAX_POLYGONS:
         raise ValueError(f"it holds {count:,} lists; expected at most {MAX_POLYGONS:,} of different lengths")
-    rows = []
+    columns: dict[str, list[np.ndarray]] = {name: [] for name, _ in properties}
     for _ in range(count):
-        row, at = _row(data, at, properties)
-        rows.append(row)
-    columns = {}
-    for (name, dtype, _), spans in zip(properties, zip(*rows, strict=True), strict=True):
-        packed = b"".join(data[place : place + size * dtype.itemsize] for place, size in spans)
-        columns[name] = _Column(np.frombuffer(packed, dtype), np.array([size for _, size in spans]))
-    return columns, at
-
-
-def _row(data: bytes, at: int, properties: list[_Property]) -> tuple[list[tuple[int, int]], int]:
-    """Where each property of a row begins, how many numbers it has, and where the next row begins."""
-    spans = []
-    for _, dtype, kind in properties:
-        size = 1
-        if kind is not None:
-            size = int(np.frombuffer(data, kind, 1, at)[0])
-            at += kind.itemsize
-        if size < 0:
-            raise ValueError(f"it has a list of {size} numbers")
-        spans.append((at, size))
-        at += size * dtype.itemsize
-    if at > len(data):
-        raise ValueError("it is cut off")
-    return spans, at
+        for name, types in properties:
+            size = 1
+            if len(types) == 2:
+                size = int(np.frombuffer(data, types[0], 1, at)[0])
+                at += types[0].itemsize
+            if size < 0:
+                raise ValueError(f"it has a list of {size} numbers")
+            columns[name].append(np.frombuffer(data, types[-1], size, at) if size else np.zeros(0, types[-1]))
+            at += size * types[-1].itemsize
+    return {**columns}, at

@@ -5,7 +5,7 @@
     variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/
     variants/no-glass/, variants/opaque-glass/   the twins: edits of all glass at once
 
-Each has the layout of a dataset; its head names its parent (`metadata.Variant`). It uses the parent's scene, meshes and
+Each has the layout of a dataset; its head names its parent (`config.Variant`). It uses the parent's scene, meshes and
 proxies; an edit has its own. Predictions of a variant are in RUN/variants/NAME/.
 
 Edit masks mark the pixels of the test views in which an edit shows:
@@ -26,13 +26,13 @@ from jaxtyping import UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.images import read_png
+from datagen.data.images import decode_png
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import EDIT_MASKS
 from datagen.disk.records import entry, from_json
-from datagen.disk.storage import check_files, load_sealed
+from datagen.disk.storage import load_sealed, read_promised
 
 VARIANTS_FOLDER = "variants"
 """In a dataset and in a run."""
@@ -55,8 +55,8 @@ def scale_name(scale: int) -> str:
 
 def list_variants(root: Path) -> list[str]:
     """Names of all variants of the dataset in a folder, sorted."""
-    heads = [path for path in root.glob(f"{VARIANTS_FOLDER}/*/dataset.json") if path.is_file()]
-    return sorted(path.parent.name for path in heads if is_name(path.parent.name))
+    heads = root.glob(f"{VARIANTS_FOLDER}/*/dataset.json")
+    return sorted(head.parent.name for head in heads if head.is_file() and is_name(head.parent.name))
 
 
 def has_variant(dataset: Dataset, name: str) -> bool:
@@ -95,28 +95,18 @@ ELSEWHERE, LIGHT, OBJECT = 0, 128, 255
 """Values of a mask's pixels."""
 
 
-def edit_mask_files(edited: Dataset) -> dict[str, str]:
-    """SHA-256 of each mask by path relative to the edited dataset."""
-    return list_edit_masks(edited.root / EDIT_MASKS_FOLDER)
-
-
-def list_edit_masks(root: Path) -> dict[str, str]:
-    """SHA-256 of each picture that a folder of edit masks lists, by path relative to the folder above it."""
+def edit_mask_files(root: Path) -> dict[str, str]:
+    """SHA-256 of each picture in a folder of edit masks, by path relative to it."""
     path = root / EDIT_MASKS.head
     files = from_json(dict[str, str], load_sealed(path).get("files"), where=f"{path}: files")
     for file in files:
         if not re.fullmatch(rf"{EDIT_MASKS_FOLDER}/({'|'.join(TEST_SPLITS)})/[0-9]{{4,}}\.png", file):
             raise HyalineError(f"{path}: files: names {file!r}; expected {EDIT_MASKS_FOLDER}/SPLIT/0000.png")
-    return files
+    return {file.removeprefix(f"{EDIT_MASKS_FOLDER}/"): promised for file, promised in files.items()}
 
 
 def read_edit_mask(edited: Dataset, split: Split, view: int) -> UInt8[np.ndarray, "h w"]:
     """Where the edit shows in a view, verified: `OBJECT`, `LIGHT` or `ELSEWHERE`."""
-    path = edit_mask_path(edited, split, view)
-    file = path.relative_to(edited.root).as_posix()
-    check_files(edited.root, {file: entry(edit_mask_files(edited), file, where=edited.root)})
-    return read_png(path)[..., 0]
-
-
-def edit_mask_path(edited: Dataset, split: Split, view: int) -> Path:
-    return edited.root / EDIT_MASKS_FOLDER / split / f"{view_name(view)}.png"
+    root, file = edited.root / EDIT_MASKS_FOLDER, f"{split}/{view_name(view)}.png"
+    data = read_promised(root, file, entry(edit_mask_files(root), file, where=root))
+    return np.asarray(decode_png(data, where=str(root / file)).convert("RGB"))[..., 0]

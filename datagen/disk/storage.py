@@ -54,15 +54,20 @@ def commit(path: Path, data: bytes) -> None:
 
     Of several processes that commit to one path at once, on whichever machines, the last one wins, whole.
     """
-    with naming(path):
-        with _temporary(path, data) as temporary:
-            temporary.replace(path)
-        sync_folder(path.parent)
+    with _temporary(path, data) as temporary:
+        temporary.replace(path)
+
+
+def commit_all(root: Path, files: Mapping[str, bytes]) -> dict[str, str]:
+    """Commits files, given by path relative to `root`; their SHA-256 by the same paths."""
+    for path, data in files.items():
+        commit(root / path, data)
+    return {path: sha256(data) for path, data in files.items()}
 
 
 def try_place(path: Path) -> None:
     """Raises an OSError if no file can be committed at `path`, before work is done for one."""
-    with naming(path), _temporary(path, b"") as temporary:
+    with _temporary(path, b"") as temporary:
         temporary.unlink()
 
 
@@ -76,33 +81,34 @@ def commit_first(path: Path, data: bytes) -> None:
     """Commits `data` unless a file stands there, which stays; of several at once, on whichever machines, one wins."""
     if path.is_file():
         return
-    with naming(path):
-        with _temporary(path, data) as temporary:
-            try:
-                path.hardlink_to(temporary)
-            except FileExistsError:
-                pass
-            except OSError:  # A file system without hard links: there the last one wins.
-                temporary.replace(path)
-            temporary.unlink(missing_ok=True)
-        sync_folder(path.parent)
+    with _temporary(path, data) as temporary:
+        try:
+            path.hardlink_to(temporary)
+        except FileExistsError:
+            pass
+        except OSError:  # A file system without hard links: there the last one wins.
+            temporary.replace(path)
+        temporary.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
 def _temporary(path: Path, data: bytes) -> Iterator[Path]:
-    """A file beside `path` that holds `data`; an error or a signal deletes it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """A file beside `path` that holds `data`; an error or a signal deletes it. Errors of the system name `path`."""
     # A name of its own: another process may be committing to the same path.
     temporary = path.with_name(f"{path.name}.{secrets.token_hex(8)}.hyaline-tmp")
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with temporary.open("wb") as file:
             file.write(data)
             file.flush()
             os.fsync(file.fileno())
         yield temporary
-    except BaseException:
+        sync_folder(path.parent)
+    except BaseException as error:
         with contextlib.suppress(OSError):  # The first error says what is wrong.
             temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # Many know no file, or the temporary one.
+            error.filename, error.filename2 = str(path), None
         raise
 
 

@@ -54,16 +54,6 @@ class Surfaces:
         values = [material.surface().ior if material.is_glass else 0.0 for material in self.materials]
         return np.array([0.0, *values], np.float32)
 
-    @property
-    def ior_by_channel(self) -> Float32[np.ndarray, "id 3"]:
-        """`ior` for red, green and blue, which differ where glass disperses; thin panes do not disperse."""
-        media = [material.medium for material in self.materials]
-        values = np.repeat(self.ior[:, None], 3, axis=1)
-        for place, medium in enumerate(media, 1):
-            if medium is not None:
-                values[place] = medium.iors
-        return values
-
     def albedo(
         self, object_id: int, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]
     ) -> Float32[np.ndarray, "hit 3"]:

@@ -19,7 +19,6 @@ from datagen.data.dataset import View
 from datagen.data.layers import Layers
 from datagen.data.meshes import is_there
 from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.surface_tables import Limits
@@ -173,14 +172,6 @@ class ViewQuantities:
         kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
         return np.array([0, *kinds], np.uint8)[self.object_id]
 
-    @checked
-    def material_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        """True where the ray first hits a material of this class, such as Dielectric."""
-        if name not in self.material_names:
-            names = ", ".join(self.material_names)
-            raise HyalineError(f"{self.view.dataset.root}: has no material {name!r}; its kinds are {names}")
-        return self.material_id == 1 + self.material_names.index(name)
-
     # Where they are
 
     @property
@@ -247,11 +238,6 @@ class ViewQuantities:
     def ior(self) -> Float32[np.ndarray, "h w"]:
         """Index of refraction of the first surface if it is glass or liquid; 0 on opaque surfaces."""
         return self.surfaces.ior[self.object_id]
-
-    @property
-    def ior_by_channel(self) -> Float32[np.ndarray, "h w 3"]:
-        """Index of refraction for red, green and blue light, which differ where glass disperses; `ior` is green's."""
-        return self.surfaces.ior_by_channel[self.object_id]
 
     @functools.cached_property
     def glass_thickness(self) -> Float32[np.ndarray, "h w"]:

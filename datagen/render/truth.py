@@ -12,10 +12,9 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
+from datagen.data.config import ROUNDING_MSE, Split
 from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
-from datagen.data.metadata import ROUNDING_MSE
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import has_small_light, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene

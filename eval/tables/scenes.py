@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from datagen.builder.presets import PRESETS
+from datagen.builder.choices import PRESETS
 from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
 from eval.score.scores import METRICS, Metric
 from eval.score.seeds import Spread, spread

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.data.config import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.data.dataset import Dataset
-from datagen.data.metadata import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.disk.errors import HyalineError, naming
 from datagen.disk.names import real_path
 from datagen.disk.storage import sync_folder

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.config import Resolution
+from datagen.data.config import Resolution, unknown_license
 from datagen.data.meshes import Mesh, is_there, open_edges
-from datagen.data.metadata import unknown_license
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import sha256_file

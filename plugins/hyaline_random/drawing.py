@@ -14,9 +14,8 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, square
+from datagen.data.config import OWN_LICENSE, DatasetConfig, square
 from datagen.data.meshes import face_corners, windings
-from datagen.data.metadata import OWN_LICENSE
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint

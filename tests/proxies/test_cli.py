@@ -11,9 +11,9 @@ import pytest
 from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
+from datagen.data.config import Variant
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
-from datagen.data.metadata import Variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from proxies.make import make_proxies

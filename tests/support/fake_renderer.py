@@ -16,7 +16,6 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.images import png_bytes
-from datagen.data.layer_writing import write_layers
 from datagen.data.layers import Layers
 from datagen.data.writing import commit_view
 
@@ -52,31 +51,31 @@ def render(job: FakeJob, task: Task) -> None:
 def peel(job: FakeJob, task: Task) -> None:
     assert job.geometry is not None
     layers = _trace(job.dataset, *task, job.dataset.layer_store(job.geometry).head.num_layers)
-    write_layers(job.dataset, job.geometry, *task, layers, overflow_share=0.0)
+    job.dataset.layer_store(job.geometry).write(*task, layers, overflow_share=0.0)
 
 
 def _trace(dataset: Dataset, split: Split, view: int, num_layers: int) -> Layers:
     return trace(*pixel_rays(dataset.cameras(split), view), num_layers)
 
 
-def film(cameras: Cameras, first: int = 0) -> Iterator[np.ndarray]:
-    for view in range(first, len(cameras)):
+def film(cameras: Cameras) -> Iterator[np.ndarray]:
+    for view in range(len(cameras)):
         yield np.full((cameras.height, cameras.width, 3), view, np.uint8)
 
 
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
     import datagen.builder.build
+    import datagen.builder.edit_masks
     import datagen.builder.film
-    import datagen.builder.find_edit_masks
     import datagen.machine.mitsuba_variant
 
     for name, function in (("render", render), ("peel", peel)):
         patch.setattr(datagen.builder.build, f"{name.title()}Job", FakeJob)
         patch.setattr(datagen.builder.build, f"{name}_task", function)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
-    patch.setattr(datagen.builder.find_edit_masks, "_read_halves", _read_halves)
-    patch.setattr(datagen.builder.film, "path_trace", lambda dataset, cameras, first=0, *, spp: film(cameras, first))
+    patch.setattr(datagen.builder.edit_masks, "_read_halves", _read_halves)
+    patch.setattr(datagen.builder.film, "path_trace", lambda dataset, cameras, *, spp: film(cameras))
 
 
 def _read_halves(dataset: Dataset, split: Split, view: int) -> np.ndarray:

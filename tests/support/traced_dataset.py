@@ -8,14 +8,14 @@ from support.meshes import box
 from support.synthetic import pixel_rays
 
 from datagen.data.cameras import Cameras, look_at
-from datagen.data.config import SPLITS, DatasetConfig, Resolution, Split, SplitConfig, square
-from datagen.data.dataset import Dataset, DatasetObject
+from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, Split, SplitConfig, square
+from datagen.data.dataset import Dataset
 from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
-from datagen.data.layer_writing import create_layers, write_layers
+from datagen.data.layers import start_layers
 from datagen.data.meshes import Mesh
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.writing import commit_view, write_head
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
@@ -85,7 +85,8 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in scene.objects)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     dataset = write_head(root, config, objects, cameras, scene_files(scene))
-    create_layers(dataset, TRUTH, num_layers=8, geometry_hash=geometry_hash(dataset, TRUTH))
+    meshes_hash = geometry_hash(dataset, TRUTH)
+    start_layers(layers_root(dataset.root, TRUTH), size, num_layers=8, geometry_hash=meshes_hash)
     use_mitsuba()
     from datagen.trace.peel import Peeler
 
@@ -98,7 +99,7 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
             exr = encode_exr(radiance, np.zeros_like(radiance))
             png = png_bytes(picture)
             commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
-            write_layers(dataset, TRUTH, split, view, layers, overflow_share=0.0)
+            dataset.layer_store().write(split, view, layers, overflow_share=0.0)
     return dataset
 
 

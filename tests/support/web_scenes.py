@@ -15,8 +15,8 @@ from torch import nn
 
 from benchmarks.browser import Watched, open_file, watched_page
 from datagen.data.cameras import Cameras
-from datagen.data.config import SPLITS, DatasetConfig, Resolution
-from datagen.data.dataset import Dataset, DatasetObject
+from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution
+from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH

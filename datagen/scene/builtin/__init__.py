@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
+from datagen.data.config import OWN_LICENSE
 from datagen.data.meshes import Mesh
-from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene, SceneObject

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support.synthetic import look_at, pixel_rays, shade, synthetic_scene, trace, write_synthetic_dataset
 
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, Split
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, SceneEdit, Split, Variant
 from datagen.data.dataset import Dataset
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
-from datagen.data.metadata import SceneEdit, Variant
 from datagen.data.variants import variant_root
 from datagen.data.writing import commit_view, write_head
 from datagen.scene.edits import edit_scene, parse_edit

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from support.commands import call
 
-from datagen.builder.presets import PRESETS
+from datagen.builder.choices import PRESETS
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, square
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.edits import parse_edit

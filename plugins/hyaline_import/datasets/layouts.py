@@ -22,8 +22,7 @@ from msgspec import Meta, Struct
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
-from datagen.data.config import Resolution
-from datagen.data.metadata import license_line
+from datagen.data.config import Resolution, license_line
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file

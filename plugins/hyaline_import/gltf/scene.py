@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.cameras import Camera
-from datagen.data.metadata import license_line
+from datagen.data.config import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.terminal.distribution import install_command

@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Imported, Split
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
-from datagen.data.metadata import Imported
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json

@@ -15,8 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.config import MAX_VIEWS
-from datagen.data.metadata import license_line
+from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.ply import read_ply_points
 from datagen.data.transforms import Transforms, relative_name
 from datagen.disk.errors import HyalineError

@@ -20,10 +20,9 @@ from jaxtyping import Bool, Int
 from scipy import ndimage
 
 from datagen.builder.build import peel_dataset
-from datagen.builder.build_variant import peel_variants
-from datagen.data.dataset import Dataset, check_has_meshes, has_layers
+from datagen.builder.variants import peel_variants
+from datagen.data.dataset import Dataset, check_has_meshes, find_num_layers, has_layers
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_writing import find_num_layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError, UsageError

@@ -13,10 +13,9 @@ from support.meshes import mesh_of
 from support.pages import ReadPage, read_page
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS
+from datagen.data.config import TEST_SPLITS, Imported
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
-from datagen.data.metadata import Imported
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit_sealed, load_sealed
 from eval.page.report import make_report

@@ -18,8 +18,6 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
-from datagen.data.layer_writing import write_layers
-from datagen.data.layers import Layers
 from datagen.data.paths import TRUTH, image_path, layers_root
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
@@ -119,17 +117,6 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     assert "Traceback" not in answer.stderr
     build_whole(scene_folder, out)
     assert tree(out) == tree(built)
-
-
-def test_a_view_of_nothing_at_all_has_layers_too(tmp_path: Path) -> None:
-    dataset = write_synthetic_dataset(tmp_path, resolution=8, train_views=2)
-    full = dataset.view("train", 0).layers()
-    empty = Layers(uv=0 * full.uv, object_id=0 * full.object_id, depth=0 * full.depth)
-    write_layers(dataset, TRUTH, "train", 0, empty, overflow_share=0.0)
-    assert not dataset.view("train", 0).layers().object_id.any()
-    assert verify_dataset(tmp_path).problems == []
-    write_layers(dataset, TRUTH, "train", 0, full, overflow_share=0.0)
-    assert np.array_equal(dataset.view("train", 0).layers().uv, full.uv)
 
 
 def test_layers_with_another_number_need_overwrite(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -10,21 +9,20 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-import numpy as np
 import pytest
 from support.builds import build, build_whole, command, tree
 from support.commands import run
 from support.synthetic import synthetic_scene
 
-from datagen.builder.build import _start_beside_others, open_or_start
-from datagen.builder.shards import Shard, parse_shard
+from datagen.builder.build import open_or_start
+from datagen.builder.choices import parse_shard
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.geometries import geometry_hash
+from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, LAYERS
-from datagen.disk.storage import commit, commit_first, one_writer, shared_writers
+from datagen.disk.storage import one_writer, shared_writers
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
@@ -70,19 +68,6 @@ def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_
     assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
 
 
-def test_a_part_that_finds_only_the_head_of_what_another_has_just_begun_writes_the_rest(
-    built: Path, scene_folder: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "begun"
-    for head in (DATASET.head, layers_root(Path(), TRUTH) / LAYERS.head):
-        (out / head).parent.mkdir(parents=True, exist_ok=True)
-        shutil.copy(built / head, out / head)
-    for part in ("1/2", "2/2"):
-        answer = build(scene_folder, out, "--shard", part)
-        assert answer.status == 0, answer.err
-    assert tree(out) == tree(built)
-
-
 def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
@@ -118,20 +103,6 @@ def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene
     assert len(logs) == 2 and all("views with" in log.read_text() for log in logs)
 
 
-@pytest.mark.slow
-def test_the_launcher_tells_of_jobs_that_fail(built: Path, scene_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "jobs"
-    shutil.copytree(built, out)
-    answer = build(scene_folder, out, "--launcher", "local", "--shards=2", "--seed", "3")
-    assert answer.status == 1
-    assert answer.err.count("(seed is 0 there and 3 here)") == 2
-    assert "2 of 2 jobs failed" in answer.err.splitlines()[-1]
-    failed = next(line for line in answer.err.splitlines() if line.startswith("failed: part "))
-    assert Path(failed.partition("; log: ")[2]).is_file()
-    assert "Traceback" not in answer.err
-    assert tree(out) == tree(built)
-
-
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
     few = SplitConfig(views=3, spp=2)
     config = DatasetConfig(
@@ -140,32 +111,20 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
     scene = synthetic_scene()
     cameras = make_cameras(scene.cameras, config)
 
-    def start(root: Path, shard: bool) -> str:
+    def start(root: Path) -> str:
         dataset = open_or_start(scene, root, config, cameras, overwrite=False)
-        root = layers_root(dataset.root, TRUTH)
-        _start_beside_others(dataset, TRUTH, geometry_hash(dataset, TRUTH), num_layers=4)
+        root, meshes_hash = layers_root(dataset.root, TRUTH), geometry_hash(dataset, TRUTH)
+        start_layers(root, config.resolution, num_layers=4, geometry_hash=meshes_hash)
         return dataset.seal
 
     (tmp_path / "alone").mkdir()
-    seal = start(tmp_path / "alone", False)
+    seal = start(tmp_path / "alone")
     for attempt in range(4):
         root = tmp_path / f"at-once-{attempt}"
         root.mkdir()
         with ThreadPoolExecutor(8) as pool:
-            assert set(pool.map(start, [root] * 8, [True] * 8)) == {seal}
+            assert set(pool.map(start, [root] * 8)) == {seal}
         assert tree(root) == tree(tmp_path / "alone")
-
-
-def test_of_several_first_commits_one_wins_whole(tmp_path: Path) -> None:
-    contents = [bytes([value]) * 100_000 for value in range(8)]
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(commit_first, [tmp_path / "head"] * 8, contents))
-        assert (winner := (tmp_path / "head").read_bytes()) in contents
-        commit_first(tmp_path / "head", b"late")
-        assert (tmp_path / "head").read_bytes() == winner
-        list(pool.map(commit, [tmp_path / "head"] * 8, contents))
-    assert (tmp_path / "head").read_bytes() in contents
-    assert [path.name for path in tmp_path.iterdir()] == ["head"]
 
 
 def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
@@ -174,14 +133,6 @@ def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
         pass
     with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
         pass
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7, 40])
-def test_parts_are_disjoint_even_and_make_the_whole(count: int) -> None:
-    tasks = list(range(23))
-    parts = [Shard(number=number, count=count).of(tasks) for number in range(1, count + 1)]
-    assert sorted(np.concatenate(parts).astype(int).tolist()) == tasks
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/2", "a/b", "1/2/3", "", "½/2"])

@@ -17,8 +17,7 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import open_dataset
 from datagen.data.images import read_png
-from datagen.data.paths import image_path
-from datagen.data.variants import evenly, has_variant, open_variant, parent_views
+from datagen.data.variants import has_variant, open_variant, parent_views
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 from eval.page.report import make_report
@@ -82,22 +81,6 @@ def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, by
         assert np.abs(fine - coarse).mean() < 0.5 * np.abs(fine - coarse.mean(axis=(0, 1))).mean()
         layers = variant.view(split, 0).layers()
         assert layers.object_id.shape == (4, 32, 32)
-
-
-def test_a_damaged_view_of_a_variant_is_named_and_made_again(
-    made: tuple[Path, dict[str, bytes]], tmp_path: Path
-) -> None:
-    shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
-    before = tree(tmp_path / "mine")
-    path = image_path(tmp_path / "mine/variants/angles", "extrapolating-20deg", 1)
-    path.write_bytes(b"garbage")
-    (tmp_path / "mine/variants/x2/notes.txt").write_text("mine")
-    found = verify_dataset(tmp_path / "mine")
-    assert [problem.split("; ")[0] for problem in found.problems] == [f"{path}: damaged or edited (checksum differs)"]
-    assert any("variants/x2/notes.txt" in remark for remark in found.remarks)
-    (tmp_path / "mine/variants/x2/notes.txt").unlink()
-    assert command("datagen", "add", tmp_path / "mine", *MORE).status == 0
-    assert tree(tmp_path / "mine") == before
 
 
 def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
@@ -188,16 +171,3 @@ def test_runs_predict_variants_and_the_report_scores_them(
     assert "variants/angles" in said.err
 
 
-def test_things_chosen_evenly_are_few_and_spread() -> None:
-    assert evenly(3, 12) == [2, 6, 10]
-    assert evenly(4, 4) == [0, 1, 2, 3]
-
-
-def test_predictions_of_a_variant_in_the_runs_own_folder_are_refused_with_their_place(
-    made: tuple[Path, dict[str, bytes]], tmp_path: Path
-) -> None:
-    place = tmp_path / "runs/mine/foreign/predictions/extrapolating-20deg"
-    shutil.copytree(made[0] / "data/mine/variants/angles/images/extrapolating-20deg", place)
-    expected = "is a split of a variant; .* into .*/foreign/variants/angles/predictions/extrapolating-20deg"
-    with pytest.raises(HyalineError, match=f"{place}: {expected}"):
-        make_report(tmp_path / "runs", made[0] / "data", tmp_path / "out", output_format="markdown")

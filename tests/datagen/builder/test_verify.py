@@ -199,15 +199,6 @@ def test_every_lost_folder_is_named_and_repaired_to_the_same_bytes(
         count += len(chosen)
 
 
-def test_lost_layers_are_named_and_made_by_the_command_that_made_them(here: Path) -> None:
-    whole = tree(ROOT)
-    shutil.rmtree(ROOT / "layers")
-    answer = call("datagen verify data/one")
-    assert answer.status == 1 and f"{ROOT}/layers: the folder is missing" in answer.out
-    run(BUILD)
-    assert tree(ROOT) == whole
-
-
 def test_a_link_to_a_folder_that_was_moved_elsewhere_is_kept_and_nothing_is_made_again(here: Path) -> None:
     (ROOT / "images").rename(here / "large disk")
     (ROOT / "images").symlink_to(here / "large disk")
@@ -245,30 +236,3 @@ def test_foreign_files_are_a_remark_and_no_damage(here: Path) -> None:
     assert "1 files are no part of the dataset and were not looked at: points3d.ply" in answer.err
     run(BUILD)
     assert (ROOT / "points3d.ply").read_bytes() == b"of a Gaussian-splatting tool"
-
-
-def test_a_build_that_was_stopped_while_it_rendered_is_one_line_and_finished_with_its_layers(
-    tmp_path: Path, made: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    prepare(monkeypatch, tmp_path)
-    shutil.copytree(made / "scene", "scene")
-    calls = []
-
-    def stop(job: fake_renderer.FakeJob, task: fake_renderer.Task) -> None:
-        calls.append(task)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        fake_renderer.render(job, task)
-
-    with monkeypatch.context() as patch:
-        patch.setattr("datagen.builder.build.render_task", stop)
-        assert call(BUILD).status == 130
-    answer = call("datagen verify data/one")
-    assert answer.status == 1 and len(answer.out.splitlines()) == 2
-    assert "data/one: unfinished: 2 of 4 views have no record (" in answer.out
-    assert "4 of 4 views have no record (layers/straight/records/train/0000.json, " in answer.out
-    run(BUILD)
-    repaired = tree(ROOT)
-    ROOT.rename("data/before")
-    run(BUILD)
-    assert tree(ROOT) == repaired

@@ -41,13 +41,6 @@ def test_the_walk_starts_and_ends_at_its_points_and_leaves_the_hemisphere() -> N
     assert distance.max() > 1.3
 
 
-def test_the_seed_decides_over_training_cameras_alone() -> None:
-    one, same, other = (make_cameras(RIG, config(seed=seed)) for seed in (0, 0, 1))
-    assert np.array_equal(one["train"].world_from_camera, same["train"].world_from_camera)
-    assert not np.allclose(one["train"].world_from_camera, other["train"].world_from_camera)
-    assert np.array_equal(one["interpolating"].world_from_camera, other["interpolating"].world_from_camera)
-
-
 def test_a_camera_is_a_rotation_that_looks_at_its_target() -> None:
     matrix = look_at(np.array([1.0, 2.0, 3.0]), np.array([-1.0, 0.5, 0.0]))
     rotation = matrix[:3, :3]

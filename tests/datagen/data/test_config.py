@@ -18,14 +18,6 @@ def test_what_is_printed_is_read_back(resolution: Resolution) -> None:
     assert parse_resolution(str(resolution).replace(" ", "")) == resolution
 
 
-def test_one_number_is_a_square_and_two_are_width_and_height() -> None:
-    assert parse_resolution("256") == square(256)
-    wide = parse_resolution("320x240")
-    assert (wide.width, wide.height, wide.shape, wide.pixels) == (320, 240, (240, 320), 76_800)
-    assert (wide.shorter, wide.mean_side, square(99).mean_side) == (240, 277, 99)
-    assert wide.times(2) == parse_resolution("640x480")
-
-
 @pytest.mark.parametrize(
     ("text", "problem"),
     [

@@ -4,8 +4,8 @@ import colour
 import numpy as np
 import pytest
 
+from datagen.data.config import ViewRecord
 from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
-from datagen.data.metadata import ViewRecord
 
 
 def test_the_curve_equals_colour_sciences() -> None:

@@ -1,7 +1,5 @@
 """Tests the quantities of views against closed formulas: a ball, a slab, a pane and a cube above a floor."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from support.checked import unchecked
@@ -67,10 +65,6 @@ def test_masks_and_materials_are_those_of_the_scene(found: ViewQuantities) -> No
     assert found.material_names == ("Dielectric", "Diffuse", "Plastic", "ThinDielectric")
     kinds = [found.material_names.index(type(item.material).__name__) + 1 for item in glass_scene().objects]
     assert np.array_equal(found.material_id, np.array([0, *kinds])[found.object_id])
-    solid = found.object_mask("ball") | found.object_mask("slab")
-    assert np.array_equal(found.material_mask("Dielectric"), solid) and solid.any()
-    with pytest.raises(HyalineError, match="has no material 'Glass'; its kinds are Dielectric, Diffuse, Plastic, Thin"):
-        found.material_mask("Glass")
     assert np.array_equal(found.ior, np.array([0, 0, 1.5, 1.6, 1.5, 0], np.float32)[found.object_id])
 
 
@@ -135,8 +129,3 @@ def test_thickness_is_the_length_inside_solid_glass(found: ViewQuantities) -> No
     assert np.abs(thick - slab)[only_slab].max(initial=0) < 1e-4
     pane = found.object_mask("pane") & (chord == 0) & (slab == 0)
     assert not thick[pane].any()
-
-
-def test_what_is_asked_for_twice_is_read_once(tmp_path: Path, dataset: Dataset) -> None:
-    first, second = (quantities(dataset.view("train", index)) for index in (0, 1))
-    assert first.surfaces is second.surfaces and first.layers is first.layers

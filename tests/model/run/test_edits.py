@@ -14,8 +14,7 @@ from support.meshes import mesh_of
 from support.synthetic import quad, synthetic_scene
 
 from datagen.builder.build import build_dataset
-from datagen.builder.build_variant import build_variant
-from datagen.builder.plan_variant import plan_edit
+from datagen.builder.variants import build_variant, plan_edit
 from datagen.data.config import TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png

@@ -8,11 +8,12 @@ from jaxtyping import Bool, Float, UInt8
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes, srgb_from_linear
-from datagen.data.variants import EDIT_MASKS_FOLDER, ELSEWHERE, LIGHT, OBJECT, edit_mask_files, edit_mask_path
+from datagen.data.paths import view_name
+from datagen.data.variants import EDIT_MASKS_FOLDER, ELSEWHERE, LIGHT, OBJECT, edit_mask_files
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
 from datagen.disk.records import Json
-from datagen.disk.storage import check_files, commit_same, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit_all, commit_sealed, load_sealed, seal_bytes, sha256
 
 SIGMAS = 3.0
 """Least difference that counts, in standard deviations of its noise."""
@@ -31,24 +32,20 @@ def write_edit_masks(base: Dataset, edited: Dataset) -> None:
     root = edited.root / EDIT_MASKS_FOLDER
     if is_ours(root, EDIT_MASKS) and load_sealed(root / EDIT_MASKS.head).get("dataset") == edited.seal:
         with contextlib.suppress(HyalineError):  # Missing or damaged masks are made again.
-            check_files(edited.root, edit_mask_files(edited))
+            check_files(root, edit_mask_files(root))
             return
     files: dict[str, bytes] = {}
     for split in TEST_SPLITS:
-        for view in range(edited.config.split(split).views):
+        for view in range(edited.num_views[split]):
             shown = shows_objects(base, edited, split, view)
             mask = find_edit_mask(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
-            file = edit_mask_path(edited, split, view).relative_to(root).as_posix()
-            files[file] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
-    promised: dict[str, Json] = {f"{root.name}/{file}": sha256(data) for file, data in files.items()}
+            files[f"{split}/{view_name(view)}.png"] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
+    promised: dict[str, Json] = {f"{EDIT_MASKS_FOLDER}/{file}": sha256(data) for file, data in files.items()}
     content: dict[str, Json] = {"dataset": edited.seal, "files": promised}
     with holding(root, EDIT_MASKS, within=edited.root):
-        if is_ours(root, EDIT_MASKS):
-            commit_sealed(root / EDIT_MASKS.head, content)
-        else:
-            begin(root, EDIT_MASKS, seal_bytes(content))
-        for file, data in files.items():
-            commit_same(root / file, data)
+        begin(root, EDIT_MASKS, seal_bytes(content))
+        commit_sealed(root / EDIT_MASKS.head, content)
+        commit_all(root, files)
 
 
 def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:

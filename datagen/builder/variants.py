@@ -1,0 +1,237 @@
+"""Variants of a dataset: what each is to be (cameras, size, scene), and its making inside the dataset."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from datagen.builder.angles import make_angle_cameras
+from datagen.builder.build import peel_dataset, render_dataset
+from datagen.builder.choices import Shard
+from datagen.builder.edit_masks import write_edit_masks
+from datagen.data.cameras import Cameras
+from datagen.data.config import (
+    TEST_SPLITS,
+    DatasetConfig,
+    DatasetObject,
+    SceneEdit,
+    Split,
+    SplitConfig,
+    Variant,
+    config_difference,
+)
+from datagen.data.dataset import Dataset, find_num_layers, open_dataset
+from datagen.data.geometries import (
+    list_geometries,
+    read_assignment,
+    read_materials,
+    read_meshes,
+    read_proxy_records,
+    write_proxies,
+)
+from datagen.data.meshes import Mesh, is_there, no_mesh
+from datagen.data.paths import TRUTH, geometry_root, layers_root
+from datagen.data.ply import write_ply
+from datagen.data.variants import ANGLES, evenly, list_variants, open_variant, scale_name, variant_root
+from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
+from datagen.disk.errors import DamagedError, HyalineError
+from datagen.disk.ownership import DATASET, LAYERS, PROXIES, holding, is_ours, refuse_taken
+from datagen.disk.storage import load_sealed, sha256
+from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.folder import open_scene, scene_files
+from datagen.scene.rig import cameras_within
+from datagen.terminal.command import say
+
+MAX_SCALE = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """All that the head of a variant is made of."""
+
+    name: str
+    config: DatasetConfig
+    cameras: dict[Split, Cameras]
+    """Cameras of the variant's splits."""
+    objects: tuple[DatasetObject, ...]
+    edit: SceneEdit | None = None
+    scene: Mapping[str, bytes] = field(default_factory=dict)
+    """The files of an edited scene's folder; none where the scene is the parent's."""
+
+
+def plan_angles(base: Dataset) -> Plan:
+    """The splits by angle (datagen/builder/angles.py), each of as many views as `extrapolating` has."""
+    _check_base(base)
+    scene = open_scene(base)
+    cameras = cameras_within(scene, make_angle_cameras(scene, base.config))
+    return Plan(name=ANGLES, config=base.config, cameras=cameras, objects=base.objects)
+
+
+def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
+    """The test splits, enlarged by an integer factor, with the same samples per pixel.
+
+    Args:
+        views: number of views of each split, chosen evenly; None: all.
+    """
+    _check_base(base)
+    if not 2 <= scale <= MAX_SCALE:
+        raise HyalineError(f"larger: is {scale}; expected 2 to {MAX_SCALE} times the dataset's size")
+    size = base.config.resolution.times(scale)
+    sizes: dict[str, SplitConfig] = {}
+    cameras: dict[Split, Cameras] = {}
+    for split in TEST_SPLITS:
+        there = base.config.split(split)
+        count = there.views if views is None else views
+        if not 1 <= count <= there.views:
+            raise HyalineError(f"larger_views: is {count}; expected 1 to {there.views}, as {split} has")
+        sizes[split] = dataclasses.replace(there, views=count)
+        poses = base.cameras(split)
+        chosen = poses.world_from_camera[evenly(count, there.views)]
+        cameras[split] = dataclasses.replace(poses.fitted(size), world_from_camera=chosen)
+    config = dataclasses.replace(base.config, resolution=size, **sizes)
+    return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
+
+
+def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
+    """The edited scene at the test cameras of the base, with its settings.
+
+    The same seeds give both truths the same noise where the edit changes nothing.
+    """
+    _check_base(base)
+    base.layer_store()
+    # Verifies that the meshes are those that the dataset was rendered with.
+    read_meshes(base, TRUTH)
+    before = open_scene(base)
+    edited = edit_scene(before, edits)
+    edit = SceneEdit(edits=tuple(map(describe_edit, edits)), changed=edited.changed(before), copies=edited.copies)
+    return Plan(
+        name=edits_name(edits),
+        config=base.config,
+        cameras=cameras_within(edited.scene, {split: base.cameras(split) for split in TEST_SPLITS}),
+        objects=tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in edited.scene.objects),
+        edit=edit,
+        scene=scene_files(edited.scene),
+    )
+
+
+def _check_base(base: Dataset) -> None:
+    if base.parent is not None:
+        raise HyalineError(
+            f"{base.root}: is a variant; name the dataset around it, {base.parent.root}, and give all edits of one "
+            "scene in one command"
+        )
+
+
+def build_variant(
+    base: Dataset, plan: Plan, *, workers: int, shard: Shard | None = None, overwrite: bool = False
+) -> Dataset:
+    """Renders and peels what is missing of a variant, or of one part of its views.
+
+    An edit gets the proxies of the base, changed as their objects are, and its edit masks.
+    """
+    root = variant_root(base.root, plan.name)
+    with holding(root, DATASET, within=base.root, shared=shard is not None):
+        variant = _open_or_start(base, plan, overwrite=overwrite, is_alone=shard is None)
+        render_dataset(variant, workers=workers, shard=shard)
+    _peel(base, variant, workers=workers, shard=shard)
+    if variant.edit is not None:
+        say(f"{root}: finding where the edit shows")
+        write_edit_masks(base, variant)
+    return variant
+
+
+def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) -> None:
+    """Peels what is missing in every variant, of each geometry that has layers in the dataset itself.
+
+    A variant that is damaged, or needs damaged proxies, is left to the commands that make these.
+    """
+    for name in list_variants(base.root):
+        try:
+            variant = open_variant(base, name)
+            if shard is None or variant.edit is None:  # Edits are made by one machine.
+                _peel(base, variant, workers=workers, shard=shard)
+        except DamagedError as error:
+            say(f"{variant_root(base.root, name)}: is not peeled: {error}")
+
+
+def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None) -> None:
+    """Peels as many layers of each geometry as the base has of it."""
+    for geometry in list_geometries(base):
+        if not (layers_root(base.root, geometry) / LAYERS.head).is_file():
+            continue
+        if variant.edit is not None and geometry != TRUTH:
+            with holding(geometry_root(variant.root, geometry), PROXIES, within=variant.root):
+                _write_proxies(base, variant, variant.edit, geometry)
+        num_layers = base.layer_store(geometry).head.num_layers
+        is_other = find_num_layers(variant, geometry) not in (None, num_layers)
+        peel_dataset(
+            variant,
+            geometry,
+            num_layers=num_layers,
+            overwrite=is_other and shard is None,
+            workers=workers,
+            shard=shard,
+        )
+
+
+def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool, is_alone: bool) -> Dataset:
+    """The variant, when it is this plan's and of this dataset; an empty one where none is, or an outdated one.
+
+    Args:
+        overwrite: start over even if files exist.
+        is_alone: False: other processes may be doing the same; nothing is deleted.
+    """
+    root = variant_root(base.root, plan.name)
+    record = Variant(of=base.seal, splits=tuple(plan.cameras), edit=plan.edit)
+    contents = head_contents(plan.scene, plan.cameras)
+    is_outdated = False
+    if is_ours(root, DATASET):
+        said = load_sealed(root / DATASET.head).get("variant")
+        is_outdated = overwrite or not (isinstance(said, dict) and said.get("of") == base.seal)
+    if is_ours(root, DATASET) and not is_outdated:
+        variant = open_dataset(root)
+        if difference := config_difference(variant.config, plan.config):
+            raise HyalineError(f"{root}: holds a variant with another configuration ({difference}); delete the folder")
+        wanted = {path: sha256(data) for path, data in contents.items()}
+        is_outdated = variant.variant != record or variant.files != wanted
+    if is_outdated:
+        if not is_alone:
+            raise HyalineError(f"{root}: holds an outdated variant; build without --shard, which replaces it")
+        refuse_taken(root, DATASET, [*view_files(plan.config, record.splits), *contents], dataset_files(root))
+        clear_dataset(root)
+    return write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record, replace=is_outdated)
+
+
+def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: str) -> None:
+    """The proxies, moved with their objects; a copy has its original's proxy."""
+    edited = edit_scene(open_scene(base), tuple(map(parse_edit, edit.edits)))
+    originals = {item.name: edited.copies.get(item.name, item.name) for item in variant.objects}
+    there = {item.name for item in edited.scene.objects if is_there(item.mesh)}
+    meshes = {item.name: mesh for item, mesh in zip(base.objects, read_meshes(base, geometry), strict=True)}
+
+    def mesh_of(name: str) -> Mesh:
+        if name not in there:
+            return no_mesh()
+        mesh = meshes[originals[name]]
+        return moved_mesh(mesh, edited.offsets[name]) if name in edited.offsets else mesh
+
+    wanted = tuple(map(mesh_of, originals))
+    try:
+        found = [sha256(write_ply(mesh)) for mesh in read_meshes(variant, geometry)]
+        if found == [sha256(write_ply(mesh)) for mesh in wanted]:
+            return
+    except HyalineError:
+        pass  # Not made yet, or damaged.
+    statistics = {record.object: record.statistics for record in read_proxy_records(base, geometry)}
+    kinds = read_assignment(base, geometry)
+    if kinds is not None:
+        of_base = {item.name: kind for item, kind in zip(base.objects, kinds, strict=True)}
+        kinds = tuple(of_base[original] for original in originals.values())
+    before, after = ({item.name: item.material for item in scene.objects} for scene in (open_scene(base), edited.scene))
+    materials = read_materials(base, geometry)
+    materials = {
+        name: materials[original]
+        for name, original in originals.items()
+        if original in materials and after[name] == before[original]  # Else the edit has given it another.
+    }
+    of_variant = tuple(statistics[original] for original in originals.values())
+    write_proxies(variant, geometry, wanted, of_variant, kinds, materials)
