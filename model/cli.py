@@ -90,7 +90,6 @@ def _train_method(method: str, asked: "Asked") -> None:
             snapshots=asked.run.snapshots,
             tensorboard=asked.run.tensorboard,
             costs=Meter() if asked.run.costs else None,
-            preview=asked.run.preview,
         ),
     )
     _end(out, run=out)

@@ -47,7 +47,6 @@ def make(
     num_layers: int = 8,
     workers: int = 1,
     overwrite: bool = False,
-    preview: bool = False,
 ) -> None:
     """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
@@ -65,7 +64,6 @@ def make(
         num_layers: Layers stored per ray.
         workers: Parallel processes.
         overwrite: Replace existing proxies and layers.
-        preview: Show thumbnails of the proxies over the first view of each split, in a terminal with true colour.
     """
     from proxies.make import make_and_peel
 
@@ -84,18 +82,7 @@ def make(
     for opened, spec in zip(datasets, specs, strict=True):
         reports = make_and_peel(opened, spec, num_layers=num_layers, workers=workers, overwrite=overwrite)
         _print_table(opened, spec.geometry, reports)
-        if preview:
-            _preview(opened, spec.geometry)
     next_command(train_command(datasets[0].root, specs[0].geometry))
-
-
-def _preview(dataset: "Dataset", geometry: str) -> None:
-    from datagen.look.view_pictures import stored_pictures
-    from datagen.terminal.preview import preview
-
-    views = [dataset.view(split, 0) for split in dataset.splits]
-    drawn = [stored_pictures(view, has_layers=True, proxies=(geometry,))[geometry].pixels for view in views]
-    preview(drawn, f"{geometry} proxies over the first of {', '.join(dataset.splits)}")
 
 
 def check(
