@@ -173,14 +173,13 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
         overwrite: Replace an existing file.
     """
     from datagen.data.dataset import open_dataset
-    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
+    from datagen.disk.ownership import refuse_file
     from datagen.disk.storage import commit
     from datagen.look.look import look_page
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
     refuse_file(path, overwrite=overwrite)
-    refuse_owned(path, DATASET)
     if path.suffix != ".html":
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html")
     say(f"{opened.root}: writing {path}")

@@ -160,13 +160,11 @@ def film(
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         device: Where to compute; auto uses a GPU if there is one.
     """
-    from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, WEIGHTS, find_run, open_trained
+    from model.run.run_folder import WEIGHTS, find_run, open_trained
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
-    refuse_owned(out, FOLDER)
     from datagen.builder.film import plan_film
     from datagen.data.film import film_key, write_film
     from datagen.disk.storage import sha256_file

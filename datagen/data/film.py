@@ -17,14 +17,12 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import (
-    DATASET,
     FolderKind,
     begin,
     holding,
     is_ours,
     refuse_file,
     refuse_others,
-    refuse_owned,
     refuse_taken,
     remove_files,
 )
@@ -55,7 +53,6 @@ def check_film(out: Path, fps: float, *, frames: int, overwrite: bool) -> None:
     if out.suffix not in (ANIMATED, MOVIE):
         raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {KINDS}")
     refuse_file(out, overwrite=overwrite)
-    refuse_owned(out, DATASET)
     if out.suffix == MOVIE:
         _find_ffmpeg()
 

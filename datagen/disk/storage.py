@@ -7,7 +7,6 @@ import json
 import os
 import re
 import secrets
-import stat
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar, cast
@@ -20,9 +19,6 @@ Value = TypeVar("Value")
 
 SEAL = "sha256"
 """Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
-
-HASH_BYTES = 32
-"""Length of the hash that `write_hashed` appends, in bytes."""
 
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 """Name of a file while it is written. A killed writer may leave one; no other program uses such names."""
@@ -64,12 +60,6 @@ def try_place(path: Path) -> None:
     """Raises an OSError if no file can be committed at `path`, before work is done for one."""
     with naming(path), _temporary(path, b"") as temporary:
         temporary.unlink()
-
-
-def commit_same(path: Path, data: bytes) -> None:
-    """Commits `data` unless `path` holds just these bytes: a file that others may be reading is left alone."""
-    if path.is_symlink() or not path.is_file() or path.read_bytes() != data:
-        commit(path, data)
 
 
 def commit_first(path: Path, data: bytes) -> None:
@@ -255,75 +245,10 @@ def user_cache(name: str) -> Path:
 
 
 def private_cache(name: str) -> Path | None:
-    """A folder of the cache that only this user can write; None if there is none, such as without a home directory."""
+    """A folder of the cache that only this user can read; None if there is none, such as without a home directory."""
     try:
         cache = user_cache(name)
-    except HyalineError:
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (HyalineError, OSError):
         return None
-    return cache if make_private(cache) is None else None
-
-
-def make_private(folder: Path) -> str | None:
-    """Makes a folder that only this user can write, for machine code that this program loads, or checks the one there.
-
-    What is loaded runs with all rights of the user, so a name proves nothing: folder and file have to belong to the
-    user, and neither the group nor others may write there.
-
-    Returns:
-        None if no other user can write to it; otherwise what is wrong with it.
-    """
-    try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError as error:
-        return f"{folder}: cannot be made ({error.strerror})"
-    if not stat.S_ISDIR(found.st_mode):
-        return f"{folder}: is not a folder, or a link to one"
-    return _strangers(folder, found)
-
-
-def write_hashed(path: Path, data: bytes) -> None:
-    """Publishes a file that this user alone can read or write, whole or not at all; a hash of its content follows.
-
-    Programs that read a library, or an archive, do not mind what follows it.
-    """
-    temporary = path.with_suffix(f".{secrets.token_hex(4)}.partial")
-    try:
-        with naming(path):
-            with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-                file.write(data + bytes.fromhex(sha256(data)))
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def is_intact(path: Path) -> bool:
-    """True when `write_hashed` of this user has written the file, and every bit of it is as it was."""
-    return read_hashed(path) is not None
-
-
-def read_hashed(path: Path) -> bytes | None:
-    """What `write_hashed` of this user has written; None where any bit of it is in doubt."""
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
-        return None
-    with os.fdopen(handle, "rb") as file:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode) or _strangers(path, found) is not None:
-            return None
-        data = file.read()
-    content, digest = data[:-HASH_BYTES], data[-HASH_BYTES:]
-    return content if content and sha256(content) == digest.hex() else None
-
-
-def _strangers(path: Path, found: os.stat_result) -> str | None:
-    """Who else can write there, if anybody."""
-    if found.st_uid != os.geteuid():
-        return f"{path}: belongs to user {found.st_uid}"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return f"{path}: others may write there (mode {stat.S_IMODE(found.st_mode):o}); `chmod go-w` mends it"
-    return None
+    return cache

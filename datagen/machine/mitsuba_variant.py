@@ -13,10 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import make_private, user_cache
 from datagen.machine.hardware import cuda_problem, has_gpu
 from datagen.machine.llvm import MIN_LLVM, VARIABLE, LlvmLibrary, advice, choose_llvm
-from datagen.terminal.command import say
 from datagen.terminal.signals import hold_signals
 
 
@@ -69,7 +67,6 @@ def use_mitsuba(*, threads: int | None = None) -> str:
     choice = choose_variant()
     if choice.llvm is not None:
         os.environ[VARIABLE] = str(choice.llvm.path)
-    _keep_kernels_private()
     _num_threads = max(2, threads or num_cores())
     _set_variant(choice.variant)
     return choice.variant
@@ -94,24 +91,6 @@ def _set_variant(variant: str) -> None:
     resolver.clear()
     resolver.append(str(Path(mi.__file__).parent))
     mi.set_log_level(mi.LogLevel.Error)
-
-
-def _keep_kernels_private() -> None:
-    """Makes Dr.Jit cache its kernels, machine code that it loads by name, where no other user can write.
-
-    Its default folder, ~/.drjit, gets permissions from the user's umask. Dr.Jit 1.5 compiles damaged kernels again by
-    itself. A DRJIT_CACHE_DIR in the environment is respected.
-    """
-    if "DRJIT_CACHE_DIR" not in os.environ:
-        try:
-            folder = user_cache("drjit")
-            wrong = make_private(folder)
-        except HyalineError as error:
-            folder, wrong = None, str(error)
-        if wrong is not None:
-            say(f"{wrong}; Dr.Jit compiles its kernels again in each run")
-            folder = os.devnull  # Not a folder, so nothing is cached.
-        os.environ["DRJIT_CACHE_DIR"] = str(folder)
 
 
 def start_workers() -> None:

@@ -14,7 +14,7 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.data.metadata import OWN_LICENSE
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import is_intact, private_cache, sha256, write_hashed
+from datagen.disk.storage import commit, private_cache, sha256
 from datagen.machine.processes import ROOT
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene
@@ -95,13 +95,13 @@ def _same_surface(mesh: Mesh, unwrapped: Mesh) -> bool:
 def _was_compared(name: str, files: dict[str, str]) -> bool:
     """True if these files were found to be the scene that today's code and libraries make."""
     cache = private_cache("scenes")
-    return cache is not None and is_intact(cache / _key(name, files))
+    return cache is not None and (cache / _key(name, files)).is_file()
 
 
 def _keep_compared(name: str, files: dict[str, str]) -> None:
     if (cache := private_cache("scenes")) is not None:
         with contextlib.suppress(OSError):  # A full disk: the next command compares again.
-            write_hashed(cache / _key(name, files), name.encode())
+            commit(cache / _key(name, files), name.encode())
 
 
 def _key(name: str, files: dict[str, str]) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from datagen.machine import llvm, mitsuba_variant
+from datagen.machine import llvm
 
 SOURCE = """
 void LLVMGetVersion(unsigned *major, unsigned *minor, unsigned *patch) { *major = %d; *minor = 0; *patch = 6; }
@@ -67,15 +67,3 @@ def test_with_an_old_llvm_the_doctor_names_the_remedy_and_rendering_ends_with_it
     ended = subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **old})
     assert ended.returncode == 1
     assert ended.stderr == "error: Mitsuba: no libLLVM of version 17 or newer here; `unset DRJIT_LIBLLVM_PATH`\n"
-
-
-def test_without_a_home_directory_kernels_are_not_kept(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("HOME", "XDG_CACHE_HOME", "DRJIT_CACHE_DIR"):
-        monkeypatch.setenv(name, "")
-        monkeypatch.delenv(name)
-    monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
-    mitsuba_variant._keep_kernels_private()
-    assert "no home directory; set HOME or XDG_CACHE_HOME; Dr.Jit compiles its kernels" in capsys.readouterr().err
-    assert os.environ["DRJIT_CACHE_DIR"] == os.devnull
