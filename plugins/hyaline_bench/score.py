@@ -18,7 +18,6 @@ from datagen.disk.storage import commit_sealed, dump_json, load_sealed, sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say
 from datagen.terminal.command import track as progress
-from datagen.terminal.signals import replacing_at_the_end
 from eval.score.metrics import mean_of
 from eval.score.runs import Run, prediction_digests, prediction_path, read_costs
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
@@ -119,7 +118,6 @@ class Summary:
     """Mean distance to the noise ceiling; None if one is unknown."""
 
 
-@replacing_at_the_end()
 def score_runs(
     runs: Mapping[str, Run], out: Path, protocol: Protocol, *, preset: str, track: str | None, overwrite: bool
 ) -> Scored:

@@ -207,7 +207,7 @@ def test_a_stopped_score_writes_nothing(predicted: Path, monkeypatch: pytest.Mon
     with monkeypatch.context() as patch:
         patch.setattr("hyaline_bench.score.score_run", stop)
         answer = call("hyaline-bench score --preset tiny")
-    assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to go on")
+    assert (answer.status, answer.error) == (143, "error: stopped; run the same command again to continue")
     assert not SCORES.exists()
     run("hyaline-bench score --preset tiny")
 
