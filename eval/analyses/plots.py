@@ -44,6 +44,7 @@ def curve_charts(curves: dict[str, Curve]) -> list[Markup]:
     ):
         figure = new_figure(640, 400)
         draw(figure, curves)
+        figure.legend(figure.axes[0].get_lines(), list(curves), loc="outside lower left", ncols=3, frameon=False)
         charts.append(page_figure(figure, title))
     return charts
 
