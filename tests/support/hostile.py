@@ -253,10 +253,12 @@ def plies() -> dict[str, bytes]:
     }
 
 
-def png(width: int, height: int, *, depth: int = 8, body: bytes | None = None, more: bytes = b"") -> bytes:
+def png(
+    width: int, height: int, *, depth: int = 8, color: int = 2, body: bytes | None = None, more: bytes = b""
+) -> bytes:
     """A PNG made by hand; black unless a body is given."""
-    header = struct.pack(">IIBBBBB", width, height, depth, 2, 0, 0, 0)
-    lines = zlib.compress(bytes(min(1 + 3 * width * depth // 8, 1000)) * min(height, 1000)) if body is None else body
+    header = struct.pack(">IIBBBBB", width, height, depth, color, 0, 0, 0)
+    lines = zlib.compress(bytes(min(1 + 4 * width * depth // 8, 1000)) * min(height, 1000)) if body is None else body
     parts = ((b"IHDR", header), *([(more[:4], more[4:])] if more else []), (b"IDAT", lines), (b"IEND", b""))
     chunks = (
         struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in parts

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from support.foreign import CARD, add, glass_entry, obj_of, png, use_of, xml_of
 from support.gltf import BOX, GltfBuilder, clear, glass
-from support.hostile.pictures import png as png_of
+from support.hostile import png as png_of
 from support.soon import soon
 
 from datagen.data.images import encode_float_exr

@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
-from support.browser import require, wait_until
-from support.firefox import find_firefox, running_firefox
+from support.browser import wait_until
 from support.meshes import box
 from support.reference import fresnel_reflectance
 from support.synthetic import look_at
@@ -416,17 +415,3 @@ def test_copies_and_objects_that_trade_places_are_those_of_python(
     objects = edit_scene(every_surface(), parsed).scene.objects
     assert psnr(drawn, drawn_by_python(make(), dataset, objects=objects)) >= 45
     assert psnr(drawn, drawn_by_python(noisy_light_path(), dataset)) < 35
-
-
-# Firefox
-
-
-@pytest.mark.full
-def test_firefox_draws_what_python_draws(renderer: LightPathRenderer, dataset: Dataset, tmp_path: Path) -> None:
-    require(find_firefox)
-    file = tmp_path / "page.html"
-    file.write_bytes(scene_page(renderer, renderer.config, dataset, TRUTH, "exact", label="noise", still=STILL))
-    with running_firefox() as firefox:
-        firefox.open_file(file)
-        drawn = firefox.picture(VIEW, SHAPE, 1)
-    assert psnr(drawn, drawn_by_python(renderer, dataset)) >= 45
