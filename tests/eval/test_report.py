@@ -304,7 +304,7 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
     ("text", "message"),
     [
         ('{"unheard_of": 1}', "unknown key 'unheard_of'; known are config, dataset"),
-        ('{"seed": 1e999}', "the number '1e999' is not finite"),
+        ('{"seed": 1e999}', "not a JSON file"),
         ('{"config": ' + "[" * 70 + "]" * 70 + "}", "nested too deeply; expected at most 64 levels"),
     ],
 )

@@ -455,8 +455,8 @@ def leaf_of(
 
 
 REFUSED_LEAVES: dict[str, tuple[dict, str]] = {
-    "a cutoff of nan": ({"number": "NaN"}, "not finite"),
-    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "99"),
+    "a cutoff of nan": ({"number": "NaN"}, "not a JSON file"),
+    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "not a JSON file"),
     "a cutoff of null": ({"number": "null"}, "alphaCutoff"),
     "a mode in small letters": ({"alphaMode": "mask"}, "alphaMode"),
     "an image of 0 columns": ({"image": png_of(0, 8)}, "not an image that can be read"),
