@@ -214,17 +214,14 @@ def scenes() -> None:
     next_command(BUILD)
 
 
-def doctor(*, quiet: bool = False, json: bool = False) -> None:
-    """Describe this machine, the Mitsuba variant in use, and how to install what is missing.
+def doctor() -> None:
+    """Describe this machine, the Mitsuba variant in use, and how to install what is missing."""
+    from datagen.machine.doctor import examine
 
-    Args:
-        quiet: Print no advice on what to type next.
-        json: Print the result as JSON: findings (each with what, found and remedy).
-    """
-    from datagen.machine.doctor import examine, tell_findings
-
-    hush(quiet)
     findings = examine()
-    tell_findings(findings, as_json=json)
-    if not json and not any(finding.remedy for finding in findings):
+    for finding in findings:
+        tell(f"{finding.what:10} {finding.found}")
+        if finding.remedy:
+            tell(f"{'':10} fix it with: {finding.remedy}")
+    if not any(finding.remedy for finding in findings):
         next_command(BUILD)

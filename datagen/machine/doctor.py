@@ -5,19 +5,17 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 from datagen.disk.errors import HyalineError
 from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu
 from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
 from datagen.machine.mitsuba_variant import choose_variant, llvm_remedy
 from datagen.machine.processes import ROOT
-from datagen.terminal.command import tell_json
 from datagen.terminal.distribution import VERSION, install_command
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """The result of one check."""
 
     what: str
@@ -36,17 +34,6 @@ def examine() -> list[Finding]:
         _torch(),
         _meshlab(),
     ]
-
-
-def tell_findings(findings: list[Finding], *, as_json: bool) -> None:
-    """Prints them as lines or as one JSON object."""
-    if as_json:
-        tell_json({"findings": [asdict(finding) for finding in findings]})
-        return
-    for finding in findings:
-        print(f"{finding.what:10} {finding.found}")
-        if finding.remedy:
-            print(f"{'':10} fix it with: {finding.remedy}")
 
 
 def _gpu() -> str:
