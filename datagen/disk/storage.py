@@ -232,23 +232,14 @@ class Opened:
 # The user's cache
 
 
-def user_cache(name: str) -> Path:
-    """Where this package keeps what it can make again, by kind; it may not be there.
+def private_cache(name: str) -> Path | None:
+    """A folder for what this package can make again, by kind, that only this user can read.
 
-    Raises:
-        HyalineError: the user has no home directory, as in some containers.
+    None if there is none, as in a container without a home directory.
     """
     try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
-    except RuntimeError:
-        raise HyalineError("cache: this user has no home directory; set HOME or XDG_CACHE_HOME") from None
-
-
-def private_cache(name: str) -> Path | None:
-    """A folder of the cache that only this user can read; None if there is none, such as without a home directory."""
-    try:
-        cache = user_cache(name)
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
         cache.mkdir(mode=0o700, parents=True, exist_ok=True)
-    except (HyalineError, OSError):
+    except (RuntimeError, OSError):
         return None
     return cache

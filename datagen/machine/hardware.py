@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit_sealed, load_sealed, sha256, user_cache
+from datagen.disk.storage import commit_sealed, load_sealed, private_cache, sha256
 
 DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
 """Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""
@@ -42,10 +42,10 @@ def cuda_problem(*, again: bool = False) -> str | None:
     Args:
         again: ignore the cached answer.
     """
-    try:
-        kept = user_cache("gpu") / f"{sha256(repr(_asked_about()).encode())[:32]}.json"
-    except HyalineError:  # Without a home directory.
+    cache = private_cache("gpu")
+    if cache is None:
         return _render_test_scene()
+    kept = cache / f"{sha256(repr(_asked_about()).encode())[:32]}.json"
     if not again:
         with contextlib.suppress(HyalineError, OSError, KeyError):
             problem = load_sealed(kept)["problem"]
