@@ -12,7 +12,7 @@ from datagen.data.variants import EDIT_MASKS_FOLDER, ELSEWHERE, LIGHT, OBJECT, e
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import EDIT_MASKS, begin, holding, is_ours
 from datagen.disk.records import Json
-from datagen.disk.storage import check_files, commit, commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.storage import check_files, commit_same, commit_sealed, load_sealed, seal_bytes, sha256
 
 SIGMAS = 3.0
 """Least difference that counts, in standard deviations of its noise."""
@@ -48,7 +48,7 @@ def write_edit_masks(base: Dataset, edited: Dataset) -> None:
         else:
             begin(root, EDIT_MASKS, seal_bytes(content))
         for file, data in files.items():
-            commit(root / file, data)
+            commit_same(root / file, data)
 
 
 def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:

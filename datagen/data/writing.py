@@ -29,7 +29,7 @@ from datagen.disk.ownership import (
     remove_files,
 )
 from datagen.disk.records import Json, to_json
-from datagen.disk.storage import commit, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.storage import commit, commit_same, commit_sealed, load_sealed, seal_bytes, seal_of, sha256
 
 
 def write_head(
@@ -72,7 +72,7 @@ def write_head(
     dataset = open_dataset(root)
     if dataset.seal == seal_of(head):
         for path, data in files.items():
-            commit(root / path, data)
+            commit_same(root / path, data)
     return dataset
 
 

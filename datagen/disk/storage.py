@@ -62,6 +62,12 @@ def try_place(path: Path) -> None:
         temporary.unlink()
 
 
+def commit_same(path: Path, data: bytes) -> None:
+    """Commits `data` unless `path` holds just these bytes: a file that others may be reading is left alone."""
+    if path.is_symlink() or not path.is_file() or path.read_bytes() != data:
+        commit(path, data)
+
+
 def commit_first(path: Path, data: bytes) -> None:
     """Commits `data` unless a file stands there, which stays; of several at once, on whichever machines, one wins."""
     if path.is_file():

@@ -11,11 +11,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.names import real_path
 from datagen.terminal.command import say
+
+if TYPE_CHECKING:
+    import submitit
 
 LOCAL_MIN = 7 * 24 * 60
 """Time limit of jobs on this machine; submitit's own is two minutes."""
@@ -84,7 +87,7 @@ def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, l
     try:
         for name, job in zip(jobs, sent, strict=True):
             try:
-                reason = job.result()
+                reason = _error_of(job) if job.result() else ""
             except Exception:  # submitit raises plain exceptions, too.
                 reason = f"ended without a result ({job.state})"
             if reason:
@@ -95,6 +98,12 @@ def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, l
             job.cancel(check=False)
         raise
     return failures
+
+
+def _error_of(job: "submitit.Job[int]") -> str:
+    """The last error in a job's log."""
+    errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
+    return errors[-1] if errors else "no error was printed"
 
 
 def raise_failures(where: str, failures: Mapping[str, str], total: int) -> None:
@@ -114,10 +123,9 @@ def own_command(program: str) -> list[str]:
     return [sys.executable, "-P", "-c", f"{code}; main()"]
 
 
-def run_command(program: str, words: list[str], folder: str) -> str:
-    """Why `PROGRAM WORDS` failed in a folder, or nothing; it writes to the job's log. Runs in a job."""
+def run_command(program: str, words: list[str], folder: str) -> int:
+    """The exit status of `PROGRAM WORDS` in a folder; it writes to the job's log. Runs in a job."""
     # submitit has Slurm send SIGUSR2 to all processes of a job before its limit, which would end them. At the limit,
     # and before it requeues a job, Slurm sends SIGTERM; then our commands save their work.
     signal.signal(signal.SIGUSR2, signal.SIG_IGN)
-    status = subprocess.run([*own_command(program), *words], cwd=folder, check=False).returncode
-    return f"exit status {status}" if status else ""
+    return subprocess.run([*own_command(program), *words], cwd=folder, check=False).returncode
