@@ -17,7 +17,7 @@ from datagen.disk.errors import UsageError
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
-from datagen.terminal.plugins import absent_commands, commands_of
+from datagen.terminal.plugins import commands_of
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -43,7 +43,6 @@ def commands() -> CommandGroup:
     return group(
         "Path-traced datasets of transparent objects, with peeled layers.",
         by_name | commands_of("datagen"),
-        absent_commands("datagen"),
     )
 
 
@@ -172,14 +171,13 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
         overwrite: Replace an existing file.
     """
     from datagen.data.dataset import open_dataset
-    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
+    from datagen.disk.ownership import refuse_file
     from datagen.disk.storage import commit
     from datagen.look.look import look_page
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
     refuse_file(path, overwrite=overwrite)
-    refuse_owned(path, DATASET)
     if path.suffix != ".html":
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html")
     say(f"{opened.root}: writing {path}")
@@ -215,17 +213,14 @@ def scenes() -> None:
     next_command(BUILD)
 
 
-def doctor(*, quiet: bool = False, json: bool = False) -> None:
-    """Describe this machine, the Mitsuba variant in use, and how to install what is missing.
+def doctor() -> None:
+    """Describe this machine, the Mitsuba variant in use, and how to install what is missing."""
+    from datagen.machine.doctor import examine
 
-    Args:
-        quiet: Print no advice on what to type next.
-        json: Print the result as JSON: findings (each with what, found and remedy).
-    """
-    from datagen.machine.doctor import examine, tell_findings
-
-    hush(quiet)
     findings = examine()
-    tell_findings(findings, as_json=json)
-    if not json and not any(finding.remedy for finding in findings):
+    for finding in findings:
+        tell(f"{finding.what:10} {finding.found}")
+        if finding.remedy:
+            tell(f"{'':10} fix it with: {finding.remedy}")
+    if not any(finding.remedy for finding in findings):
         next_command(BUILD)

@@ -14,7 +14,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
-from datagen.terminal.plugins import absent_commands, commands_of
+from datagen.terminal.plugins import commands_of
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -42,7 +42,6 @@ def commands() -> CommandGroup:
     return group(
         "Train neural renderers on datasets of transparent objects, and render with them.",
         by_name | commands_of("model"),
-        absent_commands("model"),
     )
 
 
@@ -90,7 +89,6 @@ def _train_method(method: str, asked: "Asked") -> None:
             snapshots=asked.run.snapshots,
             tensorboard=asked.run.tensorboard,
             costs=Meter() if asked.run.costs else None,
-            preview=asked.run.preview,
         ),
     )
     _end(out, run=out)
@@ -161,15 +159,12 @@ def film(
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         device: Where to compute; auto uses a GPU if there is one.
     """
-    from datagen.disk.ownership import refuse_owned
-    from model.run.run_folder import FOLDER, find_run, open_trained
+    from datagen.builder.film import plan_film, write_film
+    from model.run.run_folder import find_run, open_trained
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
     out = choices.out or Path(f"{opened.name}-{run.name}.webp")
-    refuse_owned(out, FOLDER)
-    from datagen.builder.film import plan_film, write_film
-
     cameras = plan_film(opened, choices, out)
     say(f"{run}: rendering {out}")
     from model.run.predict import film_pictures

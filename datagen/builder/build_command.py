@@ -26,7 +26,6 @@ from datagen.scene.finding import find_scene, is_foreign, numbered_scenes
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import say, say_all
 from datagen.terminal.parsing import changed_flags, flag_words
-from datagen.terminal.preview import preview
 
 
 def build_scenes(
@@ -103,7 +102,6 @@ def _build_scene(
         say(f"{root}: part {part} is done{left if missing else ', and with it the dataset'}")
     if not missing:
         say_all(summary(made, TRUTH))
-        _preview(made, choices.preview)
     return made
 
 
@@ -170,11 +168,5 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
         variant = build_variant(base, plan, workers=choices.workers, shard=part, overwrite=choices.overwrite)
         if part is None:
             say_all(summary(variant, TRUTH))
-            _preview(variant, choices.preview)
         made.append(variant)
     return made
-
-
-def _preview(dataset: Dataset, is_wanted: bool) -> None:
-    if is_wanted:
-        preview([dataset.view(split, 0).image for split in dataset.splits], f"first of {', '.join(dataset.splits)}")

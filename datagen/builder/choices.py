@@ -30,8 +30,6 @@ class BuildChoices:
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Replace an existing dataset that has other settings."""
-    preview: bool = False
-    """Show thumbnails of the result, in a terminal with true colour."""
     family: str | None = None
     """For random scenes: object (a single object), table (glassware among other objects), nested (one medium inside
     another), or a family of an installed package. Default: the seed cycles through these three."""
@@ -103,8 +101,6 @@ class AddChoices:
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Render again, even if present."""
-    preview: bool = False
-    """Show thumbnails of the result, in a terminal with true colour."""
     shard: str | None = None
     """With --angles or --larger: render part I of N of the views, such as 2/4, as `datagen build --shard` does."""
 

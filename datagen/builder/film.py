@@ -18,7 +18,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
+from datagen.disk.ownership import refuse_file
 from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -72,7 +72,6 @@ def check_film(out: Path, fps: float, *, overwrite: bool) -> None:
             raise HyalineError(f"{out}: is not an empty folder; pass --overwrite to replace frames, or choose another")
         return
     refuse_file(out, overwrite=overwrite)
-    refuse_owned(out, DATASET)
     if out.suffix == MOVIE:
         try:
             import imageio_ffmpeg  # noqa: F401

@@ -3,12 +3,11 @@
 Errors of the system that such a call raises become a `HyalineError`, too.
 """
 
-import contextlib
 import functools
 import inspect
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -43,32 +42,28 @@ def checked(entry: Entry) -> Entry:
             parameter = signature.parameters[name]
             if parameter.kind is not parameter.VAR_KEYWORD:
                 given.arguments[name] = _fitted(value, parameter.annotation, f"{where}: {name}")
-        with _in_one_line():
+        try:
             return entry(*given.args, **given.kwargs)
+        except (OSError, MemoryError, RuntimeError) as error:
+            if (told := as_hyaline_error(error)) is None:
+                raise
+            raise told from error
 
     return cast(Entry, call)
-
-
-@contextlib.contextmanager
-def _in_one_line() -> Iterator[None]:
-    try:
-        yield
-    except (OSError, MemoryError, RuntimeError) as error:
-        if (told := as_hyaline_error(error)) is None:
-            raise
-        raise told from error
 
 
 def _fitted(value: object, kind: Any, where: str) -> object:
     """The value, or the same in Python's own types, whichever is of a kind."""
     if isinstance(kind, str) or kind is inspect.Parameter.empty:
         return value  # `self`, or a name that only type checkers import.
-    found = [one for one in (value, _in_python(value)) if _is_of(one, kind)]
-    if not found:
-        raise HyalineError(f"{where}: is {_told(value)}; expected {_words(kind)}")
-    if not _is_finite(found[0]):
-        raise HyalineError(f"{where}: is {_told(value)}; expected finite numbers")
-    return found[0]
+    found = next((one for one in (value, _in_python(value)) if _is_of(one, kind)), _NOT_ONE)
+    if found is _NOT_ONE or not _is_finite(found):
+        expected = "finite numbers" if found is not _NOT_ONE else _words(kind)
+        raise HyalineError(f"{where}: is {' '.join(shown(value).split())}; expected {expected}")
+    return found
+
+
+_NOT_ONE = object()
 
 
 def _is_of(value: object, kind: Any) -> bool:
@@ -92,13 +87,6 @@ def _is_finite(value: object) -> bool:
     if isinstance(value, tuple):
         return all(map(_is_finite, value))
     return not isinstance(value, float) or math.isfinite(value)
-
-
-def _told(value: object) -> str:
-    if isinstance(value, np.ndarray):
-        value = value.tolist() if value.size <= 4 else f"{value.dtype} of shape {value.shape}"
-        return str(value)
-    return " ".join(shown(value).split())
 
 
 def _words(kind: Any) -> str:

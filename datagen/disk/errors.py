@@ -47,38 +47,16 @@ class UsageError(HyalineError):
 # Errors of the operating system
 
 
-REASONS: dict[int, tuple[str, str]] = {
-    errno.ENOSPC: ("no space is left on its file system", "make room there, or choose another place"),
-    errno.EDQUOT: ("the disk quota is used up", "make room there, or choose another place"),
-    errno.EFBIG: ("the file would be larger than allowed", "raise the limit (`ulimit -f`), or choose another place"),
-    errno.EROFS: ("its file system is read-only", "choose another place"),
-    errno.EACCES: ("permission denied", "change the permissions there, or choose another place"),
-    errno.EPERM: ("not permitted", "change the permissions there, or choose another place"),
-    errno.ENOENT: ("no such file or folder", "check the path"),
-    errno.EISDIR: ("is a folder, where a file belongs", "move it away, or choose another place"),
-    errno.ENOTDIR: ("a part of this path is a file, where a folder belongs", "move it away, or choose another place"),
-    errno.EEXIST: ("something else stands there", "move it away, or choose another place"),
-    errno.ENOTEMPTY: ("the folder holds something else", "move that away, or choose another place"),
-    errno.ENAMETOOLONG: ("the name is too long", "choose a shorter one"),
-    errno.EINVAL: ("the file system does not take it", "choose another name or another place"),
-    errno.ELOOP: ("its links go round in a circle", "remove one of them"),
-    errno.EBADF: ("is closed", "redirect it to a file, or to /dev/null"),
-    errno.ENXIO: ("is a device or a pipe", "give a file"),
-    errno.EMFILE: ("too many files are open in this process", "raise the limit (`ulimit -n`)"),
-    errno.ENFILE: ("too many files are open on this machine", "close some programs"),
-    errno.ENOMEM: ("out of memory", "use fewer --workers, or a machine with more memory"),
-    errno.EAGAIN: ("the system has no process or lock to spare", "raise the limit (`ulimit -u`), or try again"),
-    errno.EIO: ("the disk reports an error in reading or writing", "check the disk, or choose another place"),
-    errno.EBUSY: ("another program uses it", "wait for that program"),
-    errno.ETXTBSY: ("another program runs it", "wait for that program"),
-    errno.ESTALE: ("the network file system has lost it", "mount it again"),
-    errno.ETIMEDOUT: ("the network file system does not answer", "wait for it, or choose another place"),
-    errno.ENODEV: ("the device is not there", "attach it, or choose another place"),
-    errno.EXDEV: ("lies on another file system", "choose another place"),
-    errno.EMLINK: ("too many links lead to it", "choose another place"),
+WAYS_OUT: dict[int, str] = {
+    errno.ENOENT: "check the path",
+    errno.EFBIG: "raise the limit (`ulimit -f`)",
+    errno.EMFILE: "raise the limit (`ulimit -n`)",
+    errno.EAGAIN: "raise the limit (`ulimit -u`), or try again",
+    errno.ENOMEM: "use fewer --workers, or a machine with more memory",
+    errno.EBADF: "redirect it to a file, or to /dev/null",
+    errno.EXDEV: "choose another place",
 }
-"""Why, and the way out, by number."""
-
+"""What helps, by number; for others, to make room or to choose another place."""
 
 OUT_OF_MEMORY = re.compile("not enough memory|can't allocate memory|out of memory", re.IGNORECASE)
 """In the RuntimeError of a torch that was refused memory, on a CPU or on a GPU."""
@@ -104,10 +82,8 @@ def describe_os_error(error: OSError, path: Path | str | None = None) -> str:
     """
     place = path if path is not None else error.filename
     where = "" if isinstance(place, int) or place is None else f"{os.fsdecode(place)}: "
-    if error.errno not in REASONS:
-        reason = error.strerror or str(error) or type(error).__name__
-        return f"{where}{reason}; mend that, then run the same command again"
-    reason, way_out = REASONS[error.errno]
+    reason = (error.strerror or str(error) or type(error).__name__).lower()
+    way_out = WAYS_OUT.get(error.errno or 0, "mend that, or choose another place")
     return f"{where}{reason}; {way_out}, then run the same command again"
 
 

@@ -6,7 +6,6 @@ relative path stays below its root, and what is printed holds no control charact
 
 import os
 import re
-import stat
 from pathlib import Path
 
 from datagen.disk.errors import DamagedError, HyalineError
@@ -14,8 +13,8 @@ from datagen.disk.errors import DamagedError, HyalineError
 NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+,-]*")
 MAX_NAME = 220
 """Characters; a file system takes 255 bytes, and endings follow."""
-MAX_PART_BYTES, MAX_PATH_BYTES = 255, 1024
-"""Limits of common file systems: bytes of one path component, and of a whole path."""
+MAX_PATH = 1024
+"""Bytes of a whole path, on common file systems."""
 
 _UNFIT_FOR_FILES = re.compile(r"[^\w.+,-]")
 
@@ -48,13 +47,12 @@ def check_relative(text: str, *, where: str) -> str:
     """`text`, when it is a path below whatever it is joined to.
 
     Raises:
-        HyalineError: it is absolute, has a part that is `..` or empty, or holds control characters or a backslash.
+        HyalineError: it is absolute or too long, has a part that is `..` or empty, or holds control characters or a
+            backslash.
     """
     parts = text.split("/")
-    sizes = [len(part.encode(errors="replace")) for part in (text, *parts)]
-    if sizes[0] > MAX_PATH_BYTES or max(sizes[1:]) > MAX_PART_BYTES:
-        raise HyalineError(f"{where}: names {_shortened(text)!r}, which is too long; expected a file inside the folder")
-    if "\\" in text or not text.isprintable() or any(part in ("", ".", "..") for part in parts):
+    is_long = len(text.encode(errors="replace")) > MAX_PATH or max(map(len, parts)) > MAX_NAME
+    if is_long or "\\" in text or not text.isprintable() or any(part in ("", ".", "..") for part in parts):
         raise HyalineError(
             f"{where}: names {_shortened(text)!r}; expected a file inside the folder, by its path from there"
         )
@@ -83,14 +81,13 @@ def check_regular(path: Path, root: Path, *, where: str) -> None:
     """
     try:
         target = path.resolve(strict=True)
-        mode = target.stat().st_mode
+        is_file = target.is_file()
     except (OSError, RuntimeError) as error:
         reason = getattr(error, "strerror", None) or "a circle of links"
         raise DamagedError(f"{where}: {path.name} cannot be read ({reason}); expected a file in {root}") from None
-    if not target.is_relative_to(root.resolve()):
-        raise DamagedError(f"{where}: {path.name} is a link out of its folder; expected a file inside {root}")
-    if not stat.S_ISREG(mode):
-        raise DamagedError(f"{where}: {path.name} is no regular file; expected one inside {root}")
+    if not is_file or not target.is_relative_to(root.resolve()):
+        what = "no regular file" if not is_file else "a link out of its folder"
+        raise DamagedError(f"{where}: {path.name} is {what}; expected a file inside {root}")
 
 
 def real_path(path: Path) -> Path:

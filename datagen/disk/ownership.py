@@ -6,15 +6,13 @@ no other program uses. Links below a head are not followed, since they lead to f
 """
 
 import contextlib
-import errno
 import os
-import stat
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative, printable, real_path
+from datagen.disk.names import check_relative, printable
 from datagen.disk.storage import TEMPORARY, commit_first, load_sealed, one_writer, shared_writers, try_place
 
 
@@ -66,7 +64,8 @@ def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared:
         refuse_links(within, root.relative_to(within))
     with shared_writers(root) if shared else one_writer(root):
         if is_ours(root, kind):
-            _refuse_linked_folders(root, kind)
+            for folder in _own_folders(root, kind):
+                refuse_links(root, folder.relative_to(root))
             if not shared:
                 _remove_temporaries(root, kind)
         elif not shared and _first_foreign(root) is None:
@@ -80,12 +79,9 @@ def begin(root: Path, kind: FolderKind, head: bytes) -> None:
     Raises:
         HyalineError: something else is there.
     """
-    foreign = _first_foreign(root)
-    if is_ours(root, kind):  # Also when another process has just begun it.
-        return
-    if foreign is not None:
-        raise refusal(root, kind, foreign)
-    commit_first(root / kind.head, head)
+    refuse_others(root, kind)
+    if not is_ours(root, kind):
+        commit_first(root / kind.head, head)
 
 
 def refuse_others(root: Path, kind: FolderKind) -> None:
@@ -95,8 +91,11 @@ def refuse_others(root: Path, kind: FolderKind) -> None:
         HyalineError: naming a file in it.
     """
     foreign = _first_foreign(root)
-    if foreign is not None and not is_ours(root, kind):
-        raise refusal(root, kind, foreign)
+    if foreign is None or is_ours(root, kind):
+        return
+    if os.path.lexists(root / kind.head):
+        raise HyalineError(f"{root / kind.head}: is damaged, or of another program; restore it, or move the folder")
+    raise HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
 
 
 def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:
@@ -128,29 +127,6 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     try_place(path)
 
 
-OWN_ENDINGS = (".json", ".jsonl", ".pt")
-"""Endings of our files beside a head; others there are output files of the user."""
-
-
-def refuse_owned(path: Path, kind: FolderKind) -> None:
-    """Refuses an output file, with --overwrite too, that would replace a file of a folder of ours.
-
-    Raises:
-        HyalineError: naming the folder.
-    """
-    real = real_path(path)
-    above = real.parents if real.suffix in OWN_ENDINGS else list(real.parents)[1:]
-    if path.exists() and (root := next((root for root in above if is_ours(root, kind)), None)) is not None:
-        raise HyalineError(f"{path}: is a file of the {kind.what} {root}, which keeps it; choose another file")
-
-
-def refusal(root: Path, kind: FolderKind, foreign: str) -> HyalineError:
-    """What to say of a folder that is not ours, which holds `foreign`."""
-    if os.path.lexists(root / kind.head):
-        return HyalineError(f"{root / kind.head}: is damaged, or of another program; restore it, or move the folder")
-    return HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
-
-
 def refuse_links(root: Path, relative: Path) -> None:
     """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours.
 
@@ -167,10 +143,6 @@ def refuse_links(root: Path, relative: Path) -> None:
             )
 
 
-_NOT_TO_REMOVE = (errno.ENOENT, errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR)
-"""Why a folder stays: it is not there, or something else lies in it, which POSIX lets a system say in two ways."""
-
-
 def remove_files(root: Path, files: Iterable[str]) -> None:
     """Deletes files of ours below `root`, then the folders that are empty without them; the caller holds the folder.
 
@@ -185,42 +157,28 @@ def remove_files(root: Path, files: Iterable[str]) -> None:
         refuse_links(root, relative.parent)
         if _is_regular(root / relative):
             (root / relative).unlink(missing_ok=True)
-        emptied.update((root / relative).parents)
-    below = [folder for folder in emptied if root in folder.parents]
-    for folder in sorted(below, key=lambda path: len(path.parts), reverse=True):
-        try:
-            folder.rmdir()
-        except OSError as error:
-            if error.errno not in _NOT_TO_REMOVE:
-                raise
+        emptied.update(relative.parents)
+    for folder in sorted(emptied - {Path()}, key=lambda path: len(path.parts), reverse=True):
+        if (root / folder).is_dir() and not any((root / folder).iterdir()):
+            (root / folder).rmdir()
 
 
 def _is_regular(path: Path) -> bool:
-    try:
-        return stat.S_ISREG(path.lstat().st_mode)
-    except OSError:
-        return False
+    return path.is_file() and not path.is_symlink()
 
 
 def _own_folders(root: Path, kind: FolderKind) -> list[Path]:
     return sorted(path for pattern in kind.folders for path in root.glob(pattern))
 
 
-def _refuse_linked_folders(root: Path, kind: FolderKind) -> None:
-    for top in _own_folders(root, kind):
-        refuse_links(root, top.relative_to(root))
-        for place, folders, _ in os.walk(top):
-            for folder in folders:
-                refuse_links(root, (Path(place) / folder).relative_to(root))
-
-
 def _remove_temporaries(root: Path, kind: FolderKind) -> None:
     """Deletes what killed writers left, in the folder and in those that are its own; no link is followed."""
-    places = [root, *(Path(place) for top in _own_folders(root, kind) for place, _, _ in os.walk(top))]
-    for place in places:
-        for path in place.iterdir():
-            if TEMPORARY.fullmatch(path.name) and _is_regular(path):
-                path.unlink(missing_ok=True)
+    below = (
+        Path(place) / name for top in _own_folders(root, kind) for place, _, names in os.walk(top) for name in names
+    )
+    for path in (*root.iterdir(), *below):
+        if TEMPORARY.fullmatch(path.name) and _is_regular(path):
+            path.unlink(missing_ok=True)
 
 
 def _first_foreign(root: Path) -> str | None:

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import secrets
-import stat
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeVar, cast
@@ -20,9 +19,6 @@ Value = TypeVar("Value")
 
 SEAL = "sha256"
 """Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
-
-HASH_BYTES = 32
-"""Length of the hash that `write_hashed` appends, in bytes."""
 
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 """Name of a file while it is written. A killed writer may leave one; no other program uses such names."""
@@ -248,88 +244,14 @@ class Opened:
 # The user's cache
 
 
-def user_cache(name: str) -> Path:
-    """Where this package keeps what it can make again, by kind; it may not be there.
-
-    Raises:
-        HyalineError: the user has no home directory, as in some containers.
-    """
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
-    except RuntimeError:
-        raise HyalineError("cache: this user has no home directory; set HOME or XDG_CACHE_HOME") from None
-
-
 def private_cache(name: str) -> Path | None:
-    """A folder of the cache that only this user can write; None if there is none, such as without a home directory."""
-    try:
-        cache = user_cache(name)
-    except HyalineError:
-        return None
-    return cache if make_private(cache) is None else None
+    """A folder for what this package can make again, by kind, that only this user can read.
 
-
-def make_private(folder: Path) -> str | None:
-    """Makes a folder that only this user can write, for machine code that this program loads, or checks the one there.
-
-    What is loaded runs with all rights of the user, so a name proves nothing: folder and file have to belong to the
-    user, and neither the group nor others may write there.
-
-    Returns:
-        None if no other user can write to it; otherwise what is wrong with it.
+    None if there is none, as in a container without a home directory.
     """
     try:
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError as error:
-        return f"{folder}: cannot be made ({error.strerror})"
-    if not stat.S_ISDIR(found.st_mode):
-        return f"{folder}: is not a folder, or a link to one"
-    return _strangers(folder, found)
-
-
-def write_hashed(path: Path, data: bytes) -> None:
-    """Publishes a file that this user alone can read or write, whole or not at all; a hash of its content follows.
-
-    Programs that read a library, or an archive, do not mind what follows it.
-    """
-    temporary = path.with_suffix(f".{secrets.token_hex(4)}.partial")
-    try:
-        with naming(path):
-            with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
-                file.write(data + bytes.fromhex(sha256(data)))
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def is_intact(path: Path) -> bool:
-    """True when `write_hashed` of this user has written the file, and every bit of it is as it was."""
-    return read_hashed(path) is not None
-
-
-def read_hashed(path: Path) -> bytes | None:
-    """What `write_hashed` of this user has written; None where any bit of it is in doubt."""
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    except OSError:
+        cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hyaline" / name
+        cache.mkdir(mode=0o700, parents=True, exist_ok=True)
+    except (RuntimeError, OSError):
         return None
-    with os.fdopen(handle, "rb") as file:
-        found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode) or _strangers(path, found) is not None:
-            return None
-        data = file.read()
-    content, digest = data[:-HASH_BYTES], data[-HASH_BYTES:]
-    return content if content and sha256(content) == digest.hex() else None
-
-
-def _strangers(path: Path, found: os.stat_result) -> str | None:
-    """Who else can write there, if anybody."""
-    if found.st_uid != os.geteuid():
-        return f"{path}: belongs to user {found.st_uid}"
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        return f"{path}: others may write there (mode {stat.S_IMODE(found.st_mode):o}); `chmod go-w` mends it"
-    return None
+    return cache

@@ -5,49 +5,35 @@ import importlib.metadata
 import os
 import platform
 import subprocess
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 from datagen.disk.errors import HyalineError
-from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu, torch_cuda_problem
-from datagen.machine.llvm import VARIABLE, advice, choose_llvm
-from datagen.machine.mitsuba_variant import choose_variant
+from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu
+from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
+from datagen.machine.mitsuba_variant import choose_variant, llvm_remedy
 from datagen.machine.processes import ROOT
-from datagen.terminal.command import tell_json
 from datagen.terminal.distribution import VERSION, install_command
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
+class Finding(NamedTuple):
     """The result of one check."""
 
     what: str
     found: str
-    remedy: str | None
+    remedy: str | None = None
     """The command that fixes it; None when all is well."""
 
 
 def examine() -> list[Finding]:
     """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
     return [
-        Finding(what="hyaline", found=f"{VERSION} in {ROOT}", remedy=None),
-        Finding(what="cores", found=f"{os.cpu_count()} ({platform.system()})", remedy=None),
-        Finding(what="processor", found=platform.machine(), remedy=None),
-        Finding(what="GPU", found=_gpu(), remedy=None),
+        Finding("hyaline", f"{VERSION} in {ROOT}"),
+        Finding("machine", f"{os.cpu_count()} cores, {platform.machine()}, {platform.system()}"),
+        Finding("GPU", _gpu()),
         *_mitsuba(),
         _torch(),
         _meshlab(),
     ]
-
-
-def tell_findings(findings: list[Finding], *, as_json: bool) -> None:
-    """Prints them as lines or as one JSON object."""
-    if as_json:
-        tell_json({"findings": [asdict(finding) for finding in findings]})
-        return
-    for finding in findings:
-        print(f"{finding.what:10} {finding.found}")
-        if finding.remedy:
-            print(f"{'':10} fix it with: {finding.remedy}")
 
 
 def _gpu() -> str:
@@ -64,17 +50,15 @@ def _mitsuba() -> list[Finding]:
     if version is None:
         return [_missing("Mitsuba", "generate", "building datasets and tracing layers need it")]
     llvm, named = choose_llvm(), os.environ.get(VARIABLE)
-    found = f"{'.'.join(map(str, llvm.version))} ({llvm.source}: {llvm.path})" if llvm else "none of 17 or newer"
-    if llvm is None and named:
-        found = f"{VARIABLE}={named} is no libLLVM of 17 or newer"
+    missing = f"{VARIABLE}={named} is no libLLVM of {MIN_LLVM} or newer" if named else f"none of {MIN_LLVM} or newer"
     try:
         choice = choose_variant()
         runs = f"variant {choice.variant}: {choice.reason}"
     except HyalineError:
         runs = "cannot render without a libLLVM"
     return [
-        Finding(what="libLLVM", found=found, remedy=None if llvm else advice()),
-        Finding(what="Mitsuba", found=f"{version}, {runs}", remedy=None),
+        Finding("libLLVM", f"{llvm.version} ({llvm.path})" if llvm else missing, None if llvm else llvm_remedy()),
+        Finding("Mitsuba", f"{version}, {runs}"),
     ]
 
 
@@ -82,10 +66,7 @@ def _torch() -> Finding:
     version = _version("torch")
     if version is None:
         return _missing("torch", "model", "training, and rendering with trained runs, need it")
-    if has_gpu():
-        problem = torch_cuda_problem()
-        version += ", computes on the GPU" if problem is None else f", does not compute on the GPU: {problem}"
-    return Finding(what="torch", found=version, remedy=None)
+    return Finding("torch", version)
 
 
 def _version(package: str) -> str | None:
@@ -97,7 +78,7 @@ def _version(package: str) -> str | None:
 
 
 def _missing(what: str, extra: str, need: str) -> Finding:
-    return Finding(what=what, found=f"not installed; {need}", remedy=install_command(extra))
+    return Finding(what, f"not installed; {need}", install_command(extra))
 
 
 def _meshlab() -> Finding:
@@ -110,12 +91,9 @@ def _meshlab() -> Finding:
 
         ctypes.CDLL("libGL.so.1" if platform.system() == "Linux" else None)
     except OSError:
-        return Finding(
-            what="PyMeshLab",
-            found=f"{version}, cannot load: libGL.so.1 is missing (all proxies but wraps are made without it)",
-            remedy="apt install libgl1",
-        )
-    return Finding(what="PyMeshLab", found=version, remedy=None)
+        found = f"{version}, cannot load: libGL.so.1 is missing (all proxies but wraps are made without it)"
+        return Finding("PyMeshLab", found, "apt install libgl1")
+    return Finding("PyMeshLab", version)
 
 
 @functools.cache

@@ -26,14 +26,11 @@ LOCAL_MIN = 7 * 24 * 60
 
 @dataclass(frozen=True, kw_only=True)
 class LaunchChoices:
-    """Run in jobs on a Slurm cluster."""
+    """Run in jobs on a Slurm cluster. Options of sbatch are read from its variables, such as SBATCH_PARTITION."""
 
     launcher: Literal["slurm", "local"] | None = None
     """slurm: submit Slurm jobs from a machine that shares the folder, wait for them, and report failures. local: run
     all jobs on this machine at once. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
-    slurm_partition: str | None = None
-    """Slurm partition. Default: the cluster's. Other options of sbatch are read from its variables, such as
-    SBATCH_ACCOUNT."""
     slurm_time: int = 24 * 60
     """Time limit of each job in minutes; finished work is kept."""
     slurm_cpus: int = 4
@@ -48,6 +45,18 @@ class LaunchChoices:
             raise UsageError(f"{flags}: need --launcher; give that, too, or leave them out")
         if min(self.slurm_time, self.slurm_cpus) < 1 or self.slurm_gpus < 0:
             raise UsageError("--slurm-time, --slurm-cpus: expected at least 1, and --slurm-gpus at least 0")
+
+    def parameters(self) -> dict[str, object]:
+        """What submitit asks the cluster for."""
+        if self.launcher == "local":
+            return {"timeout_min": LOCAL_MIN}
+        return {
+            "timeout_min": self.slurm_time,
+            "cpus_per_task": self.slurm_cpus,
+            # Since 22.05 srun does not take over sbatch's number, and would bind the command to a single CPU.
+            "slurm_srun_args": [f"--cpus-per-task={self.slurm_cpus}"],
+            **({"gpus_per_node": self.slurm_gpus} if self.slurm_gpus else {}),
+        }
 
 
 def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, launch: LaunchChoices) -> dict[str, str]:
@@ -69,7 +78,7 @@ def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, l
     say(f"{folder}: logs of {len(jobs)} jobs ({launch.launcher})")
     try:
         executor = submitit.AutoExecutor(folder=folder, cluster=launch.launcher)
-        executor.update_parameters(**_parameters(program, launch))
+        executor.update_parameters(name=program, **launch.parameters())
         with executor.batch():
             sent = [executor.submit(run_command, program, list(words), str(Path.cwd())) for words in jobs.values()]
     except RuntimeError as error:  # No sbatch on this machine; or Slurm rejects the jobs.
@@ -77,14 +86,24 @@ def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, l
     failures = {}
     try:
         for name, job in zip(jobs, sent, strict=True):
-            if reason := _why_failed(job):
-                failures[name] = reason
+            try:
+                reason = _error_of(job) if job.result() else ""
+            except Exception:  # submitit raises plain exceptions, too.
+                reason = f"ended without a result ({job.state})"
+            if reason:
+                failures[name] = f"{reason}; log: {job.paths.stderr}"
             say(f"{name}: {'failed' if reason else 'done'} (job {job.job_id})")
     except BaseException:
         for job in sent:  # Ctrl-C: what runs is told to stop; what it has committed stays.
             job.cancel(check=False)
         raise
     return failures
+
+
+def _error_of(job: "submitit.Job[int]") -> str:
+    """The last error in a job's log."""
+    errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
+    return errors[-1] if errors else "no error was printed"
 
 
 def raise_failures(where: str, failures: Mapping[str, str], total: int) -> None:
@@ -110,32 +129,3 @@ def run_command(program: str, words: list[str], folder: str) -> int:
     # and before it requeues a job, Slurm sends SIGTERM; then our commands save their work.
     signal.signal(signal.SIGUSR2, signal.SIG_IGN)
     return subprocess.run([*own_command(program), *words], cwd=folder, check=False).returncode
-
-
-def _why_failed(job: "submitit.Job[int]") -> str:
-    """Why a job that is over has failed; empty if it has not."""
-    try:
-        status = job.result()
-    except Exception:  # submitit raises plain exceptions, too.
-        return f"ended without a result ({job.state}); log: {job.paths.stderr}"
-    if status == 0:
-        return ""
-    errors = [line[7:] for line in (job.stderr() or "").splitlines() if line.startswith("error: ")]
-    return f"{errors[-1] if errors else f'exit status {status}'}; log: {job.paths.stderr}"
-
-
-def _parameters(program: str, launch: LaunchChoices) -> dict[str, object]:
-    if launch.launcher == "local":
-        return {"timeout_min": LOCAL_MIN}
-    parameters: dict[str, object] = {
-        "name": program,
-        "timeout_min": launch.slurm_time,
-        "cpus_per_task": launch.slurm_cpus,
-        # Since 22.05 srun does not take over sbatch's number, and would bind the command to a single CPU.
-        "slurm_srun_args": [f"--cpus-per-task={launch.slurm_cpus}"],
-    }
-    if launch.slurm_gpus:
-        parameters["gpus_per_node"] = launch.slurm_gpus
-    if launch.slurm_partition is not None:
-        parameters["slurm_partition"] = launch.slurm_partition
-    return parameters

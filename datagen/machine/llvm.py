@@ -6,76 +6,55 @@ passed on in DRJIT_LIBLLVM_PATH.
 """
 
 import os
-import platform
 import re
 import subprocess
 import sys
-from dataclasses import dataclass
 from pathlib import Path
-
-from datagen.terminal.distribution import install_command
+from typing import NamedTuple
 
 MIN_LLVM = 17
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 
 SYSTEM_PATTERNS = (
-    ("/usr/lib/x86_64-linux-gnu", "libLLVM*.so*"),
-    ("/usr/lib/aarch64-linux-gnu", "libLLVM*.so*"),
-    ("/usr/lib", "llvm-*/lib/libLLVM*.so*"),
-    ("/usr/lib64", "libLLVM*.so*"),
-    ("/usr/lib64", "llvm*/lib/libLLVM*.so*"),
-    ("/opt/homebrew/opt", "llvm*/lib/libLLVM.dylib"),
-    ("/usr/local/opt", "llvm*/lib/libLLVM.dylib"),
+    *("/usr/lib/*-linux-gnu/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*"),
+    *("/usr/lib64/libLLVM*.so*", "/usr/lib64/llvm*/lib/libLLVM*.so*"),
+    *("/opt/homebrew/opt/llvm*/lib/libLLVM.dylib", "/usr/local/opt/llvm*/lib/libLLVM.dylib"),
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class LlvmLibrary:
+class LlvmLibrary(NamedTuple):
     """A libLLVM file and the version that it reports."""
 
     path: Path
-    version: tuple[int, int, int]
-    source: str
-    """`environment`, `wheel` or `system`."""
-
-    @property
-    def works(self) -> bool:
-        return self.version[0] >= MIN_LLVM
+    version: str
 
 
 def choose_llvm() -> LlvmLibrary | None:
     """The libLLVM to use: from the user's variable, else the wheel's, else the system's newest; None if none works."""
     if named := os.environ.get(VARIABLE):
-        found = probe(Path(named), source="environment")
-        return found if found and found.works else None
-    wheel = probe(Path(sys.prefix) / "lib" / "libLLVM.so", source="wheel")
-    if wheel and wheel.works:
-        return wheel
-    return system_llvm()
+        return probe(Path(named))
+    return probe(Path(sys.prefix) / "lib" / "libLLVM.so") or system_llvm()
 
 
 def system_llvm() -> LlvmLibrary | None:
     """The system's newest libLLVM that works, or None."""
-    paths = {path.resolve() for folder, pattern in SYSTEM_PATTERNS for path in Path(folder).glob(pattern)}
+    paths = {path.resolve() for pattern in SYSTEM_PATTERNS for path in Path("/").glob(pattern.lstrip("/"))}
     # The version is in the name, so libraries that are too old are never loaded.
     named = [(int(match[1]), path) for path in paths if (match := re.search(r"(\d+)", path.name.replace("LLVM", "")))]
-    for number, path in sorted(named, reverse=True):
-        if number >= MIN_LLVM and (found := probe(path, source="system")) and found.works:
-            return found
-    return None
+    found = (probe(path) for number, path in sorted(named, reverse=True) if number >= MIN_LLVM)
+    return next((library for library in found if library is not None), None)
 
 
-def probe(path: Path, *, source: str) -> LlvmLibrary | None:
-    """The library with the version that it reports to a child process; None if it is not a libLLVM."""
+def probe(path: Path) -> LlvmLibrary | None:
+    """The library with the version that it reports to a child process; None if it is not a libLLVM that works."""
+    command = [sys.executable, "-I", "-S", "-c", _PROBE, str(path)]
     if not path.is_file():
         return None
-    answer = subprocess.run(
-        [sys.executable, "-I", "-S", "-c", _PROBE, str(path)], capture_output=True, text=True, timeout=60, check=False
-    )
-    numbers = answer.stdout.split()
-    if answer.returncode != 0 or len(numbers) != 3:
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    version = answer.stdout.split()
+    if answer.returncode != 0 or int(version[0]) < MIN_LLVM:
         return None
-    return LlvmLibrary(path=path, version=(int(numbers[0]), int(numbers[1]), int(numbers[2])), source=source)
+    return LlvmLibrary(path=path, version=".".join(version))
 
 
 _PROBE = """
@@ -85,17 +64,6 @@ numbers = [ctypes.c_uint() for _ in range(3)]
 library.LLVMGetVersion(*map(ctypes.byref, numbers))
 print(*(number.value for number in numbers))
 """
-
-
-def advice() -> str:
-    """The command that gives this machine a libLLVM: one that installs it, unless the user's variable hides it."""
-    if os.environ.get(VARIABLE):
-        return f"unset {VARIABLE}"
-    if platform.system() == "Darwin":
-        return "brew install llvm"
-    if platform.system() == "Linux" and platform.machine() == "x86_64":
-        return install_command("llvm")
-    return f"install a libLLVM of version {MIN_LLVM} or newer (Debian 12: apt install libllvm19)"
 
 
 if __name__ == "__main__":

@@ -7,44 +7,49 @@ import contextlib
 import functools
 import gc
 import os
+import platform
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import make_private, user_cache
 from datagen.machine.hardware import cuda_problem, has_gpu
-from datagen.machine.llvm import MIN_LLVM, VARIABLE, LlvmLibrary, advice, choose_llvm
-from datagen.terminal.command import say
+from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
+from datagen.terminal.distribution import install_command
 from datagen.terminal.signals import hold_signals
 
 
-@dataclass(frozen=True, kw_only=True)
-class VariantChoice:
+class VariantChoice(NamedTuple):
     """The variant that this machine will use, and why."""
 
     variant: str
     reason: str
-    llvm: LlvmLibrary | None
 
 
 @functools.cache
 def choose_variant() -> VariantChoice:
-    """CUDA where a GPU renders, else LLVM.
+    """CUDA where a GPU renders, else LLVM, whose library Dr.Jit then finds by its variable.
 
     Raises:
         HyalineError: neither a GPU that renders nor a libLLVM that works.
     """
     library = choose_llvm()
-    if has_gpu() and cuda_problem() is None:
-        return VariantChoice(variant="cuda_ad_rgb", reason="the GPU renders a test scene", llvm=library)
     if library is not None:
-        version = ".".join(map(str, library.version))
-        return VariantChoice(
-            variant="llvm_ad_rgb", reason=f"LLVM {version} from {library.source} {library.path}", llvm=library
-        )
-    raise HyalineError(f"Mitsuba: no libLLVM of version {MIN_LLVM} or newer here; `{advice()}`")
+        os.environ[VARIABLE] = str(library.path)
+    if has_gpu() and cuda_problem() is None:
+        return VariantChoice("cuda_ad_rgb", "the GPU renders a test scene")
+    if library is None:
+        raise HyalineError(f"Mitsuba: no libLLVM of version {MIN_LLVM} or newer here; `{llvm_remedy()}`")
+    return VariantChoice("llvm_ad_rgb", f"LLVM {library.version} from {library.path}")
+
+
+def llvm_remedy() -> str:
+    """The command that gives this machine a libLLVM: one that installs it, unless the user's variable hides it."""
+    if os.environ.get(VARIABLE):
+        return f"unset {VARIABLE}"
+    remedies = {("Darwin", "arm64"): "brew install llvm", ("Linux", "x86_64"): install_command("llvm")}
+    return remedies.get((platform.system(), platform.machine()), "apt install libllvm19")
 
 
 def num_cores() -> int:
@@ -66,13 +71,10 @@ def use_mitsuba(*, threads: int | None = None) -> str:
         HyalineError: neither a GPU that renders nor a libLLVM that works.
     """
     global _num_threads
-    choice = choose_variant()
-    if choice.llvm is not None:
-        os.environ[VARIABLE] = str(choice.llvm.path)
-    _keep_kernels_private()
+    variant = choose_variant().variant
     _num_threads = max(2, threads or num_cores())
-    _set_variant(choice.variant)
-    return choice.variant
+    _set_variant(variant)
+    return variant
 
 
 def use_parser() -> None:
@@ -94,24 +96,6 @@ def _set_variant(variant: str) -> None:
     resolver.clear()
     resolver.append(str(Path(mi.__file__).parent))
     mi.set_log_level(mi.LogLevel.Error)
-
-
-def _keep_kernels_private() -> None:
-    """Makes Dr.Jit cache its kernels, machine code that it loads by name, where no other user can write.
-
-    Its default folder, ~/.drjit, gets permissions from the user's umask. Dr.Jit 1.5 compiles damaged kernels again by
-    itself. A DRJIT_CACHE_DIR in the environment is respected.
-    """
-    if "DRJIT_CACHE_DIR" not in os.environ:
-        try:
-            folder = user_cache("drjit")
-            wrong = make_private(folder)
-        except HyalineError as error:
-            folder, wrong = None, str(error)
-        if wrong is not None:
-            say(f"{wrong}; Dr.Jit compiles its kernels again in each run")
-            folder = os.devnull  # Not a folder, so nothing is cached.
-        os.environ["DRJIT_CACHE_DIR"] = str(folder)
 
 
 def start_workers() -> None:

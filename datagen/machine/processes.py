@@ -1,15 +1,16 @@
 """Child processes: modules that get and return arrays, since native code may crash or hang; and pools of workers."""
 
 import contextlib
+import functools
 import os
+import signal
 import subprocess
 import sys
 import tempfile
-import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
@@ -33,14 +34,33 @@ class ChildError(Exception):
     """The process returned nothing; the message is the reason in a few words."""
 
 
-def child_environment() -> dict[str, str]:
-    """An environment in which a child imports the same packages as its parent.
+def run_child(words: list[str], said: BinaryIO, *, timeout_s: float | None = None, **environment: str) -> int:
+    """Runs Python with these words until it ends, and returns its exit status; kills its process group in any case.
 
-    Start the child with -P, which keeps the working directory out of its path.
+    The child imports the same packages as this process, and nothing from the working directory.
+
+    Args:
+        said: gets what it writes to stderr.
+
+    Raises:
+        subprocess.TimeoutExpired: it took too long.
     """
     given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     paths = [str(ROOT), *(str(Path(path).resolve()) for path in given if path)]
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
+    process = subprocess.Popen(
+        [sys.executable, "-P", *words],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), **environment},
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=said,
+        start_new_session=True,
+    )
+    try:
+        return process.wait(timeout_s)
+    finally:
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # macOS: the group has ended.
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def arrays_from_child(
@@ -55,31 +75,20 @@ def arrays_from_child(
         ChildError: the process died, took too long, or wrote nothing.
     """
     with tempfile.TemporaryDirectory(prefix="hyaline-child-") as folder:
-        source, target = Path(folder) / "in.npz", Path(folder) / "out.npz"
+        source, target, said = (Path(folder) / name for name in ("in.npz", "out.npz", "said"))
         with naming(source):
             np.savez(source, allow_pickle=False, **arrays)
         try:
-            answer = subprocess.run(
-                [sys.executable, "-P", "-c", _START, module, str(source), str(target), *words],
-                env=child_environment(),
-                cwd=folder,
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-                errors="replace",
-                timeout=timeout_s,
-                check=False,
-            )
+            with said.open("wb") as file:
+                command = ["-c", _START, module, str(source), str(target), *words]
+                status = run_child(command, file, timeout_s=timeout_s)
         except subprocess.TimeoutExpired:
             raise ChildError(f"it took more than {timeout_s:.0f} s") from None
-        if answer.returncode < 0:
-            raise ChildError(
-                f"it was ended by signal {-answer.returncode} (9: the system does that where memory runs out)"
-            )
-        if answer.returncode != 0 or not target.is_file():
-            last = (answer.stderr.strip().splitlines() or ["no message"])[-1]
-            raise ChildError(f"it ended with status {answer.returncode}: {last}")
+        if status < 0:
+            raise ChildError(f"it was ended by signal {-status} (9: the system does that where memory runs out)")
+        if status != 0 or not target.is_file():
+            last = (said.read_text(errors="replace").strip().splitlines() or ["no message"])[-1]
+            raise ChildError(f"it ended with status {status}: {last}")
         with np.load(target) as found:
             return dict(found)
 
@@ -102,9 +111,9 @@ def in_workers(
     """
     if workers < 1:
         raise HyalineError(f"workers: is {workers}; expected at least 1")
-    if workers == 1:
-        return _here(function, tasks, make_job, arguments)
-    return _spawned(function, tasks, min(workers, len(tasks)), make_job, arguments)
+    if workers > 1:
+        return _spawned(function, tasks, min(workers, len(tasks)), (make_job, arguments))
+    return _here(function, tasks, make_job, arguments)
 
 
 def _here(
@@ -121,64 +130,42 @@ def _here(
 
 
 def _spawned(
-    function: Callable[[Job, Task], None],
-    tasks: list[Task],
-    workers: int,
-    make_job: Callable[..., Job],
-    arguments: tuple[object, ...],
+    function: Callable[[Job, Task], None], tasks: list[Task], workers: int, how: tuple[object, ...]
 ) -> Iterator[None]:
     import multiprocessing
     from concurrent.futures.process import BrokenProcessPool
 
     context = multiprocessing.get_context("spawn")
-    start = (make_job, arguments, workers)
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=start) as pool:
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(workers, *how)) as pool:
         try:
-            with _without_main():
-                results = pool.map(_call_worker, [function] * len(tasks), tasks)
-            yield from results
+            yield from pool.map(_call_worker, [function] * len(tasks), tasks)
         except BrokenProcessPool:
             raise WorkerKilledError(
                 "a worker process was killed (the system does that where memory runs out)"
             ) from None
 
 
-@contextlib.contextmanager
-def _without_main() -> Iterator[None]:
-    """Processes that start in this block do not run the caller's script again, whose `__main__` they do not need.
-
-    Otherwise a script that builds without `if __name__ == "__main__":` would start processes without end.
-    """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = types.ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
+_how: tuple[Any, ...] = ()
+"""How this worker makes its job: the number of workers, the function and its arguments."""
 
 
-_job: object = None
-"""This worker's job."""
-_problem: HyalineError | None = None
-"""Why this worker could not make its job."""
+def _start_worker(*how: object) -> None:
+    global _how
+    _how = how
+    die_with(os.getppid())
 
 
-def _start_worker(make_job: Callable[..., object], arguments: tuple[object, ...], workers: int) -> None:
+@functools.cache
+def _job() -> object:
+    """This worker's job. The first task makes it, since an error of the initializer would print a traceback."""
     from datagen.machine.mitsuba_variant import num_cores
 
-    global _job, _problem
-    die_with(os.getppid())
-    try:
-        _job = make_job(max(1, num_cores() // workers), *arguments)
-    except HyalineError as error:
-        # Raised here, it would print a traceback; the first task raises it in the parent.
-        _problem = error
+    workers, make_job, arguments = _how
+    return make_job(max(1, num_cores() // workers), *arguments)
 
 
 def _call_worker(function: Callable[[object, object], None], task: object) -> None:
-    if _problem is not None:
-        raise _problem
-    function(_job, task)
+    function(_job(), task)
 
 
 def die_with(parent: int) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.disk.storage import private_cache, read_hashed, write_hashed
+from datagen.disk.storage import commit, private_cache
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -33,13 +33,12 @@ def key_of(arrays: Arrays, makers: Sequence[Path], *facts: object) -> str:
 def find_arrays(kind: str, key: str) -> Arrays | None:
     """The arrays kept under this key; None if there are none, or they are damaged."""
     cache = private_cache(kind)
-    data = None if cache is None else read_hashed(cache / f"{key}.npz")
-    if data is None:
+    if cache is None:
         return None
     try:
-        with np.load(io.BytesIO(data)) as kept:
+        with (cache / f"{key}.npz").open("rb") as file, np.load(file) as kept:  # With a checksum of each array.
             return dict(kept)
-    except (ValueError, OSError, zipfile.BadZipFile):
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile):
         return None
 
 
@@ -51,7 +50,7 @@ def keep_arrays(kind: str, key: str, arrays: Arrays) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, allow_pickle=False, **arrays)
     try:
-        write_hashed(cache / f"{key}.npz", buffer.getvalue())
+        commit(cache / f"{key}.npz", buffer.getvalue())
         kept = sorted((path.stat().st_mtime, path.stat().st_size, path) for path in cache.glob("*.npz"))
         excess = sum(size for _, size, _ in kept) - MAX_KEPT_BYTES
         for _, size, path in kept:

@@ -2,12 +2,9 @@
 
 import codecs
 import contextlib
-import html
-import importlib
 import io
 import json
 import os
-import select
 import shlex
 import signal
 import sys
@@ -37,7 +34,8 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     hush(False)
-    _open_closed()
+    for name in ("stdout", "stderr"):  # Closed by some daemons.
+        setattr(sys, name, getattr(sys, name) or Path(os.devnull).open("w"))  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper) and codecs.lookup(sys.stdout.encoding).name != "utf-8":
         sys.stdout.reconfigure(errors="backslashreplace")  # Tables contain arrows, which ASCII lacks.
     try:
@@ -51,31 +49,17 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
         _end(error, arguments)
 
 
-def _open_closed() -> None:
-    """Opens the standard streams that the caller has closed (`2>&-`, some daemons), to nowhere.
-
-    Otherwise files of data would get their numbers, to which libraries write, and progress would go to stdout. A result
-    that cannot be printed is an error, so stdout is opened for reading alone.
-    """
-    for number, mode in enumerate((os.O_RDWR, os.O_RDONLY, os.O_RDWR)):
-        try:
-            os.fstat(number)
-        except OSError:
-            os.set_inheritable(os.open(os.devnull, mode), True)  # The lowest free number, which is this one.
-    if sys.stdout is None:
-        sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), "utf-8", write_through=True)
-    if sys.stderr is None:
-        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
-
-
 def _end(error: BaseException, arguments: list[str]) -> None:
     """Ends the process in one line that says what `error` was; one that is a fault of ours is raised again."""
     # A signal that arrives inside of a library may reach us as the cause of its own error: of a RuntimeError while
     # Dr.Jit 1.5 records a loop, of a SystemError or an ImportError while a compiled module is imported.
     if (stopped := signal_within(error)) is not None:
-        _end_stopped(stopped, arguments)
-    if isinstance(error, BrokenPipeError) and _is_reader_gone():
-        _end_unread()
+        same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
+        fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
+    if isinstance(error, BrokenPipeError):  # As other tools when their reader has gone (`report | head`).
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, 1)  # Else the interpreter would complain when it flushes its output at its end.
+        sys.exit(128 + signal.SIGPIPE)
     told = error if isinstance(error, HyalineError) else as_hyaline_error(error)
     if told is None:
         raise error
@@ -88,31 +72,8 @@ def _flushed() -> Iterator[None]:
     try:
         yield
     finally:
-        if sys.stdout is not None:
-            with naming(Path("standard output")):
-                sys.stdout.flush()
-
-
-def _is_reader_gone() -> bool:
-    """True if the reader of standard output or standard error has gone."""
-    poll = select.poll()
-    for number in (1, 2):
-        poll.register(number, 0)
-    return any(events & select.POLLERR for _, events in poll.poll(0))
-
-
-def _end_unread() -> NoReturn:
-    """Exits silently, as other tools do when their reader has gone (`report | head`)."""
-    nowhere = os.open(os.devnull, os.O_WRONLY)
-    for number in (1, 2):
-        os.dup2(nowhere, number)  # Else the interpreter would complain when it flushes them at its end.
-    sys.exit(128 + signal.SIGPIPE)
-
-
-def _end_stopped(stopped: Stopped, arguments: list[str]) -> NoReturn:
-    """Says how to go on."""
-    same = "the same command without --overwrite" if "--overwrite" in arguments else "the same command again"
-    fail(stopped.message or f"stopped; run {same} to continue", status=stopped.status)
+        with naming(Path("standard output")):
+            print(end="", flush=True)
 
 
 def fail(message: str, *, status: int = 1) -> NoReturn:
@@ -181,8 +142,6 @@ def track(
         yield from items
     elif sys.stderr.isatty():
         yield from _track_on_terminal(items, label, total, done, status)
-    elif is_in_notebook():
-        yield from _track_in_notebook(items, label, total, done, status)
     else:
         yield from _track_in_lines(items, label, total, done, status)
 
@@ -191,74 +150,28 @@ def _track_on_terminal(
     items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
 ) -> Iterator[Item]:
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-    clock = _Clock()
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn())
-    more = (TextColumn("{task.fields[left]}"), TextColumn("{task.fields[status]}"))
+    more = (TimeRemainingColumn(), TextColumn("{task.fields[status]}"))
     with Progress(*columns, *more, console=Console(stderr=True)) as progress:
-        task = progress.add_task(printable(label), total=total, completed=done, left="", status="")
-        for count, item in enumerate(items, start=1):
+        task = progress.add_task(printable(label), total=total, completed=done, status="")
+        for item in items:
             yield item
-            clock.count()
-            left = clock.left_s(total - done - count)
-            when = "" if left is None else f"{left:.0f} s left"
-            progress.update(task, advance=1, left=when, status=status())
-
-
-def is_in_notebook() -> bool:
-    """True if a Jupyter kernel runs this process."""
-    shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
-    return hasattr(shell, "kernel")
-
-
-def _track_in_notebook(
-    items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
-) -> Iterator[Item]:
-    display = importlib.import_module("IPython.display")  # Kernels have it; hyaline does not depend on it.
-
-    def bar(count: int, left: str) -> object:
-        text = html.escape(f"{label} {done + count}/{total} {left} {status()}")
-        return display.HTML(f'<progress value="{done + count}" max="{total}"></progress> {text}')
-
-    clock, shown = _Clock(), display.display(bar(0, ""), display_id=True)
-    for count, item in enumerate(items, start=1):
-        yield item
-        clock.count()
-        left = clock.left_s(total - done - count)
-        shown.update(bar(count, "" if left is None else f"{left:.0f} s left"))
+            progress.update(task, advance=1, status=status())
 
 
 def _track_in_lines(
     items: Iterable[Item], label: str, total: int, done: int, status: Callable[[], str]
 ) -> Iterator[Item]:
-    clock = _Clock()
-    last = time.monotonic()
+    first = last = time.monotonic()
     for count, item in enumerate(items, start=1):
         yield item
-        clock.count()
         now = time.monotonic()
+        if count == 1:
+            first = now  # Which also compiles and warms up.
         if now - last >= REPORT_EVERY_S or done + count == total:
             rest = total - done - count
-            left = clock.left_s(rest)
-            when = "" if left is None else f", about {left:.0f} s left"
-            say(f"{label}: {done + count}/{total}{when} {status()}".rstrip())
+            left = f", about {(now - first) / (count - 1) * rest:.0f} s left" if count > 1 else ""
+            say(f"{label}: {done + count}/{total}{left} {status()}".rstrip())
             last = now
-
-
-class _Clock:
-    """Tells how long the rest takes from how long all but the first took: the first also compiles and warms up."""
-
-    def __init__(self) -> None:
-        self.times: list[float] = []
-
-    def count(self) -> None:
-        self.times.append(time.monotonic())
-
-    def left_s(self, rest: int) -> float | None:
-        """Estimated seconds for the rest; None after only one item."""
-        if rest == 0:
-            return 0.0
-        if len(self.times) < 2:
-            return None
-        return (self.times[-1] - self.times[0]) / (len(self.times) - 1) * rest

@@ -1,4 +1,4 @@
-"""From the words of a command line to a call of the command's function, by tyro: flags, help, errors, completion.
+"""From the words of a command line to a call of the command's function, by tyro: flags, help, errors.
 
 A function's parameters are its flags, and so are the fields of records among them; those before a `/` are words, which
 may also be given as flags by their names. A list is a flag that may be repeated, a switch is `--x` or `--no-x`. Help
@@ -15,7 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from datagen.disk.errors import HyalineError, UsageError
@@ -24,8 +24,6 @@ from datagen.disk.records import shown
 Command = Callable[..., None]
 
 HELP = ("-h", "--help")
-COMPLETION = "--print-completion"
-SHELLS = ("bash", "zsh", "fish")
 HELP_WIDTH = 80
 MAIN = "choices"
 """The parameter whose record's flags help lists among the command's own; any other makes a group of its name."""
@@ -46,8 +44,6 @@ class CommandGroup:
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
     """What its names are called in messages."""
-    absent: Mapping[str, str] = field(default_factory=dict)
-    """Plug-ins that are not here, by the names that they would add."""
 
 
 class Later(NamedTuple):
@@ -56,9 +52,7 @@ class Later(NamedTuple):
     load: Callable[[], Command]
 
 
-def group(
-    about: str, commands: Mapping[str, Command | CommandGroup | Later], absent: Mapping[str, str] | None = None
-) -> CommandGroup:
+def group(about: str, commands: Mapping[str, Command | CommandGroup | Later]) -> CommandGroup:
     """The commands of a program."""
 
     def find(name: str) -> Command | CommandGroup:
@@ -75,7 +69,6 @@ def group(
         names=lambda: list(commands),
         line=line,
         choose=lambda name, _: find(name),
-        absent=absent or {},
     )
 
 
@@ -102,17 +95,13 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
 
     Raises:
         UsageError: no such command or flag, or a value that a flag does not take.
-        SystemExit: help or completion was asked for (status 0), or no command was given (2); it has been printed.
+        SystemExit: help was asked for (status 0), or no command was given (2); it has been printed.
     """
-    if list(words[:1]) == [COMPLETION]:
-        _print_completion(program, command, words[1:])
     while isinstance(command, CommandGroup):
         if not words or words[0] in HELP:
             print(_list_commands(program, command))
             sys.exit(0 if words else 2)
         name, *words = words
-        if name in command.absent:
-            raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
         choose(f"{program} {command.word}", name, command.names())
         program, command = f"{program} {name}", command.choose(name, words)
     given = collect(program, command, words)
@@ -310,31 +299,3 @@ def _list_commands(program: str, commands: CommandGroup) -> str:
 def _wrapped(line: str) -> str:
     """A line of text as lines of the width of help; tyro has wrapped those of its boxes, but not the description."""
     return line if line.startswith(" ") else textwrap.fill(line, HELP_WIDTH)
-
-
-def _print_completion(program: str, command: Command | CommandGroup, words: Sequence[str]) -> None:
-    """Prints what makes a shell complete a program's words."""
-    shell = words[0] if words else ""
-    if shell not in SHELLS:
-        raise UsageError(f"{program} {COMPLETION}: expected one of {', '.join(SHELLS)} behind it")
-    import tyro
-
-    tree = _app(command)
-    given = ["--tyro-print-completion", shell]
-    if isinstance(command, CommandGroup):
-        tree.cli(prog=program, args=given, config=_config())
-    else:
-        tyro.cli(tree, prog=program, args=given, config=_config())
-
-
-def _app(command: Command | CommandGroup) -> Any:
-    """The same commands as tyro nests them."""
-    import tyro
-
-    if not isinstance(command, CommandGroup):
-        describe(command)
-        return command
-    app = tyro.extras.SubcommandApp()
-    for name in command.names():
-        app.command(_app(command.choose(name, ())), name=name, help=command.line(name))
-    return app

@@ -7,13 +7,9 @@ moment, it holds them back and asks between two pieces of work.
 import contextlib
 import signal
 import threading
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from types import FrameType
-
-IMPATIENCE_S = 1.0
-"""Two Ctrl-C that lie farther apart were meant as two."""
 
 
 class Stopped(BaseException):
@@ -25,19 +21,6 @@ class Stopped(BaseException):
         """What was saved and how to go on; None: the command has nothing special to say."""
         self.status = 128 + number
         """The exit status, as shells count it: 130 for SIGINT, 143 for SIGTERM."""
-
-
-@contextlib.contextmanager
-def replacing_at_the_end() -> Iterator[None]:
-    """Around work that replaces a file when all is done: if stopped, the same command goes on, --overwrite included."""
-    again = "stopped; run the same command again to go on"
-    try:
-        yield
-    except KeyboardInterrupt:
-        raise Stopped(signal.SIGINT, again) from None
-    except Stopped as stopped:
-        stopped.message = stopped.message or again
-        raise
 
 
 def signal_within(error: BaseException) -> Stopped | None:
@@ -59,8 +42,6 @@ class Held:
     """The first signal that arrived while signals were held back."""
 
     number: int | None = None
-    since: float = 0.0
-    """Its time.monotonic()."""
 
 
 @contextlib.contextmanager
@@ -76,17 +57,11 @@ def raise_on_sigterm() -> Iterator[None]:
 
 @contextlib.contextmanager
 def hold_signals() -> Iterator[Held]:
-    """Holds SIGINT and SIGTERM back while the block runs; what has arrived is raised when it ends.
-
-    A second Ctrl-C is not held back, unless it comes at once: a launcher that got the first one has passed it on then.
-    """
+    """Holds SIGINT and SIGTERM back while the block runs; what has arrived is raised when it ends."""
     held = Held()
 
     def note(number: int, frame: FrameType | None) -> None:  # noqa: ARG001
-        if held.number is None:
-            held.number, held.since = number, time.monotonic()
-        elif number == signal.SIGINT and time.monotonic() - held.since > IMPATIENCE_S:
-            raise KeyboardInterrupt
+        held.number = held.number or number
 
     with _handling((signal.SIGINT, signal.SIGTERM), note):
         yield held

@@ -8,8 +8,8 @@ from types import MappingProxyType
 import torch
 
 from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import holding, is_ours
-from datagen.disk.records import check_text
 from datagen.terminal.command import say
 from model.run.logs import LogChoices, add_frames
 from model.run.predict import render_predictions
@@ -49,7 +49,8 @@ def complete_run(
         logs: what to leave for people to watch.
     """
     for where, text in (("--label", label), ("dataset", dataset.root.as_posix())):
-        check_text(text, where)  # The run's record holds them, and is written when all else is done.
+        if not text.isprintable():  # The run's record holds them, and is written when all else is done.
+            raise HyalineError(f"{where}: is {text!r}; expected text without control characters")
     with holding(out, FOLDER):
         refuse_other_folders(out)
         finish_clearing(out)

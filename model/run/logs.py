@@ -25,7 +25,6 @@ from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, parse_json, read_regular
 from datagen.disk.storage import commit
-from datagen.terminal.preview import preview
 
 COSTS = "costs.json"
 MAX_BYTES = 1 << 16
@@ -185,8 +184,6 @@ class LogChoices:
     """Event files for TensorBoard."""
     costs: Meter | None = None
     """Record time and memory since then; None: don't."""
-    preview: bool = False
-    """Thumbnails of the held-out views in the terminal, at each evaluation."""
 
 
 class Logs:
@@ -211,9 +208,6 @@ class Logs:
         picture = snapshot(truth, predicted)
         if self._choices.snapshots:
             write_snapshot(self._run, step, picture)
-        if self._choices.preview:
-            shown = [np.concatenate(pair) for pair in zip(truth, predicted, strict=True)]
-            preview(shown, f"held-out views after step {step:,}, {score:.2f} dB: truth above prediction")
         if self._events is not None:
             self._events.add_evaluation(step, score, picture)
 

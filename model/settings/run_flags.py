@@ -37,8 +37,6 @@ class RunFlags:
     costs: bool = choice(False)
     """Write costs.json to the run's folder: the wall time, CPU time and memory of training, shown on the run's page of
     the report. These are the only numbers that differ between identical trainings."""
-    preview: bool = choice(False)
-    """Show thumbnails of the held-out views, above the truth, at each evaluation, in a terminal with true colour."""
     overwrite: bool = choice(False)
     """Delete the existing run and start over."""
 

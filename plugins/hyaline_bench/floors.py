@@ -15,7 +15,7 @@ from datagen.data.paths import list_datasets, view_name
 from datagen.data.variants import has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.disk.storage import commit, commit_same, dump_json
+from datagen.disk.storage import commit, dump_json
 from datagen.terminal.command import say
 from hyaline_bench.protocol import Protocol, is_of_preset, left_out
 
@@ -88,6 +88,6 @@ def _write_floor(out: Path, name: str, dataset: Dataset, protocol: Protocol) -> 
         splits: list[Split] = [split for split in shown.splits if split != "train"]
         for split in splits:
             for view, picture in enumerate(floor(pictures, dataset.cameras("train"), shown.cameras(split))):
-                commit_same(folder / "predictions" / split / f"{view_name(view)}.png", png_bytes(picture))
+                commit(folder / "predictions" / split / f"{view_name(view)}.png", png_bytes(picture))
     say(f"{out}: predicted {', '.join(shown.name for shown in places.values())}")
     return out

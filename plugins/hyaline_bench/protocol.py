@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
@@ -14,7 +13,7 @@ from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
 from datagen.data.variants import ANGLES
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, load_toml
+from datagen.disk.records import from_json, load_toml
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
 from eval.score.runs import Run
@@ -123,7 +122,7 @@ class Protocol:
 @functools.cache
 def load_protocol() -> Protocol:
     """The protocol of this version."""
-    return from_json(Protocol, cast(Json, load_toml(PROTOCOL)), where=str(PROTOCOL))
+    return from_json(Protocol, load_toml(PROTOCOL), where=str(PROTOCOL))
 
 
 @contextmanager

@@ -171,7 +171,7 @@ class ForeignScene:
 def read_foreign(path: Path, *, at_most: int = MAX_FILE_BYTES) -> bytes:
     """The bytes of a file that is imported, or that such a file names."""
     data = read_regular(path, at_most=at_most)
-    allow_file(path, len(data))
+    allow_file(len(data))
     return data
 
 

@@ -28,13 +28,11 @@ def export(
         dataset: A dataset's folder, or its name under data/. Default: where the run found it.
         overwrite: Replace an existing file.
     """
-    from datagen.disk.ownership import DATASET, refuse_file, refuse_owned
-    from model.run.run_folder import FOLDER, find_run, open_trained
+    from datagen.disk.ownership import refuse_file
+    from model.run.run_folder import find_run, open_trained
 
     run = find_run(run)
     refuse_file(out, overwrite=overwrite)
-    refuse_owned(out, DATASET)
-    refuse_owned(out, FOLDER)
     record, opened = open_trained(run, dataset)
     say(f"{run}: writing {out}")
     from hyaline_web.page.export import export_run

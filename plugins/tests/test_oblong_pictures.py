@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.commands import call, run
-from support.export_readers import read_colmap_text, read_nerfstudio
 from support.synthetic import synthetic_scene
 
 import hyaline
@@ -14,7 +13,6 @@ from datagen.data.cameras import look_at
 from datagen.data.config import SPLITS, Resolution
 from datagen.data.images import read_png
 from datagen.data.transforms import TRANSFORMS_FILES
-from datagen.quantities.view_quantities import quantities
 from datagen.scene.description import CameraList
 from datagen.scene.folder import load_scene, save_scene
 
@@ -79,54 +77,10 @@ def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, metho
         assert read_png(out / "predictions" / split / "0000.png").shape == (16, 24, 3)
 
 
-def test_a_film_through_its_test_views_shows_what_they_show(home: Path) -> None:
-    """With one test view the camera stands still: each frame is that view, but for the truth's noise."""
-    data, runs = home / "data/oblong", home / "runs/oblong"
-    choices = f"--dataset '{data}' --path spline --frames 2 --out '{home}/film"
-    run(f"datagen film {choices}' --spp 64")
-    truth = hyaline.open_dataset(data).view("interpolating", 0).image.astype(int)
-    assert np.abs(read_png(home / "film" / "0001.png").astype(int) - truth).mean() < 4
-    for name in ("paper", "light-path"):
-        run(f"model film --run '{runs}/{name}' {choices}-{name}'")
-        predicted = read_png(runs / name / "predictions/interpolating/0000.png").astype(int)
-        assert np.abs(read_png(home / f"film-{name}" / "0001.png").astype(int) - predicted).max() <= 1
-
-
 def test_its_runs_are_scored(home: Path) -> None:
     run(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report'")
     (scene,) = json.loads((home / "report" / "results.json").read_text())["scenes"]
     assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3
-
-
-def test_exports_carry_its_lens_where_a_format_has_a_place_for_it(home: Path) -> None:
-    dataset = hyaline.open_dataset(home / "data/oblong")
-    for form in ("nerfstudio", "colmap"):
-        run(f"datagen export '{home}/data/oblong' --format {form} --out '{home}/{form}' --points 50")
-    views, _ = read_nerfstudio(home / "nerfstudio")
-    others, *_ = read_colmap_text(home / "colmap")
-    meta = json.loads((home / "nerfstudio" / "transforms.json").read_text())
-    assert [meta[key] for key in ("w", "h", "cx", "cy")] == [24, 16, 7, 11.25]
-    assert (meta["near"], meta["far"]) == (dataset.cameras("train").near, dataset.cameras("train").far)
-    for name, view in views.items():
-        split, _, index = name.rpartition("_")
-        own = dataset.view(split, int(index))  # type: ignore[arg-type]
-        there = own.layers().object_id[0] > 0
-        rows, columns = np.nonzero(there)
-        points = quantities(own).position[there].astype(np.float64)
-        for read in (view, others[name]):
-            assert np.abs(read.project(points) - np.stack([columns, rows], axis=1) - 0.5).max() < 1e-3
-            assert read_png(read.file).shape == (16, 24, 3)
-    answer = call(f"datagen export '{home}/data/oblong' --format blender --out '{home}/blender'")
-    assert (answer.status, answer.error.count("principal point")) == (1, 1)
-
-
-def test_a_resolution_of_another_shape_is_refused_and_the_default_fits(home: Path) -> None:
-    build = f"datagen build --scene '{home}/scene' --out '{home}/data/other' --preset tiny"
-    answer = call(f"{build} --resolution 16")
-    assert answer.status == 1 and "the cameras' lens is for 48 x 32 pixels" in answer.error
-    scene = load_scene(home / "scene")
-    assert isinstance(scene.cameras, CameraList)
-    assert scene.cameras.train.shaped(32 * 32) == Resolution(width=39, height=26)
 
 
 def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: Path) -> None:

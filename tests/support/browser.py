@@ -1,7 +1,6 @@
 """When tests in a browser run: wherever there is one, and always where they are demanded."""
 
 import os
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import pytest
@@ -15,13 +14,8 @@ if TYPE_CHECKING:
 
 def require_browser() -> None:
     """Skips the test where there is no Chromium; fails it where tests in a browser are demanded, as CI does."""
-    require(find_browser)
-
-
-def require(find: Callable[[], object]) -> None:
-    """The same for whatever a function finds."""
     try:
-        find()
+        find_browser()
     except HyalineError as error:
         if os.environ.get("HYALINE_DEMAND_BROWSER"):
             pytest.fail(str(error))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 def main() -> None:
     from support.disk import read_state
-    from support.hostile.corpus import write_world
+    from support.hostile import write_world
 
     with tempfile.TemporaryDirectory() as folder:
         write_world(Path(folder))

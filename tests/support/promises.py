@@ -14,7 +14,6 @@ Thing = TypeVar("Thing")
 def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("promises")
     group.addoption("--full", action="store_true", help="try every case of the promises, not a quick selection")
-    group.addoption("--rewrite-outcomes", action="store_true", help="write the table of hostile files' outcomes anew")
 
 
 @pytest.fixture(scope="session")

@@ -246,5 +246,5 @@ def test_a_full_disk_leaves_no_archive_and_no_folder(here: Path) -> None:
         before = tree(here)
         with failing_from(here, 9, "ENOSPC") as refused:
             answer = call(line)
-        assert refused and answer.status == 1 and "no space is left" in answer.error
+        assert refused and answer.status == 1 and "no space left" in answer.error
         assert tree(here) == before and not list(here.glob("*hyaline-tmp"))

@@ -160,15 +160,12 @@ def test_other_commands_that_read_such_files_end_in_one_line(what: str, tmp_path
 
 
 ENDS = """
-import os, sys, time
+import os, sys
 import numpy as np
 
 def spin(folder):
     while True:
         pass
-
-def sleep(folder):
-    time.sleep(600)
 
 def crash(folder):
     os.kill(os.getpid(), 11)
@@ -189,9 +186,8 @@ def leave(folder):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("spin", "x.glb: reading it took more than 2 s of CPU time"),
-        pytest.param("sleep", "x.glb: reading it took more than 2[0-9] s, and was ended", marks=pytest.mark.full),
-        ("crash", r"x.glb: its reader crashed \(SIGSEGV\)"),
+        ("spin", "x.glb: reading it took too much CPU time"),
+        ("crash", r"x.glb: its reader was ended by SIGSEGV"),
         ("stumble", r"x.glb: cannot be read \(IndexError: list index out of range\); the file is damaged"),
         ("hoard", "x.glb: needs more than 2.0 GB of memory"),
         ("leave", "x.glb: its reader ended with status 7"),

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from support.foreign import CARD, add, glass_entry, obj_of, png, use_of, xml_of
 from support.gltf import BOX, GltfBuilder, clear, glass
-from support.hostile.pictures import png as png_of
+from support.hostile import png as png_of
 from support.soon import soon
 
 from datagen.data.images import encode_float_exr
@@ -455,8 +455,8 @@ def leaf_of(
 
 
 REFUSED_LEAVES: dict[str, tuple[dict, str]] = {
-    "a cutoff of nan": ({"number": "NaN"}, "not finite"),
-    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "99"),
+    "a cutoff of nan": ({"number": "NaN"}, "not a JSON file"),
+    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "not a JSON file"),
     "a cutoff of null": ({"number": "null"}, "alphaCutoff"),
     "a mode in small letters": ({"alphaMode": "mask"}, "alphaMode"),
     "an image of 0 columns": ({"image": png_of(0, 8)}, "not an image that can be read"),

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import torch
-from support.hostile.corpus import DATASET, LAYERS
+from support.hostile import DATASET, RUN
 
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import square
@@ -25,11 +25,10 @@ from model.run.run_folder import read_prediction_hashes, read_run
 
 pytestmark = pytest.mark.promise("R13")
 
-RUN = "runs/one/paper"
 HEADS: dict[str, Callable[[Path], object]] = {
     "scene/scene.json": lambda root: load_scene(root / "scene"),
     f"{DATASET}/dataset.json": lambda root: open_dataset(root / DATASET),
-    f"{LAYERS}/layers.json": lambda root: open_dataset(root / DATASET).layer_store(),
+    f"{DATASET}/layers/straight/layers.json": lambda root: open_dataset(root / DATASET).layer_store(),
     f"{DATASET}/proxies/box/proxies.json": lambda root: read_proxy_records(open_dataset(root / DATASET), "box"),
     f"{RUN}/run.json": lambda root: read_run(root / RUN),
     f"{RUN}/predictions.json": lambda root: read_prediction_hashes(root / RUN),

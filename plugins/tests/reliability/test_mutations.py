@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from support.disk import State, read_state
-from support.hostile.corpus import write_world
+from support.hostile import write_world
 from support.promises import spread
 from support.synthetic import write_synthetic_dataset
 

@@ -113,7 +113,7 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     assert answer.returncode == 1
     assert answer.stderr.splitlines()[-1].startswith("error: ")
     assert f"{out}/" in answer.stderr.splitlines()[-1]
-    assert "the file would be larger than allowed" in answer.stderr
+    assert "file too large; raise the limit" in answer.stderr
     assert "Traceback" not in answer.stderr
     build_whole(scene_folder, out)
     assert tree(out) == tree(built)

@@ -30,7 +30,7 @@ def nvidia_smi(folder: Path, script: str, monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     ("script", "said"),
     [
-        ("sleep 60", "nvidia-smi gave no answer within 0.5 s"),
+        ("exec sleep 60", "an NVIDIA driver, but nvidia-smi gave no answer (Command"),
         ("echo 'NVIDIA H200, 570.1'", "NVIDIA H200, 570.1"),
         ("exit 9", "none"),
     ],
@@ -41,10 +41,9 @@ def test_doctor_waits_briefly_for_nvidia_smi(
     nvidia_smi(tmp_path, script, monkeypatch)
     monkeypatch.setattr(hardware, "LIST_LIMIT_S", 0.5)
     monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX here')")
-    monkeypatch.setattr("datagen.machine.doctor.torch_cuda_problem", lambda: None)  # It imports torch in a child.
     answer = call("datagen doctor")
     assert answer.status == 0
-    assert f"GPU        {said}; Mitsuba cannot render on it: no OptiX here" in answer.out
+    assert f"GPU        {said}" in answer.out and "; Mitsuba cannot render on it: no OptiX here" in answer.out
 
 
 def test_a_probe_that_hangs_ends(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -76,34 +75,3 @@ def test_without_a_home_directory_the_gpu_is_tried_in_each_process(monkeypatch: 
     monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
     monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX')")
     assert hardware.cuda_problem() == "no OptiX"
-
-
-def test_nvidia_smi_is_found_where_windows_puts_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    nvidia_smi(tmp_path, "echo 'RTX 4090, 566.2'", monkeypatch)
-    monkeypatch.setenv("PATH", str(tmp_path / "no programs"))
-    monkeypatch.setattr(hardware, "WSL_PROGRAMS", str(tmp_path / "bin"))
-    assert hardware.describe_gpus() == "RTX 4090, 566.2"
-
-
-def test_a_gpu_that_renders_is_remembered_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hardware, "_PROBE", "pass")
-    assert hardware.cuda_problem() is None
-    monkeypatch.setattr(hardware, "_render_test_scene", lambda: "asked again")
-    hardware.cuda_problem.cache_clear()
-    assert hardware.cuda_problem() is None
-
-
-@pytest.mark.parametrize(
-    ("status", "out", "problem"),
-    [
-        (0, "13.0 True\n", None),
-        (0, "None False\n", "it is a build for CPUs"),
-        (0, "13.0 False\n", "its CUDA 13.0 finds no GPU that it can use"),
-        (1, "", "it cannot be imported"),
-    ],
-)
-def test_doctor_says_why_torch_does_not_compute_on_the_gpu(
-    monkeypatch: pytest.MonkeyPatch, status: int, out: str, problem: str | None
-) -> None:
-    monkeypatch.setattr(hardware, "_ask", lambda *_: (status, out, ""))
-    assert hardware.torch_cuda_problem() == problem

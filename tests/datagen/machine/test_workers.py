@@ -69,12 +69,7 @@ def test_views_are_named_in_runs() -> None:
 
 def test_an_unwrapping_child_that_is_killed_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # Where no atlas is kept.
-    really_run = subprocess.run
-
-    def run_and_die(command: list[str], **options):
-        return really_run([sys.executable, "-c", "import os; os.kill(os.getpid(), 9)"], **options)
-
-    monkeypatch.setattr(subprocess, "run", run_and_die)
+    monkeypatch.setattr("datagen.machine.processes._START", "import os; os.kill(os.getpid(), 9)")
     with pytest.raises(
         HyalineError, match=r"^floor: unwrapping failed \(it was ended by signal 9 .*; run the same command"
     ):

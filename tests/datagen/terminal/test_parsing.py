@@ -1,7 +1,6 @@
-"""Tests the grammar of all commands: words, lists, switches, help, completion, JSON."""
+"""Tests the grammar of all commands: words, lists, switches, help, JSON."""
 
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -93,14 +92,6 @@ def test_a_bare_command_prints_its_help(line: str) -> None:
     assert (bare.status, bare.out, bare.err) == (2, call(f"{line} --help").out, "")
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["datagen verify here", "datagen verify --dataset here", "datagen verify --dataset=here --json --no-json"],
-)
-def test_a_word_may_be_given_as_a_flag_by_its_name(line: str) -> None:
-    assert parsed(line)["dataset"] == "here"
-
-
 def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
     asked = parsed("datagen add one --edit no-glass --edit remove:vase --larger 2 --larger 4 --no-twins --angles")
     assert asked["choices"] == AddChoices(edit=("no-glass", "remove:vase"), larger=(2, 4), angles=True)
@@ -124,27 +115,6 @@ def test_the_words_of_a_record_ask_for_it(record: object) -> None:
     assert collect("program", command, flag_words(changed_flags(record, type(record)()))).kwargs == {"choices": record}
 
 
-@pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
-def test_bash_completes_commands_methods_flags_and_values(tmp_path: Path) -> None:
-    script = tmp_path / "model"
-    script.write_text(call("model --print-completion bash").out)
-    code = """
-        source "$1"; shift
-        COMP_WORDS=("$@"); COMP_CWORD=$(($# - 1)); COMPREPLY=()
-        $(complete -p model | sed 's/.*-F \\([^ ]*\\).*/\\1/')
-        echo "${COMPREPLY[*]}"
-    """
-
-    def complete(*words: str) -> str:
-        line = ["bash", "-c", code, "bash", str(script), "model", *words]
-        return subprocess.run(line, capture_output=True, text=True, check=True).stdout.strip()
-
-    assert complete("tr") == "train"
-    assert complete("train", "pap") == "paper paper-best"
-    assert complete("train", "paper", "--st") == "--steps"
-    assert complete("train", "paper", "--norm", "") == "batch none"
-
-
 def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
     whole = call("datagen verify one --json --quiet")
@@ -157,5 +127,3 @@ def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:
     found = json.loads(damaged.out)
     assert damaged.status == 1 and len(found["problems"]) == 1
     assert len(damaged.err.splitlines()) == 1
-    machine = json.loads(call("datagen doctor --json").out)
-    assert {"what", "found", "remedy"} == set(machine["findings"][0])

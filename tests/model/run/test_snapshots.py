@@ -150,15 +150,3 @@ def test_a_snapshot_has_the_bytes_of_its_picture_alone(tmp_path: Path) -> None:
     one, two = ((tmp_path / name / "snapshots" / "000007.png").read_bytes() for name in ("one", "two"))
     assert one == two
     assert np.array_equal(read_png(tmp_path / "one" / "snapshots" / "000007.png"), picture)
-
-
-def test_thumbnails_are_shown_at_each_evaluation_when_asked_and_change_no_byte(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown: list[tuple[tuple[int, ...], str]] = []
-    monkeypatch.setattr("model.run.logs.preview", lambda seen, said: shown.append((seen[0].shape, said)))
-    with_them = run_bytes(trained(dataset, tmp_path / "with", preview=True))
-    assert [shape for shape, _ in shown] == [(16, 8, 3)] * 3
-    assert shown[-1][1].startswith("held-out views after step 5, ") and shown[-1][1].endswith("truth above prediction")
-    assert with_them == run_bytes(trained(dataset, tmp_path / "without"))
-    assert len(shown) == 3
