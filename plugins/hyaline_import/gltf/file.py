@@ -27,8 +27,8 @@ MAX_VALUES = 1 << 27
 MAX_JSON_BYTES = 1 << 28
 """A .gltf may hold its buffers as base64."""
 READ_EXTENSIONS = {
-    "EXT_mesh_features", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_draco_mesh_compression",
-    "KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat",
+    "EXT_mesh_features", "EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
     "KHR_materials_diffuse_transmission", "KHR_materials_dispersion", "KHR_materials_emissive_strength",
     "KHR_materials_ior", "KHR_materials_iridescence", "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission", "KHR_materials_unlit",

@@ -4,13 +4,12 @@ Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/g
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
@@ -28,7 +27,7 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.gltf import records
 from hyaline_import.gltf.file import GltfFile
-from hyaline_import.pictures import decoded, stored
+from hyaline_import.pictures import decoded
 
 IGNORED = {
     "KHR_materials_anisotropy": "brushed grain (anisotropy)",
@@ -39,7 +38,7 @@ IGNORED = {
     "KHR_materials_specular": "a specular weight or tint",
 }
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
-CLAMP_TO_EDGE, MIRRORED_REPEAT = 33071, 33648
+REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
 VOLUME = "KHR_materials_volume"
 LEAST_METAL = 0.25
@@ -57,17 +56,14 @@ class TextureUse:
     offset: tuple[float, ...]
     scale: tuple[float, ...]
     rotation: float
-    clamps: tuple[bool, bool]
-    """Along u and v, the image's edges are extended instead of repeating the image."""
-    mirrors: tuple[bool, bool]
-    """Along u and v, every other repeat is mirrored: the image is one from `mirrored`."""
+    repeats: tuple[bool, bool]
+    """Along u and v; else its edges are extended, or every other repeat is mirrored."""
 
     def uv_from_file(self, uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
         """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         u, v = uv[:, 0] * self.scale[0], uv[:, 1] * self.scale[1]
         sides = [cos * u + sin * v + self.offset[0], -sin * u + cos * v + self.offset[1]]
-        sides = [side / 2 if mirror else side for side, mirror in zip(sides, self.mirrors)]
         return np.stack([sides[0], 1 - sides[1]], axis=-1)
 
 
@@ -214,42 +210,30 @@ def _texture(
     sampler = records.Sampler()
     if entry.sampler is not None:
         sampler = file.item(file.root.samplers, entry.sampler, where=entry.where)
-    wraps = sampler.wrap_s, sampler.wrap_t
-    mirrors = wraps[0] == MIRRORED_REPEAT, wraps[1] == MIRRORED_REPEAT
     use = TextureUse(
         channel=texture.tex_coord if transform.tex_coord is None else transform.tex_coord,
         offset=transform.offset,
         scale=transform.scale,
         rotation=transform.rotation,
-        clamps=(wraps[0] == CLAMP_TO_EDGE, wraps[1] == CLAMP_TO_EDGE),
-        mirrors=mirrors,
+        repeats=(sampler.wrap_s == REPEAT, sampler.wrap_t == REPEAT),
     )
-    return mirrored(ForeignImage(name=name, data=data), mirrors), use
+    return ForeignImage(name=name, data=data), use
 
 
-def mirrored(image: ForeignImage, mirrors: tuple[bool, bool]) -> ForeignImage:
-    """The image beside its mirror image, along u, v or both; its repeats are mirrored repeats of the image."""
-    if not any(mirrors):
-        return image
-    pixels = stored(image)
-    pixels = np.concatenate([pixels, pixels[:, ::-1]], axis=1) if mirrors[0] else pixels
-    pixels = np.concatenate([pixels, pixels[::-1]], axis=0) if mirrors[1] else pixels
-    return replace(image, data=png_bytes(pixels))
-
-
-def clamped(
+def wrapped(
     uv: Float[np.ndarray, "vertex 2"],
     faces: Int[np.ndarray, "face 3"],
-    clamps: tuple[bool, bool],
+    repeats: tuple[bool, bool],
     remarks: Remarks,
     *,
     where: str,
 ) -> Float[np.ndarray, "vertex 2"]:
-    """uv of an image whose edges are extended: on its edge where they miss it by rounding; a remark if beyond it."""
-    inside = np.clip(uv, 0, 1)
-    uv = np.where(clamps & (np.abs(uv - inside) < ROUNDING), inside, uv)
-    if (clamps & (uv != inside))[faces].any():
+    """uv of an image that repeats in ours, and does not along u or v in the file: on its edge where they miss it by
+    rounding; a remark if they reach beyond it."""
+    inside, ends = np.clip(uv, 0, 1), np.logical_not(repeats)
+    uv = np.where(ends & (np.abs(uv - inside) < ROUNDING), inside, uv)
+    if (ends & (uv != inside))[faces].any():
         remarks.approximate(
-            where, "its uv reach beyond its image, whose edges the file extends; the image repeats there"
+            where, "its uv reach beyond its image, which the file extends or mirrors there; the image repeats"
         )
     return uv

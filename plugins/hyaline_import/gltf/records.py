@@ -59,7 +59,7 @@ class Accessor(Entry):
     count: Count
     type: str
     buffer_view: Index | None = None
-    """None for arrays that are compressed."""
+    """None for an array of zeros."""
     byte_offset: Index = 0
     normalized: bool = False
     sparse: Sparse | None = None
@@ -165,11 +165,6 @@ class Numbers(Struct, rename="camel"):
     emissive_strength: float = 1.0
 
 
-class Draco(Struct, rename="camel"):
-    buffer_view: Index
-    attributes: dict[str, Index]
-
-
 class Primitive(Entry):
     attributes: dict[str, Index]
     indices: Index | None = None
@@ -188,10 +183,6 @@ class Mesh(Entry):
 class Skin(Entry):
     joints: Annotated[list[Index], Meta(min_length=1)]
     inverse_bind_matrices: Index | None = None
-
-
-class Instancing(Struct):
-    attributes: dict[str, Index]
 
 
 class Node(Entry):

@@ -35,7 +35,7 @@ from hyaline_import.foreign import (
     lens_of,
     read_foreign,
 )
-from hyaline_import.gltf.materials import clamped
+from hyaline_import.gltf.materials import wrapped
 from hyaline_import.meshes.bare import read_ply_file
 from hyaline_import.meshes.obj import read_obj
 from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
@@ -109,7 +109,7 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
             flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
             flat = flat @ found.image_from_uv.T
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
-            uv = clamped(uv, item.faces, (found.clamps, found.clamps), remarks, where=node.name)
+            uv = wrapped(uv, item.faces, (found.repeats, found.repeats), remarks, where=node.name)
         objects.append(replace(item, uv=uv, material=material))
         if sum(len(other.faces) for other in objects) > MAX_TRIANGLES or len(objects) > MAX_SURFACES:
             raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
