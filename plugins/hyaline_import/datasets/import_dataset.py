@@ -57,15 +57,11 @@ class Plan:
 def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     """Reads all of a folder but for its pictures."""
     foreign = read_foreign_dataset(folder)
-    whole, times = foreign.lens.size, choices.downscale
-    if whole.width % times or whole.height % times:
-        raise HyalineError(f"--downscale: is {times}, and pictures are {whole} pixels; expected a divisor of both")
     views, lines = split_views(foreign)
     linear = choices.scale * z_up_from(choices.up)
-    size = Resolution(width=whole.width // times, height=whole.height // times)
-    lens = foreign.lens.fitted(size)
+    size = foreign.lens.size
     cameras: dict[Split, Cameras] = {
-        split: lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
+        split: foreign.lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
         for split in SPLITS
     }
     name = scene_name(folder.resolve())
@@ -80,9 +76,7 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     imported = Imported(
         layout=foreign.layout,
         source=folder.resolve().name,
-        source_sha256=digest_of(
-            [*foreign.files, *choices.mesh], f"{choices.downscale} {choices.background} {choices.scale}"
-        ),
+        source_sha256=digest_of([*foreign.files, *choices.mesh], f"{choices.background} {choices.scale}"),
         has_masks=all(view.mask is not None for view in used),
         has_depth=all(view.depth is not None for view in used),
         remarks=told,
@@ -90,7 +84,7 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
 
     def files(split: Split, index: int) -> dict[str, bytes]:
         view, kinds = views[split][index], imported
-        return view_files(view, whole, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
+        return view_files(view, size, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
 
     return Plan(
         files=files, cameras=cameras, config=config, scene=scene, imported=imported, stated_license=foreign.license

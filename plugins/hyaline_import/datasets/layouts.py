@@ -1,10 +1,11 @@
 """Layouts of other projects' datasets with transforms files, read before any picture is decoded.
 
-    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json with
-                   their index and absorption, if somebody adds them
+    refref         transforms_{train,val,test}.json, whose frames name masks and depth
     openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
     blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
     nerfstudio     transforms.json for all pictures
+
+Each may have meshes/, if somebody adds them.
 
 Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
 """
@@ -14,11 +15,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Float
-from msgspec import Meta, Struct
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
@@ -27,14 +27,10 @@ from datagen.data.metadata import license_line
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
-from datagen.disk.records import load_json, open_regular, shown
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
-from hyaline_import.fields import read
+from datagen.disk.records import open_regular, shown
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
-
-ObjectName = Annotated[str, Meta(pattern=f"^{OBJECT_NAME}$")]
 
 Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
 """The layouts of `read_folder`."""
@@ -59,14 +55,10 @@ View = TypeVar("View", bound=ForeignView)
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignSurface:
-    """A mesh of the scene, and what is known of its material."""
+    """A mesh of the scene."""
 
     name: str
     file: Path
-    ior: float | None = None
-    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """1 over the folder's unit."""
-    is_thin: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +133,7 @@ def transforms_in(root: Path) -> dict[Role, Transforms]:
 
 def _layout_of(root: Path, train: Transforms) -> Layout:
     first = train.frames[0]
-    if "mask_file_path" in first or "depth_file_path" in first or (root / "objects.json").is_file():
+    if "mask_file_path" in first or "depth_file_path" in first:
         return "refref"
     return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
@@ -265,37 +257,13 @@ def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
     return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 
 
-class _Described(Struct):
-    """What objects.json says of an object."""
-
-    mesh: str
-    ior: Annotated[float, Meta(gt=1, lt=10)] | None = None
-    absorption_per_metre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    is_thin: bool = False
-
-
 def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
-    """The meshes in the folder: those that objects.json describes, or all in meshes/."""
-    if (root / "objects.json").is_file():
-        path = find_file(root, "objects.json", where=str(root))
-        listed = read(dict[ObjectName, _Described], load_json(path), where=str(path))
-        if len(listed) > MAX_OBJECTS:
-            raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
-        return tuple(_described(root, name, entry, where=f"{path}: {name}.mesh") for name, entry in listed.items())
+    """The meshes in meshes/."""
     folder = root / "meshes"
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
     for path in files:
         check_regular(path, root, where=str(root))
     return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
-
-
-def _described(root: Path, name: str, entry: _Described, *, where: str) -> ForeignSurface:
-    file = find_file(root, entry.mesh, where=where)
-    if not file.is_file():
-        raise HyalineError(f"{where}: names {shown(entry.mesh)}, which is not in {root}")
-    return ForeignSurface(
-        name=name, file=file, ior=entry.ior, absorption=entry.absorption_per_metre, is_thin=entry.is_thin
-    )
 
 
 def surface_name(file: Path) -> str:

@@ -5,20 +5,11 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, Float32, UInt8
 from PIL import Image, ImageCms
 
 from datagen.data.config import Resolution
-from datagen.data.images import (
-    MAX_NPY_BYTES,
-    linear_from_srgb,
-    mask_pixels,
-    npy_bytes,
-    png_bytes,
-    read_npy,
-    srgb_from_linear,
-    to_8bit,
-)
+from datagen.data.images import MAX_NPY_BYTES, mask_pixels, npy_bytes, png_bytes, read_npy
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from hyaline_import.datasets.choices import DatasetImportChoices
@@ -33,29 +24,14 @@ PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
 def view_files(
     view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool, has_depth: bool
 ) -> dict[str, bytes]:
-    """The files of a view, by ending.
-
-    Args:
-        size: of the foreign picture.
-    """
-    files = {".png": png_bytes(picture_of(view, size, choices))}
+    """The files of a view, by ending."""
+    picture = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
+    files = {".png": png_bytes(picture)}
     if has_mask:
-        mask = _blocks(mask_of(view, size).astype(np.float64), choices.downscale).mean(axis=(1, 3)) >= 0.5
-        files[".mask.png"] = png_bytes(np.where(mask, 255, 0).astype(np.uint8))
+        files[".mask.png"] = png_bytes(np.where(mask_of(view, size), 255, 0).astype(np.uint8))
     if has_depth:
-        depth = _blocks(depth_of(view, size), choices.downscale)
-        middle = choices.downscale // 2
-        files[".depth.npy"] = npy_bytes(depth[:, middle, :, middle] * np.float32(choices.scale))
+        files[".depth.npy"] = npy_bytes(depth_of(view, size) * np.float32(choices.scale))
     return files
-
-
-def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoices) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture over its background, and as small as asked for."""
-    image = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
-    if choices.downscale == 1:
-        return image
-    linear = _blocks(linear_from_srgb(image.astype(np.float64) / 255), choices.downscale).mean(axis=(1, 3))
-    return to_8bit(srgb_from_linear(linear))
 
 
 def on_background(
@@ -112,8 +88,3 @@ def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
             raise HyalineError(f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}")
         picture.load()
         return picture
-
-
-def _blocks(values: Float[np.ndarray, "h w *c"], side: int) -> Float[np.ndarray, "row i column j *c"]:
-    height, width = values.shape[:2]
-    return values.reshape(height // side, side, width // side, side, *values.shape[2:])

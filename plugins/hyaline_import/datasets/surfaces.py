@@ -13,7 +13,7 @@ from datagen.machine.confined import allow_triangles
 from datagen.scene.camera_list import CameraList
 from datagen.scene.description import MAX_OBJECTS, Scene
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Dielectric, Material, ThinDielectric
+from datagen.scene.materials import Dielectric
 from datagen.scene.remarks import Remarks
 from datagen.scene.staging import even_sky
 from hyaline_import.confined_import import save_answer, scene_from
@@ -60,8 +60,12 @@ def _save_scene(
     check_overrides(overrides, names)
     for object_name, (surface, part) in zip(names, parts, strict=True):
         chosen = override(object_name, overrides)
-        if chosen is None and (part.material is PLAIN or surface.ior is not None):
-            chosen = _glass(surface, choices, remarks)
+        if chosen is None and part.material is PLAIN:
+            chosen = Dielectric(ior=choices.ior)
+            remarks.approximate(
+                surface.name,
+                f"has no known material; taken for glass of index {choices.ior:g}, --ior or --material sets it",
+            )
         made.add(object_name, part, world, chosen)
     scene = unlit_scene(name, made, world, cameras)
     for item in scene.objects:
@@ -89,16 +93,3 @@ def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObje
         endings = ", ".join(f".{name}" for name in known)
         raise HyalineError(f"{surface.file}: is not a mesh by its ending; expected one of {endings}: {EXPORT_ADVICE}")
     return READERS.find(ending)(surface.file, remarks).objects
-
-
-def _glass(surface: ForeignSurface, choices: DatasetImportChoices, remarks: Remarks) -> Material:
-    ior = surface.ior
-    if ior is None:
-        ior = choices.ior
-        remarks.approximate(
-            surface.name, f"has no known material; taken for glass of index {ior:g}, --ior or --material sets it"
-        )
-    if surface.is_thin:
-        return ThinDielectric(ior=ior)
-    red, green, blue = (value / choices.scale for value in surface.absorption)
-    return Dielectric(ior=ior, absorption=(red, green, blue))

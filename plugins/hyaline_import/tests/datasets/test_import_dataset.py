@@ -20,7 +20,7 @@ from support.traced_dataset import write_traced_dataset
 
 from datagen.builder.build import peel_dataset, summary
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import SPLITS, TEST_SPLITS, square
+from datagen.data.config import SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.meshes import signed_volume
 from datagen.data.paths import TRUTH
@@ -68,9 +68,7 @@ def again(refref: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return open_dataset(dataset.root)
 
 
-def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_depth_and_index(
-    ours: Dataset, again: Dataset
-) -> None:
+def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_and_depth(ours: Dataset, again: Dataset) -> None:
     assert again.num_views == ours.num_views
     for split in SPLITS:
         before, after = ours.cameras(split), again.cameras(split)
@@ -81,8 +79,9 @@ def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_depth_and_ind
             mask, depth = new.imported_mask, new.imported_depth
             assert mask is not None and np.array_equal(mask, quantities(old).glass)
             assert depth is not None and np.allclose(depth, quantities(old).depth_along_axis)
-    materials = {item.name: item.material for item in surfaces_of(ours).scene.objects if item.material.is_glass}
-    assert {item.name: item.material for item in surfaces_of(again).scene.objects} == materials
+    names = {item.name for item in surfaces_of(ours).scene.objects if item.material.is_glass}
+    found = {item.name: item.material.surface().ior for item in surfaces_of(again).scene.objects}
+    assert found == dict.fromkeys(names, 1.5)
 
 
 def test_its_layers_are_those_of_the_glass(ours: Dataset, again: Dataset) -> None:
@@ -128,20 +127,6 @@ def test_every_byte_is_verified_and_the_same_command_brings_back_what_is_lost(
     dataset = take_over(refref, root)
     assert dataset.seal == again.seal and verify_dataset(root).problems == []
     assert (root / "images" / "train" / "0000.mask.png").read_bytes() == before
-
-
-def test_a_report_scores_it_and_calls_the_ceiling_unknown(again: Dataset, tmp_path: Path) -> None:
-    for split in ("interpolating", "extrapolating"):
-        for view in again.views(split):
-            path = tmp_path / "runs" / "glasses" / "theirs" / "predictions" / split / f"{view.index:04d}.png"
-            path.parent.mkdir(parents=True, exist_ok=True)
-            Image.fromarray(255 - view.image).save(path)
-    out = tmp_path / "figures"
-    answer = call(f"report {tmp_path / 'runs'} --dataset {again.root} --out {out}")
-    assert answer.status == 0, answer.error
-    assert "unknown" in answer.out
-    told = json.loads((out / "results.json").read_text())
-    assert told["scenes"][0]["noise_ceiling_db"] == {"interpolating": None, "extrapolating": None}
 
 
 # Other layouts
@@ -225,26 +210,10 @@ def test_a_mesh_for_pictures_may_have_quads_and_be_open_and_one_that_is_not_read
     assert answer.status == 1 and "open it in Blender" in answer.error and "glTF 2.0" in answer.error
 
 
-@pytest.mark.parametrize("geometry", ["", "--geometry ellipsoid"])
-@pytest.mark.parametrize("method", ["light-path", "paper"])
-def test_training_without_meshes_says_that_there_are_none(
-    method: str, geometry: str, blender: Path, tmp_path: Path
-) -> None:
-    dataset = take_over(blender, tmp_path / "out")
-    answer = call(f"model train {method} --dataset {dataset.root} --out {tmp_path / 'run'} {geometry}")
-    assert answer.status == 1 and "has no meshes" in answer.error and "--mesh FILE" in answer.error
-
-
-def test_pictures_are_made_smaller_by_averaging_light_and_the_world_is_scaled_and_turned(
-    blender: Path, tmp_path: Path
-) -> None:
-    picture = np.zeros((SIDE, SIDE, 3), np.uint8)
-    picture[::2] = 255
-    Image.fromarray(picture).save(blender / "train" / "r_0.png")
-    dataset = take_over(blender, tmp_path / "out", downscale=4, scale=0.5, up="y", background="black")
+def test_the_world_is_scaled_and_turned_and_the_background_may_be_black(blender: Path, tmp_path: Path) -> None:
+    dataset = take_over(blender, tmp_path / "out", scale=0.5, up="y", background="black")
     cameras = dataset.cameras("train")
-    assert (cameras.width, dataset.view("train", 0).image.shape) == (2, (2, 2, 3))
-    assert (dataset.view("train", 0).image == 188).all()  # Half the light of white.
+    assert (dataset.view("train", 0).image[:, : SIDE // 2] == 0).all()
     before = json.loads((blender / "transforms_train.json").read_text())["frames"][1]["transform_matrix"]
     x, y, z = (row[3] for row in before[:3])
     assert np.allclose(cameras.world_from_camera[1, :3, 3], (0.5 * x, -0.5 * z, 0.5 * y))
@@ -257,14 +226,14 @@ def test_pictures_may_be_wider_than_high_and_smaller_than_w_and_h_with_a_princip
     for path in blender.rglob("*.png"):
         Image.open(path).crop((0, 2, SIDE, SIDE - 2)).save(path)
     edit_json(lambda data: data.update(w=2 * SIDE, h=SIDE, fl_x=18.0, cx=6.0, cy=5.5), *ALL)(blender)
-    dataset = take_over(blender, tmp_path / "out", downscale=2)
-    assert (dataset.config.resolution.width, dataset.config.resolution.height) == (SIDE // 2, SIDE // 4)
-    assert dataset.view("train", 0).image.shape == (SIDE // 4, SIDE // 2, 3)
+    dataset = take_over(blender, tmp_path / "out")
+    assert (dataset.config.resolution.width, dataset.config.resolution.height) == (SIDE, SIDE // 2)
+    assert dataset.view("train", 0).image.shape == (SIDE // 2, SIDE, 3)
     listed = CameraList(**{split: dataset.cameras(split) for split in SPLITS})
     made = make_cameras(listed, dataset.config)
     for split in dataset.splits:
         for cameras in (dataset.cameras(split), made[split]):
-            assert np.allclose(cameras[0].intrinsics, [[4.5, 0, 1.5], [0, 4.5, 1.375], [0, 0, 1]])
+            assert np.allclose(cameras[0].intrinsics, [[9, 0, 3], [0, 9, 2.75], [0, 0, 1]])
 
 
 def test_openmaterials_masks_are_found_beside_the_pictures(tmp_path: Path) -> None:
@@ -413,16 +382,6 @@ def test_poses_in_another_convention_than_the_meshes_are_recognised(
     assert re.search(f"no camera sees glass; {question} world_from_camera", answer.error), answer.err
 
 
-def test_glass_that_no_camera_sees_beside_glass_that_is_seen_is_a_line(ours: Dataset, blender: Path) -> None:
-    away = blender / "away.ply"
-    mesh, _ = read_ply(ours.root / "scene" / "meshes" / "ball.ply")
-    away.write_bytes(write_ply(dataclasses.replace(mesh, vertices=mesh.vertices + np.float32(60))))
-    choices = DatasetImportChoices(mesh=(ours.root / "scene" / "meshes" / "ball.ply", away))
-    assert [line for line in plan_import(blender, choices).imported.remarks if "no camera" in line] == [
-        "away: no camera sees it"
-    ]
-
-
 def set_first(**values: object) -> Callable[[Path], None]:
     return edit_json(lambda data: data["frames"][0].update(values))
 
@@ -493,44 +452,10 @@ def test_a_broken_folder_is_refused_in_one_line(blender: Path, tmp_path: Path, n
     assert "\n" not in str(refusal.value)
 
 
-OBJECTS: dict[str, tuple[dict[str, object], str]] = {
-    "a mesh out": ({"a": {"mesh": "../a.ply"}}, "expected a file inside the folder"),
-    "a name with a slash": ({"../a": {"mesh": "meshes/a.ply"}}, "matching regex"),
-    "an index below 1": ({"ball": {"mesh": "meshes/ball.ply", "ior": 0.5}}, "ior: "),
-    "absorption of two": ({"ball": {"mesh": "meshes/ball.ply", "absorption_per_metre": [1, 2]}}, "length 3"),
-    "a list": ([], "holds a list; expected a JSON object"),  # type: ignore[dict-item]
-    "too many": ({f"n{place}": {"mesh": "a"} for place in range(300)}, "has 300 objects; expected at most 255"),
-}
-
-
-@pytest.mark.parametrize("name", OBJECTS)
-def test_a_broken_list_of_objects_is_refused(refref: Path, tmp_path: Path, name: str) -> None:
-    content, message = OBJECTS[name]
-    root = shutil.copytree(refref, tmp_path / "refref")
-    (root / "objects.json").write_text(json.dumps(content))
-    with pytest.raises(HyalineError, match=message):
-        plan_import(root, DatasetImportChoices())
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "message"),
-    [
-        ("depth_train_0000.npy", b"\x93NUMPY\x01\x00", "not a .npy of height x width numbers"),
-        ("depth_train_0000.npy", b"", "not a .npy of height x width numbers"),
-        ("mask_train_0000.png", b"\x89PNG\r\n\x1a\n", "not a picture that can be read"),
-    ],
-)
-def test_broken_masks_and_depth_are_refused(refref: Path, tmp_path: Path, name: str, data: bytes, message: str) -> None:
-    root = shutil.copytree(refref, tmp_path / "refref")
-    (root / "train" / name).write_bytes(data)
-    with pytest.raises(HyalineError, match=message):
-        take_over(root, tmp_path / "out")
-
-
 def test_another_import_in_the_same_place_needs_to_be_told(blender: Path, tmp_path: Path) -> None:
     take_over(blender, tmp_path / "out")
     with pytest.raises(HyalineError, match="imported from lego, of other files or with other choices; pass --overw"):
-        take_over(blender, tmp_path / "out", downscale=2)
-    chosen = DatasetImportChoices(downscale=2)
+        take_over(blender, tmp_path / "out", scale=2.0)
+    chosen = DatasetImportChoices(scale=2.0)
     dataset = write_import(plan_import(blender, chosen), tmp_path / "out", overwrite=True)
-    assert dataset.config.resolution == square(SIDE // 2) and verify_dataset(dataset.root).problems == []
+    assert verify_dataset(dataset.root).problems == []
