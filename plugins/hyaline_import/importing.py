@@ -1,7 +1,9 @@
 """From a foreign file to a scene: read, mend, map, stage, check."""
 
 import dataclasses
+import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +23,6 @@ from datagen.scene.description import (
     OBJECT_NAME,
     CameraList,
     CameraRig,
-    Environment,
     RectangleLight,
     Scene,
     SceneObject,
@@ -40,7 +41,6 @@ from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
-    ForeignMap,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -58,7 +58,7 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
+from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import cut_of, veiled
@@ -148,7 +148,7 @@ class Made:
         used = {image.path for item in scene.objects for image in item.material.images().values()}
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
         without_uv = self.without_uv & {item.name for item in scene.objects}
-        scene = mend_scene(dataclasses.replace(scene, baked={**baked, **scene.baked}), without_uv=without_uv)
+        scene = mend_scene(dataclasses.replace(scene, baked=baked), without_uv=without_uv)
         scene = _without_gone(with_cuts(scene, self.cuts), world.remarks, where=where)
         check_scene(scene)
         return scene
@@ -210,23 +210,15 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
         made.without_uv.add(ground.name)
         objects.append(ground)
-    environment: Environment = LIGHT
-    baked: dict[str, bytes] = {}
-    if isinstance(foreign.sky, ForeignMap):
-        environment = placed_map(foreign.sky, linear, remarks)
-        baked[environment.path] = foreign.sky.data
-    elif foreign.sky is not None:
-        environment = even_sky(foreign.sky)
     lights = (*(placed_light(light, linear, world.offset) for light in foreign.lights), *lamps)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
-        environment=environment,
+        environment=LIGHT if foreign.sky is None else even_sky(foreign.sky),
         lights=exposed(lights, objects, remarks),
         cameras=rig,
-        baked=baked,
     )
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
@@ -353,15 +345,11 @@ def unique_names(names: list[str]) -> list[str]:
     """Names that a scene may have, each once: others are numbered."""
     fit = [re.sub(r"[^A-Za-z0-9_-]", "_", name).lstrip("-")[:60] or "object" for name in names]
     assert all(re.fullmatch(OBJECT_NAME, name) for name in fit)
-    counts = {name: fit.count(name) for name in set(fit)} if len(fit) < 1000 else dict.fromkeys(fit, 2)
-    taken: set[str] = {name for name, count in counts.items() if count == 1}
-    unique, following = [], dict.fromkeys(fit, 0)
+    counts, numbers = Counter(fit), {name: itertools.count() for name in fit}
+    taken = {name for name, count in counts.items() if count == 1}
+    unique = []
     for name in fit:
-        if counts[name] == 1:
-            unique.append(name)
-            continue
-        while (numbered := f"{name}_{following[name]}") in taken:
-            following[name] += 1
-        taken.add(numbered)
-        unique.append(numbered)
+        numbered = (f"{name}_{number}" for number in numbers[name])
+        unique.append(name if counts[name] == 1 else next(other for other in numbered if other not in taken))
+        taken.add(unique[-1])
     return unique

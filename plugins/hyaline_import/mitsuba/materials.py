@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.remarks import Remarks
@@ -37,8 +36,6 @@ WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
 """BSDFs around another one."""
 MAX_DEPTH = 8
 """BSDFs within BSDFs."""
-CELLS = 256
-"""Texels a side of a checkerboard's two by two fields."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -220,19 +217,13 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     texture = node.child(key)
     if texture is None:
         return _plain(replace(material, base_color=clipped_color(node.color(key, default))))
-    image_from_uv, repeats = texture.matrix("to_uv"), True
-    if texture.plugin == "bitmap":
-        if texture.flag("raw"):
-            remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
-        image, repeats = _bitmap(texture, node.name)
-    elif texture.plugin == "checkerboard":
-        fields = np.array([texture.color("color0", 0.4), texture.color("color1", 0.2)])
-        place = np.arange(CELLS) >= CELLS // 2
-        linear = np.clip(fields[np.where(place[:, None] == place[None, :], 0, 1)], 0, 1)
-        image = ForeignImage(name=node.name, data=png_bytes(to_8bit(srgb_from_linear(linear))))
-    else:
-        raise HyalineError(f"{texture.where}: is of a kind that is not read; known are bitmap, checkerboard")
-    return FoundMaterial(material=replace(material, image=image), image_from_uv=image_from_uv, repeats=repeats)
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is of a kind that is not read; known is bitmap")
+    if texture.flag("raw"):
+        remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
+    image, repeats = _bitmap(texture, node.name)
+    material = replace(material, image=image)
+    return FoundMaterial(material=material, image_from_uv=texture.matrix("to_uv"), repeats=repeats)
 
 
 def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, bool]:

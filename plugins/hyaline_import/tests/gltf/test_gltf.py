@@ -10,7 +10,6 @@ from support.foreign import add, glass_entry, use_of
 from support.gltf import BOX, GltfBuilder
 
 from datagen.data.meshes import face_corners, signed_volume
-from datagen.disk.errors import HyalineError
 from datagen.scene.camera_list import CameraList
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.modelling import ball
@@ -165,26 +164,6 @@ def test_what_its_node_scales_to_nothing_is_left_out_with_a_note(tmp_path: Path)
     assert told(remarks) == [("below", False), ("cameras[0]", True)]
 
 
-def mode(builder: GltfBuilder) -> None:
-    primitive = builder.content["meshes"][0]["primitives"]
-    primitive.append({**primitive[0], "mode": 5})
-
-
-def lamp(builder: GltfBuilder) -> None:
-    builder.node(name="lamp", extensions={"KHR_lights_punctual": {"light": 0}})
-
-
-LEFT_OUT: dict[str, tuple[Callable[[GltfBuilder], object], str]] = {
-    "an extension": (lambda builder: builder.content.update(extensionsUsed=["KHR_materials_ior", "X_y"]), "'X_y'"),
-    "strips": (mode, "points, lines, strips or fans"),
-    "a lamp without a size": (lamp, "a lamp without a size"),
-    "colours": (
-        lambda builder: builder.content["meshes"][0]["primitives"][0]["attributes"].update(COLOR_0=0),
-        "colours at its vertices",
-    ),
-}
-
-
 def test_a_mesh_with_a_skin_is_where_its_joints_are_and_not_where_its_node_is(tmp_path: Path) -> None:
     builder = GltfBuilder()
     mesh = builder.mesh(BOX)
@@ -233,16 +212,6 @@ def test_a_shape_key_counts_with_its_weight_also_where_few_vertices_move(is_of_n
     np.testing.assert_allclose(item.positions, expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("what", LEFT_OUT)
-def test_what_is_left_out_is_an_approximation(what: str, tmp_path: Path) -> None:
-    change, said = LEFT_OUT[what]
-    builder, remarks = add(GltfBuilder(), "box"), Remarks()
-    change(builder)
-    assert len(read(builder, tmp_path, remarks).objects) == 1
-    (line,) = remarks.lines
-    assert line.is_approximation and said in line.what
-
-
 @pytest.mark.parametrize(
     ("place", "said", "expected"),
     [
@@ -280,17 +249,3 @@ def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
     height = float(BOX.vertices[:, 1].max())
     np.testing.assert_allclose(lens.world_from_camera[0, :3, 3], (0, -3, 0.2 + height), atol=1e-5)
     np.testing.assert_allclose(lens.world_from_camera[0, :3, 2], (0, -1, 0), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("camera", "message"),
-    [
-        ({"perspective": {"yfov": 0.0}}, r"cameras\[0\].perspective.yfov: Expected `float` > 0"),
-        ({"perspective": {"yfov": "wide"}}, "yfov: "),
-        ({"perspective": {"yfov": 1.0, "aspectRatio": -1}}, "aspectRatio: "),
-        ({"type": "orthographic"}, "--cameras file: the file brings no cameras"),
-    ],
-)
-def test_broken_cameras_of_gltf_are_refused(tmp_path: Path, camera: dict, message: str) -> None:
-    with pytest.raises(HyalineError, match=message):
-        import_scene(with_camera(tmp_path, camera), ImportChoices(cameras="file"))
