@@ -33,8 +33,8 @@ from hyaline_import.foreign import (
     read_foreign,
 )
 from hyaline_import.gltf.materials import wrapped
-from hyaline_import.meshes.bare import read_ply_file
-from hyaline_import.meshes.obj import read_obj
+from hyaline_import.bare import read_ply_file
+from hyaline_import.obj import read_obj
 from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from hyaline_import.mitsuba.nodes import Node, NodeList
 
