@@ -15,9 +15,8 @@ import numpy as np
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import parse_json, shown
-from hyaline_import.fields import read
 from hyaline_import.foreign import read_foreign
-from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf
+from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf, read
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}

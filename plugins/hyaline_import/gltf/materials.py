@@ -14,7 +14,6 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.remarks import Remarks
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
-from hyaline_import.fields import read
 from hyaline_import.foreign import (
     PLAIN,
     Factor,
@@ -137,7 +136,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
         dispersion=max(dispersion, 0.0),
-        priority=read(records.Extras, extras, where=f"{entry.where}.extras").priority,
+        priority=records.read(records.Extras, extras, where=f"{entry.where}.extras").priority,
         emission=_emission(entry, name, remarks),
     )
     return material, use

@@ -4,11 +4,12 @@
 Source: glTF 2.0 section 5, and the READMEs of the extensions in KhronosGroup/glTF.
 """
 
+import re
 from typing import Annotated, Any, Literal, TypeVar
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, ValidationError, convert
 
-from hyaline_import.fields import read
+from datagen.disk.errors import HyalineError
 
 Index = Annotated[int, Meta(ge=0, le=1 << 40)]
 Count = Annotated[int, Meta(ge=1, le=1 << 40)]
@@ -18,6 +19,20 @@ Color = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
 WHITE = (1.0, 1.0, 1.0)
 T = TypeVar("T")
+
+
+def read(kind: type[T], data: object, *, where: str) -> T:
+    """The record that JSON describes.
+
+    Raises:
+        HyalineError: a value is missing or of the wrong type, named by its place.
+    """
+    try:
+        return convert(data, kind, strict=False)  # Exporters write 3.0 for a count of 3.
+    except ValidationError as error:
+        what, _, place = str(error).partition(" - at `$")
+        inside = re.sub(r"^\.|`$", "", place)
+        raise HyalineError(f"{where}{f': {inside}' if inside else ''}: {what}; export the file again") from None
 
 
 class Entry(Struct, rename="camel", kw_only=True):

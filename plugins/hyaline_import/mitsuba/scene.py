@@ -19,6 +19,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import ball, sheet
 from datagen.scene.remarks import Remarks
 from datagen.scene.values import Color
+from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -33,10 +34,9 @@ from hyaline_import.foreign import (
     read_foreign,
 )
 from hyaline_import.gltf.materials import wrapped
-from hyaline_import.bare import read_ply_file
-from hyaline_import.obj import read_obj
 from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from hyaline_import.mitsuba.nodes import Node, NodeList
+from hyaline_import.obj import read_obj
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
 """Top-level nodes that do not change the scene, or that shapes refer to."""

@@ -121,12 +121,3 @@ def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
     # All of them look at the box's middle, level, from 1.5 m away.
     np.testing.assert_allclose(poses[:, :3, 3] - 1.5 * poses[:, :3, 2], np.tile(middle, (10, 1)), atol=1e-5)
     np.testing.assert_allclose(poses[:, :3, 1], np.tile([0, 0, 1], (10, 1)), atol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("given", "message"),
-    [("nowhere", "--cameras .*nowhere: is not a file"), (".", "holds no cameras; expected transforms.json")],
-)
-def test_a_place_without_cameras_is_refused(tmp_path: Path, given: str, message: str) -> None:
-    with pytest.raises(HyalineError, match=message):
-        read_camera_file(tmp_path / given, Remarks())

@@ -24,7 +24,7 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
-from datagen.scene.modelling import ball, lathe, sheet
+from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras
 from datagen.scene.shading_normals import edge_tilt_deg
 from datagen.scene.surfaces import mesh_of
@@ -215,17 +215,6 @@ def test_a_full_glass_on_a_table_keeps_its_walls_and_has_no_film_of_air(tmp_path
     np.testing.assert_allclose(np.ptp(vessel.vertices, axis=0), [0.074, 0.074, 0.1 - 2e-4], atol=1e-6)
 
 
-def test_liquids_that_lie_on_each_other_in_a_glass_come_in(tmp_path: Path) -> None:
-    parts = [("tumbler", tumbler(), 1.5), ("syrup", drink(high=0.04), 1.4), ("juice", drink(low=0.04), 1.35)]
-    done = taken(glasses(*parts).written(tmp_path), "--up z --scale 1")
-    syrup, juice, vessel = (done[name].mesh for name in ("syrup", "juice", "tumbler"))
-    liquids = np.concatenate([face_corners(syrup), face_corners(juice)])
-    height = np.linspace(0.01, 0.069, 200) + vessel.vertices[:, 2].min()
-    for radius in (0.001, 0.03205):  # Through both of them, and where they touch the glass.
-        points = np.stack([np.full(200, radius), np.full(200, 1e-4), height], axis=-1)
-        assert (windings(liquids, points) + windings(face_corners(vessel), points) > 0).all()
-
-
 @pytest.mark.parametrize("is_same_material", [True, False])
 def test_a_shell_that_faces_inwards_inside_a_body_of_its_material_is_its_cavity(
     is_same_material: bool, tmp_path: Path
@@ -315,11 +304,6 @@ def test_a_lamp_of_any_shape_keeps_its_power(shape: Mesh) -> None:
         for light in glowing(shape, (3.0, 2.0, 1.0))
     )
     assert power == pytest.approx(face_areas(shape).sum() * np.array([3.0, 2.0, 1.0]), rel=1e-5)
-
-
-def test_an_open_lamp_shines_to_where_its_faces_look() -> None:
-    (light,) = glowing(sheet((0, 0, 0), (0.4, 0, 0), (0, 0.2, 0)), (1.0, 1.0, 1.0))
-    assert np.cross(light.edge_u, light.edge_v) == pytest.approx([0, 0, 0.08], abs=1e-6)
 
 
 # The command
@@ -419,13 +403,6 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
     assert other.status == 1 and "--overwrite" in other.error
 
 
-@pytest.mark.parametrize("scene", ["glass_table", "{folder}"])
-def test_flags_of_an_import_without_one_are_refused(scene: str, tmp_path: Path) -> None:
-    taken(scene_with_glass().written(tmp_path))
-    answer = call(f"datagen build --out data --repair --scene {scene.format(folder=tmp_path / 'taken')}")
-    assert answer.status == 1 and "--repair: goes with a file that is imported, such as vase.glb" in answer.error
-
-
 # Materials
 
 
@@ -464,15 +441,6 @@ def test_an_image_that_makes_a_part_of_a_surface_metal_is_averaged_and_told(tmp_
     told = {line.where: line.what for line in found.remarks if "varies" in line.what and line.is_approximation}
     assert told["apart"].endswith("drawn with the mean: metalness 0.50 and roughness 0.60")
     assert set(told) == {"most", "some", "apart"}
-
-
-def test_white_texels_that_no_base_below_a_coat_shows_are_drawn_matt_though_the_mean_could_be(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    for name, colors in (("checker", ((0, 0, 0), (255, 255, 255))), ("grey", ((188, 188, 188), (188, 188, 188)))):
-        pbr = {**clear(roughnessFactor=0.5), "baseColorTexture": use_of(builder, halves(*colors))}
-        add(builder, name, CARD, {"pbrMetallicRoughness": pbr})
-    done = taken(builder.written(tmp_path), "--ground never")
-    assert [type(item.material) for item in done.scene.objects] == [Diffuse, Plastic]
 
 
 @pytest.mark.parametrize(("mode", "is_cut"), [("MASK", True), ("BLEND", True), ("OPAQUE", False)])

@@ -2,7 +2,6 @@
 
 import dataclasses
 import io
-import math
 from pathlib import Path
 
 import numpy as np
@@ -51,15 +50,6 @@ def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
     assert lines == []
     # A ray straight through what is one unit thick comes out in the colour that the file names.
     np.testing.assert_allclose(np.exp(-0.015 * np.array(material.absorption)), [0.1, 0.5, 0.9])
-
-
-def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(tmp_path: Path) -> None:
-    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass()))
-    assert material == Dielectric(ior=1.5)
-    extensions = glass(attenuationColor=[0, 1, 1], attenuationDistance=0.5)
-    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions))
-    assert isinstance(material, Dielectric)
-    np.testing.assert_allclose(material.absorption, [-math.log(1e-4) / 0.5, 0, 0])
 
 
 @pytest.mark.parametrize(

@@ -9,12 +9,10 @@ import pytest
 import trimesh
 from PIL import Image
 from support.foreign import CARD, obj_of, refused, taken
-from support.gltf import BOX
 from support.meshes import polygon_ply
 from support.soon import soon
 
 from datagen.data.meshes import open_edges, signed_volume
-from datagen.data.ply import write_ply
 from datagen.scene.materials import Diffuse, ThinDielectric
 from datagen.scene.remarks import Remarks
 from datagen.scene.surfaces import made_sound, mesh_of
@@ -52,13 +50,6 @@ f 2 3 7 6
 f 3 4 8 7
 f -5 -8 -4 -1
 """
-
-
-def test_an_obj_of_quads_with_indices_from_both_ends_is_a_closed_cube(tmp_path: Path) -> None:
-    scene = read(tmp_path / "cube.obj", CUBE)
-    (item,) = scene.objects
-    assert (item.name, scene.up, len(item.faces)) == ("cube", "y", 12)
-    assert solid_volume(item) == pytest.approx(1)
 
 
 L_SHAPE = ((2, 0), (2, 1), (1, 1), (1, 2), (0, 2), (0, 0))
@@ -342,12 +333,6 @@ def test_a_ply_of_several_lists_and_of_elements_that_nobody_needs_is_read(end: b
     (item,) = read(tmp_path / "a.ply", text.replace(b"\n", end) + body + struct.pack(">2i", 0, 1)).objects
     assert item.faces.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3]]
     np.testing.assert_array_equal(item.positions[2], [2, 2, 0])
-
-
-def test_a_ply_is_read_with_its_uv(tmp_path: Path) -> None:
-    (item,) = read(tmp_path / "box.ply", write_ply(BOX)).objects
-    assert solid_volume(item) == pytest.approx(signed_volume(BOX), rel=1e-5)
-    assert item.uv is not None
 
 
 @pytest.mark.parametrize(("order", "extra"), [("little", False), ("big", False), ("little", True)])
