@@ -320,13 +320,17 @@ def _is_solid(material: Material | ForeignMaterial) -> bool:
     return material.medium is not None
 
 
+def _box(parts: tuple[ForeignObject, ...], linear: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "2 3"]:
+    """The corners of the box around all faces, after a turn."""
+    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
+    return np.array([np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)])
+
+
 def _find_scale(
     parts: tuple[ForeignObject, ...], foreign: ForeignScene, choices: ImportChoices, remarks: Remarks, *, where: str
 ) -> float:
     """Metres a unit."""
-    low = np.min([part.positions[part.faces].min(axis=(0, 1)) for part in parts], axis=0)
-    high = np.max([part.positions[part.faces].max(axis=(0, 1)) for part in parts], axis=0)
-    size = float((high - low).max())
+    size = float(np.ptp(_box(parts, np.eye(3)), axis=0).max())
     if not 1e-30 < size < 1e30:
         raise HyalineError(f"{where}: is {size:g} units large; expected a scene that has a size")
     if choices.scale is not None or foreign.is_complete:
@@ -336,8 +340,7 @@ def _find_scale(
 
 def _offset(parts: tuple[ForeignObject, ...], linear: np.ndarray) -> np.ndarray:
     """What puts the scene's box on z = 0, over the origin."""
-    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
-    low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+    low, high = _box(parts, linear)
     return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
 
 

@@ -84,8 +84,8 @@ class Mapper:
         is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
         is_glass, told = lets_light_through(foreign), functools.partial(self.remarks.approximate, where)
         if is_blended:
-            how = "as glass alone" if is_glass else "opaque" if foreign.alpha >= SOLID_BLEND else "as a thin pane"
-            told(f"is blended with alpha {foreign.alpha:.2g}; drawn {how}")
+            pane = "opaque" if foreign.alpha >= SOLID_BLEND else "as a thin pane of that colour"
+            told(f"is blended with alpha {foreign.alpha:.2g}; drawn {'as glass alone' if is_glass else pane}")
         if is_glass:
             if foreign.transmission < 1:
                 told(f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass")

@@ -124,17 +124,14 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
 
 def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
     """Adds the materials of one file, whose name may have spaces, or of several."""
-    names = [file_named(words)]
-    if _find(path, names[0], where=where) is None:
-        each = [file_named([word]) for word in words]
-        names = each if any(_find(path, name, where=where) for name in each) else names
-    for name in names:
-        if (found := _find(path, name, where=where)) is not None:
-            text.materials |= read_mtl(found, remarks)
-        else:
-            remarks.approximate(
-                path.name, f"names {shown(name)}, which is not in its folder; drawn without these materials"
-            )
+    names = [file_named(words)] if _find(path, file_named(words), where=where) else [file_named([w]) for w in words]
+    found = [library for name in names if (library := _find(path, name, where=where)) is not None]
+    for library in found:
+        text.materials |= read_mtl(library, remarks)
+    if len(found) < max(len(names), 1):
+        remarks.approximate(
+            path.name, f"names {shown(file_named(words))}, which is not in its folder; drawn without these materials"
+        )
 
 
 def _find(path: Path, name: str, *, where: str) -> Path | None:

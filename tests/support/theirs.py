@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 from datagen.data.dataset import Dataset
-from datagen.data.images import npy_bytes
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.quantities.surfaces import surfaces_of
@@ -13,18 +12,16 @@ from hyaline_export.source import ROLES, Source
 
 
 def write_refref(dataset: Dataset, root: Path) -> None:
-    """Pictures, masks of glass and depth by split, with a mesh of each object of glass."""
+    """Pictures and masks of glass by split, with a mesh of each object of glass."""
     source = Source(dataset=dataset, num_points=1, flow=False)
     for role in ROLES:
         frames = []
         (root / role).mkdir(parents=True)
         for item in source.of_role(role):
-            image, mask, depth = f"image_{item.name}.png", f"mask_{item.name}.png", f"depth_{item.name}.npy"
+            image, mask = f"image_{item.name}.png", f"mask_{item.name}.png"
             (root / role / image).write_bytes(rgba_png(item))
             (root / role / mask).write_bytes(mask_png(item.quantities.glass))
-            (root / role / depth).write_bytes(npy_bytes(item.quantities.depth_along_axis))
-            files = {"mask_file_path": f"./{role}/{mask}", "depth_file_path": f"./{role}/{depth}"}
-            frames.append(frame(item, f"./{role}/{image}", **files))
+            frames.append(frame(item, f"./{role}/{image}", mask_file_path=f"./{role}/{mask}"))
         about = {**lens_keys(source.lens), **world_keys(source), "frames": frames}
         (root / f"transforms_{role}.json").write_text(json.dumps(about))
     (root / "meshes").mkdir()

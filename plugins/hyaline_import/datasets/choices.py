@@ -20,7 +20,7 @@ class DatasetImportChoices:
     ior: float = 1.5
     """Index of refraction of glass."""
     scale: float = 1.0
-    """Metres per unit of the cameras, the meshes and the depth."""
+    """Metres per unit of the cameras and the meshes."""
     up: Literal["x", "y", "z"] = "z"
     """The axis of the cameras' world that points up."""
     background: Literal["white", "black"] = "white"

@@ -97,13 +97,12 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
         source=folder.resolve().name,
         source_sha256=digest_of([*foreign.files, *choices.mesh], f"{choices.background} {choices.scale}"),
         has_masks=all(view.mask is not None for view in used),
-        has_depth=all(view.depth is not None for view in used),
+        has_depth=False,
         remarks=told,
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
-        view, kinds = views[split][index], imported
-        return view_files(view, size, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
+        return view_files(views[split][index], size, choices, has_mask=imported.has_masks)
 
     return Plan(
         files=files, cameras=cameras, config=config, scene=scene, imported=imported, stated_license=foreign.license

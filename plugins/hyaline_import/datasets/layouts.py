@@ -1,6 +1,6 @@
 """Layouts of other projects' datasets with transforms files, read before any picture is decoded.
 
-    refref         transforms_{train,val,test}.json, whose frames name masks and depth
+    refref         transforms_{train,val,test}.json, whose frames name masks
     openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
     blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
     nerfstudio     transforms.json for all pictures
@@ -43,11 +43,8 @@ class ForeignView:
     picture: Path
     mask: Path | None
     """Not black where the object is seen."""
-    depth: Path | None
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
-    npy_unit: float = 1.0
-    """What 1 in a NumPy file of depth is in the folder's units."""
 
 
 View = TypeVar("View", bound=ForeignView)
@@ -80,15 +77,13 @@ class ForeignDataset:
     def files(self) -> list[Path]:
         """Every file whose content becomes a part of the dataset."""
         views = [view for role in ROLES for view in self.views[role]]
-        parts = [part for view in views for part in (view.picture, view.mask, view.depth) if part is not None]
+        parts = [part for view in views for part in (view.picture, view.mask) if part is not None]
         return [*parts, *(surface.file for surface in self.surfaces)]
 
 
 ONE_FILE = "transforms.json"
 UNKNOWN, UPRIGHT = 0, 1
 """EXIF's orientations of pictures that are shown as they are stored."""
-MILLIMETRE = 0.001
-"""nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
 EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 FORMATS = ["PNG", "JPEG", "WEBP"]
@@ -102,9 +97,13 @@ def read_folder(root: Path) -> ForeignDataset | None:
     if not found:
         return None
     train = found["train"]
-    layout = "nerfstudio" if train.where.endswith(ONE_FILE) else _layout_of(root, train)
     views: dict[Role, tuple[ForeignView, ...]] = dict.fromkeys(ROLES, ())
-    views |= {role: _views(root, file, layout) for role, file in found.items()}
+    views |= {role: _views(root, file) for role, file in found.items()}
+    layout: Layout = "blender" if views["train"][0].mask is None else "openmaterial"
+    if "mask_file_path" in train.frames[0]:
+        layout = "refref"
+    if train.where.endswith(ONE_FILE):
+        layout = "nerfstudio"
     size = _shared_size([view.picture for role in ROLES for view in views[role]])
     lens = _lens_for(size, train)
     for file in found.values():
@@ -129,13 +128,6 @@ def transforms_in(root: Path) -> dict[Role, Transforms]:
     if "train" not in names:
         names = {"train": ONE_FILE} if (root / ONE_FILE).is_file() else {}
     return {role: read_transforms(find_file(root, name, where=str(root))) for role, name in names.items()}
-
-
-def _layout_of(root: Path, train: Transforms) -> Layout:
-    first = train.frames[0]
-    if "mask_file_path" in first or "depth_file_path" in first:
-        return "refref"
-    return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
 
 def _shared_size(pictures: Sequence[Path]) -> Resolution:
@@ -197,37 +189,19 @@ def header(path: Path) -> Iterator[Image.Image]:
         raise HyalineError(f"{path}: not a picture that can be read ({what})") from error
 
 
-def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
-    """The mask of `train/images/000.png` is `train/mask/000.png`."""
-    picture = find_named(root, frame, "file_path").relative_to(root)
-    mask = root / picture.parts[0] / "mask" / picture.name
-    if not mask.is_file():
-        return None
-    check_regular(mask, root, where=frame.where)
-    return mask
-
-
-def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, ...]:
+def _views(root: Path, file: Transforms) -> tuple[ForeignView, ...]:
     views = []
-    unit = MILLIMETRE if layout == "nerfstudio" else 1.0
     for frame in file.frames:
-        mask = depth = None
-        if layout == "openmaterial":
-            mask = _openmaterial_mask(root, frame)
-        elif "mask_file_path" in frame:
-            mask = find_named(root, frame, "mask_file_path")
-        if "depth_file_path" in frame and _is_metric(frame, layout):
-            depth = find_named(root, frame, "depth_file_path")
         picture = find_named(root, frame, "file_path")
-        pose = file.pose(frame)
-        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=pose, npy_unit=unit))
+        mask = picture.parent.parent / "mask" / picture.name  # As in OpenMaterial.
+        if "mask_file_path" in frame:
+            mask = find_named(root, frame, "mask_file_path")
+        elif mask.is_file() and mask.is_relative_to(root):
+            check_regular(mask, root, where=frame.where)
+        else:
+            mask = None
+        views.append(ForeignView(picture=picture, mask=mask, world_from_camera=file.pose(frame)))
     return tuple(views)
-
-
-def _is_metric(frame: Frame, layout: Layout) -> bool:
-    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs."""
-    file = frame.text("depth_file_path")
-    return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
 
 
 def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
@@ -274,8 +248,8 @@ def surface_name(file: Path) -> str:
 def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
     lines = []
     first = train.frames[0]
-    if "depth_file_path" in first and not _is_metric(first, layout):
-        lines.append("depth: its files have no known unit; left out")
+    if "depth_file_path" in first:
+        lines.append("depth: is not imported")
     if layout == "openmaterial":
         lines.append("masks: show the object, which is taken for glass")
     if "mask_path" in first:
@@ -287,7 +261,4 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]
     if any(has_masks) and not all(has_masks):
         lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
-    has_depth = [view.depth is not None for role in ROLES for view in views[role]]
-    if any(has_depth) and not all(has_depth):
-        lines.append(f"depth: {has_depth.count(False)} of {len(has_depth)} pictures have none; all of it was left out")
     return tuple(lines)

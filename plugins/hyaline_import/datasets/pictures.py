@@ -1,19 +1,18 @@
-"""Pictures, masks and depth of other projects, as the files of a dataset's view."""
+"""Pictures and masks of other projects, as the files of a dataset's view."""
 
 import io
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, UInt8
 from PIL import Image, ImageCms
 
 from datagen.data.config import Resolution
-from datagen.data.images import MAX_NPY_BYTES, mask_pixels, npy_bytes, png_bytes, read_npy
+from datagen.data.images import mask_pixels, png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import read_regular
 from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.layouts import MILLIMETRE, ForeignView, header
+from hyaline_import.datasets.layouts import ForeignView, header
 
 BACKGROUND = {"white": 255.0, "black": 0.0}
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
@@ -22,15 +21,13 @@ PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
 
 
 def view_files(
-    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool, has_depth: bool
+    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool
 ) -> dict[str, bytes]:
     """The files of a view, by ending."""
     picture = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
     files = {".png": png_bytes(picture)}
     if has_mask:
         files[".mask.png"] = png_bytes(np.where(mask_of(view, size), 255, 0).astype(np.uint8))
-    if has_depth:
-        files[".depth.npy"] = npy_bytes(depth_of(view, size) * np.float32(choices.scale))
     return files
 
 
@@ -66,19 +63,6 @@ def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
     """Pixels that a view's mask shows."""
     assert view.mask is not None
     return mask_pixels(opened(view.mask, (size.width, size.height)))
-
-
-def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
-    """Depth in the folder's units: of a NumPy file in the view's unit, or of a PNG in thousandths."""
-    assert view.depth is not None
-    where = str(view.depth)
-    if view.depth.suffix == ".npy":
-        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where) * np.float32(view.npy_unit)
-    else:
-        depth = np.asarray(opened(view.depth, (size.width, size.height))).astype(np.float64) * MILLIMETRE
-    if depth.shape != size.shape or depth.min() < 0:
-        raise HyalineError(f"{where}: is of shape {depth.shape}; expected {size} distances, none below 0")
-    return depth.astype(np.float32)
 
 
 def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:

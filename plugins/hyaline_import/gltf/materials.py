@@ -80,7 +80,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     if (shared := pbr.metallic_roughness_texture) is not None:
         others = [("metallic", shared, 2), ("roughness", shared, 1)]
     if is_gloss := GLOSS in entry.extensions:
-        gloss = entry.extension(GLOSS, records.Glossiness)
+        gloss = entry.extension(GLOSS)
         *color, alpha = gloss.diffuse_factor
         metallic, roughness, texture, others = 0.0, 1 - clipped(gloss.glossiness_factor), gloss.diffuse_texture, []
         specular = np.clip(gloss.specular_factor, 0, 1)
@@ -98,7 +98,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
     _remark_on(entry, name, remarks)
-    transmission = entry.extension(TRANSMISSION, records.Transmission)
+    transmission = entry.extension(TRANSMISSION)
     if transmission.transmission_texture is not None:
         others.append(("transmission", transmission.transmission_texture, 0))
     factor_images = []
@@ -117,8 +117,8 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
-    volume = entry.extension(VOLUME, records.Volume)
-    dispersion = entry.extension("KHR_materials_dispersion", records.Numbers).dispersion
+    volume = entry.extension(VOLUME)
+    dispersion = entry.extension("KHR_materials_dispersion").dispersion
     extras = entry.extras if isinstance(entry.extras, dict) else {}
     material = ForeignMaterial(
         name=name,
@@ -150,7 +150,7 @@ def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
     if not is_given and named is not None:
         remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {SUBSTANCES[named]:g}")
         return SUBSTANCES[named]
-    ior = entry.extension("KHR_materials_ior", records.Numbers).ior
+    ior = entry.extension("KHR_materials_ior").ior
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
         remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
         return 1.5
@@ -166,7 +166,7 @@ def _remark_on(entry: records.Material, name: str, remarks: Remarks) -> None:
     left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
     for what in left_out:
         remarks.approximate(name, f"has {what}, which is left out")
-    if entry.extension(VOLUME, records.Volume).thickness_texture is not None:
+    if entry.extension(VOLUME).thickness_texture is not None:
         remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
 
 
@@ -175,7 +175,7 @@ def _emission(entry: records.Material, name: str, remarks: Remarks) -> Color:
     if entry.emissive_texture is not None and max(color) > 0:
         remarks.approximate(name, "emits light by an image, which is ignored")
         return 0.0, 0.0, 0.0
-    strength = entry.extension("KHR_materials_emissive_strength", records.Numbers).emissive_strength
+    strength = entry.extension("KHR_materials_emissive_strength").emissive_strength
     red, green, blue = (max(strength, 0.0) * c for c in color)
     return red, green, blue
 
@@ -188,7 +188,7 @@ def _texture(
 ) -> tuple[ForeignImage | None, TextureUse | None]:
     where = f"{file.path}: material {name}"
     entry = file.item(file.root.textures, texture.index, where=where)
-    webp = entry.extension("EXT_texture_webp", records.Texture)
+    webp = entry.extension("EXT_texture_webp")
     source = entry.source if webp.source is None else webp.source
     if source is None:
         kinds = ", ".join(entry.extensions)
@@ -205,7 +205,7 @@ def _texture(
         data = bytes(file.buffer_view(image.buffer_view, where=image.where)[0])
     else:
         raise HyalineError(f"{image.where}: has no bytes; the file is incomplete, export it again")
-    transform = texture.extension("KHR_texture_transform", records.Transform)
+    transform = texture.extension("KHR_texture_transform")
     sampler = records.Sampler()
     if entry.sampler is not None:
         sampler = file.item(file.root.samplers, entry.sampler, where=entry.where)

@@ -42,9 +42,9 @@ class Entry(Struct, rename="camel", kw_only=True):
     where: str = ""
     """Its place in the file, for errors."""
 
-    def extension(self, name: str, kind: type[T]) -> T:
+    def extension(self, name: str) -> "Extension":
         """What an extension says; its defaults where it is missing."""
-        return read(kind, self.extensions.get(name, {}), where=f"{self.where}.extensions.{name}")
+        return read(Extension, self.extensions.get(name, {}), where=f"{self.where}.extensions.{name}")
 
 
 class Asset(Entry):
@@ -114,15 +114,6 @@ class Use(Entry):
     tex_coord: Channel = 0
 
 
-class Transform(Struct, rename="camel"):
-    """KHR_texture_transform"""
-
-    offset: tuple[float, float] = (0.0, 0.0)
-    scale: tuple[float, float] = (1.0, 1.0)
-    rotation: float = 0.0
-    tex_coord: Channel | None = None
-
-
 class Metallic(Struct, rename="camel", frozen=True):
     base_color_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
     base_color_texture: Use | None = None
@@ -150,31 +141,30 @@ class Extras(Struct):
     priority: Annotated[int, Meta(ge=-9, le=9)] = 0
 
 
-class Glossiness(Struct, rename="camel"):
-    """KHR_materials_pbrSpecularGlossiness"""
+class Extension(Struct, rename="camel"):
+    """What the extensions say, each some of it, with their defaults."""
 
+    # KHR_texture_transform
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    tex_coord: Channel | None = None
+    # EXT_texture_webp
+    source: Index | None = None
+    # KHR_materials_pbrSpecularGlossiness
     diffuse_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
     diffuse_texture: Use | None = None
     specular_factor: Color = WHITE
     glossiness_factor: float = 1.0
     specular_glossiness_texture: Use | None = None
-
-
-class Transmission(Struct, rename="camel"):
+    # KHR_materials_transmission, _volume
     transmission_factor: float = 0.0
     transmission_texture: Use | None = None
-
-
-class Volume(Struct, rename="camel"):
     thickness_factor: float = 0.0
     thickness_texture: Any = None
     attenuation_color: Color = WHITE
     attenuation_distance: Positive | None = None
-
-
-class Numbers(Struct, rename="camel"):
-    """The extensions of one number: KHR_materials_ior (0 mirrors everything), _dispersion and _emissive_strength."""
-
+    # KHR_materials_ior (0 mirrors everything), _dispersion, _emissive_strength
     ior: float = 1.5
     dispersion: float = 0.0
     emissive_strength: float = 1.0

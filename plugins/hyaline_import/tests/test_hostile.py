@@ -373,9 +373,9 @@ LEAVES: dict[str, tuple[dict, float, str, str]] = {
     "blending": (BLEND, 0.5, "Diffuse", "is cut out where its opacity is below 0.5"),
     "blending of an image of one alpha": ({**BLEND, "image": image_of(76)}, 1, PANE, "alpha 0.3; drawn as a thin pane"),
     "blending that is nearly opaque": ({**BLEND, "image": None, "alpha": 0.95}, 1, "Diffuse", "drawn opaque"),
-    "no uv": ({**MASK, "uv": 0 * UV}, 1, "Diffuse", "has no uv; drawn whole"),
+    "uv in one opaque place": ({**MASK, "uv": 0 * UV}, 1, "Diffuse", "is cut out where"),
     "uv in one transparent place": ({**MASK, "uv": 0 * UV + np.float32(0.8)}, 0, "", "is cut away whole"),
-    "a solid": ({**MASK, "is_solid": True}, float(face_areas(BOX).sum()) / SIDE**2, "Dielectric", "drawn whole"),
+    "a solid": ({**MASK, "is_solid": True}, float(face_areas(BOX).sum()) / SIDE**2, "RoughDielectric", "drawn whole"),
 }
 
 

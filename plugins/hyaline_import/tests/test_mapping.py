@@ -1,6 +1,5 @@
 """Tests that foreign materials become the nearest ones of ours, by the formulas of glTF's extensions."""
 
-import dataclasses
 import io
 from pathlib import Path
 
@@ -61,6 +60,7 @@ def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
         ),
         ({"name": "Water.001"}, Dielectric(ior=1.333)),
         ({"pbrMetallicRoughness": clear(roughnessFactor=0.5)}, RoughDielectric(ior=1.5, roughness=0.25)),
+        ({"extensions": {"KHR_materials_dispersion": {"dispersion": 0.5}}}, Dielectric(ior=1.5, dispersion=0.5)),
     ],
 )
 def test_index_substance_priority_and_roughness_are_those_of_the_file(
@@ -154,18 +154,6 @@ def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cov
     assert isinstance(found, ThinDielectric)
     np.testing.assert_allclose(found.tint, [0.6, 0.8, 1.0])
     assert len(lines) == 1
-
-
-def test_dispersion_is_kept_and_left_out_of_a_pane_that_bends_nothing(tmp_path: Path) -> None:
-    extensions = {**glass(), "KHR_materials_dispersion": {"dispersion": 0.5}}
-    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.0), extensions=extensions)
-    assert mapped(entry) == (Dielectric(ior=1.5, dispersion=0.5), [])
-    pane, lines = mapped(entry, OPEN)
-    assert pane == ThinDielectric(ior=1.5)
-    assert any("dispersion and absorption are left out" in line for line in lines)
-    solid, lines = mapped(dataclasses.replace(entry, dispersion=60.0, roughness=0.5))
-    assert solid == RoughDielectric(ior=1.5, dispersion=20.0, roughness=0.25)
-    assert any("has a dispersion of 60; drawn with 20" in line for line in lines)
 
 
 def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_gets_its_mean(tmp_path: Path) -> None:

@@ -245,17 +245,6 @@ def test_a_tiff_is_read_as_a_texture(compression: str, tmp_path: Path) -> None:
     assert stored(material.image)[3, 3] == pytest.approx([200, 100, 50, 255], abs=2)
 
 
-@pytest.mark.parametrize("kind", ["text", "float"])
-def test_a_texture_in_a_format_that_is_not_read_is_left_out_and_that_is_said(kind: str, tmp_path: Path) -> None:
-    Image.fromarray(np.ones((2, 2), np.float32)).save(tmp_path / "a.tif")
-    if kind == "text":
-        (tmp_path / "a.tif").write_bytes(b"DDS and so on")
-    remarks = Remarks()
-    assert material_of(tmp_path, "map_Kd a.tif", remarks).image is None
-    (line,) = remarks.lines
-    assert line.is_approximation and line.what.startswith("has the image 'a.tif': not an image that can be read")
-
-
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 def test_a_comment_that_ends_in_a_backslash_leaves_the_next_line_as_it_is(end: str, tmp_path: Path) -> None:
     (tmp_path / "m.mtl").write_bytes(end.join(["newmtl m", " # from C:\\models\\", "Kd 1 0 0", ""]).encode())

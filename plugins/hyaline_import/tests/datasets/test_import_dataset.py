@@ -1,7 +1,6 @@
 """Tests that other projects' datasets are taken over whole, and that what nobody knows of them is called unknown."""
 
 import dataclasses
-import io
 import json
 import math
 import re
@@ -68,7 +67,7 @@ def again(refref: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     return open_dataset(dataset.root)
 
 
-def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_and_depth(ours: Dataset, again: Dataset) -> None:
+def test_a_refref_scene_comes_back_with_its_cameras_pictures_and_masks(ours: Dataset, again: Dataset) -> None:
     assert again.num_views == ours.num_views
     for split in SPLITS:
         before, after = ours.cameras(split), again.cameras(split)
@@ -76,28 +75,11 @@ def test_a_refref_scene_comes_back_with_its_cameras_pictures_masks_and_depth(our
         assert after.fov_x == pytest.approx(before.fov_x, rel=1e-6) and after.width == before.width
         for old, new in zip(ours.views(split), again.views(split), strict=True):
             assert np.array_equal(old.image, new.image)
-            mask, depth = new.imported_mask, new.imported_depth
+            mask = new.imported_mask
             assert mask is not None and np.array_equal(mask, quantities(old).glass)
-            assert depth is not None and np.allclose(depth, quantities(old).depth_along_axis)
     names = {item.name for item in surfaces_of(ours).scene.objects if item.material.is_glass}
     found = {item.name: item.material.surface().ior for item in surfaces_of(again).scene.objects}
     assert found == dict.fromkeys(names, 1.5)
-
-
-def test_its_layers_are_those_of_the_glass(ours: Dataset, again: Dataset) -> None:
-    id_of = {ours.object_id(item.name): again.object_id(item.name) for item in again.objects}
-    assert {item.name for item in again.objects} == {item.name for item in ours.objects if item.is_glass}
-    for split in SPLITS:
-        for old, new in zip(ours.views(split), again.views(split), strict=True):
-            before, after = old.layers(), new.layers()
-            is_glass = np.isin(before.object_id, list(id_of))
-            order = np.argsort(~is_glass, axis=0, kind="stable")
-            ids = np.where(is_glass, np.vectorize(lambda index: id_of.get(index, 0))(before.object_id), 0)
-            assert np.array_equal(np.take_along_axis(ids, order, axis=0), after.object_id)
-            depth = np.take_along_axis(np.where(is_glass, before.depth, 0), order, axis=0)
-            assert np.array_equal(depth, after.depth)
-            uv = np.take_along_axis(np.where(is_glass[..., None], before.uv, 0), order[..., None], axis=0)
-            assert np.array_equal(uv, after.uv)
 
 
 def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
@@ -273,19 +255,6 @@ def test_a_single_transforms_file_is_split_as_it_says_or_else_each_eighth_pictur
     assert "splits: 5 of 20 pictures are in none of the file's lists; left out" in dataset.imported.remarks
 
 
-def test_depth_of_nerfstudio_is_in_millimetres_in_numpy_files_too_and_a_gap_in_it_is_named(tmp_path: Path) -> None:
-    write_frames(tmp_path, "transforms.json", [f"{place}.png" for place in range(9)])
-    edit_json(lambda data: [frame.update(depth_file_path="depth.npy") for frame in data["frames"]], "transforms.json")(
-        tmp_path
-    )
-    np.save(tmp_path / "depth.npy", np.full((SIDE, SIDE), 2000, np.float32))
-    plan = plan_import(tmp_path, DatasetImportChoices())
-    assert np.load(io.BytesIO(plan.files("train", 0)[".depth.npy"])) == pytest.approx(2)
-    edit_json(lambda data: data["frames"][5].pop("depth_file_path"), "transforms.json")(tmp_path)
-    imported = plan_import(tmp_path, DatasetImportChoices()).imported
-    assert not imported.has_depth and "depth: 1 of 9 pictures have none; all of it was left out" in imported.remarks
-
-
 def display_p3() -> bytes:
     """The ICC profile of sRGB with the primaries of Display P3, adapted to D50."""
     data = bytearray(ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes())
@@ -327,9 +296,7 @@ def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> 
     for split in SPLITS:
         assert np.array_equal(dataset.cameras(split).world_from_camera, ours.cameras(split).world_from_camera)
         for old, new in zip(ours.views(split), dataset.views(split), strict=True):
-            depth = new.imported_depth
             assert np.array_equal(old.image, new.image)
-            assert depth is not None and np.abs(depth - quantities(old).depth_along_axis).max() < 0.00051
 
 
 # Refusals

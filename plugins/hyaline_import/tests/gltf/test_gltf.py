@@ -128,20 +128,6 @@ def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
-def test_what_its_node_scales_to_nothing_is_left_out_with_a_note(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    mesh = builder.mesh()
-    lens = {"type": "perspective", "perspective": {"yfov": 0.6, "aspectRatio": 1.5}}
-    below = builder.node(is_root=False, mesh=mesh, name="below")
-    seer = builder.node(is_root=False, camera=builder.add("cameras", lens))
-    builder.node(scale=[0, 0, 0], children=[below, seer])
-    builder.node(mesh=mesh, name="cup")
-    remarks = Remarks()
-    scene = read(builder, tmp_path, remarks)
-    assert [item.name for item in scene.objects] == ["cup"] and not scene.cameras
-    assert told(remarks) == [("below", False), ("cameras[0]", True)]
-
-
 def test_a_mesh_with_a_skin_is_where_its_joints_are_and_not_where_its_node_is(tmp_path: Path) -> None:
     builder = GltfBuilder()
     mesh = builder.mesh(BOX)

@@ -162,12 +162,6 @@ def test_a_conductor_mirrors_as_fresnel_says_straight_on(inner: str, expected: C
         np.testing.assert_allclose(entry.base_color, expected, rtol=1e-6)
 
 
-@pytest.mark.parametrize("specular", [0.001, 0.2, 1.0])
-def test_specular_is_the_reflectance_straight_on_in_parts_of_0_08(specular: float, tmp_path: Path) -> None:
-    ior = material_of(tmp_path, f'<bsdf type="principled"><float name="specular" value="{specular}"/></bsdf>').ior
-    assert ((ior - 1) / (ior + 1)) ** 2 == pytest.approx(0.08 * specular)
-
-
 def test_a_spectrum_with_one_value_is_the_colour_that_mitsuba_makes_of_it(tmp_path: Path) -> None:
     paint = '<bsdf type="diffuse" id="paint"><spectrum name="reflectance" value="0.3"/></bsdf>'
     emitter = '<emitter type="area"><spectrum name="radiance" value="5"/></emitter>'
