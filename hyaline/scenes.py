@@ -9,6 +9,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int, Integer, Real
 
+from datagen.data.meshes import Mesh
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import printable

@@ -10,7 +10,7 @@ DISTRIBUTION = "hyaline-glass"
 
 VERSION = "0.2.0"
 
-_GENERATE = ("mitsuba", "drjit", "trimesh", "xatlas", "numba", "manifold3d", "DracoPy")
+_GENERATE = ("mitsuba", "drjit", "trimesh", "xatlas", "numba", "manifold3d")
 PARTS = {
     "generate": _GENERATE,
     "proxies": (*_GENERATE, "pymeshlab"),

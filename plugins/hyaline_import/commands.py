@@ -56,7 +56,7 @@ def import_dataset(
 ) -> None:
     """Import another project's dataset: RefRef, OpenMaterial, NeRF's Blender scenes, or nerfstudio's transforms.json.
 
-    Takes pictures, cameras, masks, depth and meshes. With meshes, the dataset can be peeled and trained on. Noise and
+    Takes pictures, cameras, masks and meshes. With meshes, the dataset can be peeled and trained on. Noise and
     other data of a renderer stay unknown. If interrupted, the same command resumes.
 
     Args:

@@ -1,7 +1,9 @@
 """From a foreign file to a scene: read, mend, map, stage, check."""
 
 import dataclasses
+import itertools
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,7 +22,6 @@ from datagen.scene.description import (
     OBJECT_NAME,
     CameraList,
     CameraRig,
-    Environment,
     RectangleLight,
     Scene,
     SceneObject,
@@ -37,7 +38,6 @@ from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
-    ForeignMap,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -55,7 +55,7 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
+from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.mending import mend_surface, with_mended_surfaces
 from hyaline_import.overlaps import apart, nested, parted
@@ -212,23 +212,15 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
         made.without_uv.add(ground.name)
         objects.append(ground)
-    environment: Environment = LIGHT
-    baked: dict[str, bytes] = {}
-    if isinstance(foreign.sky, ForeignMap):
-        environment = placed_map(foreign.sky, linear, remarks)
-        baked[environment.path] = foreign.sky.data
-    elif foreign.sky is not None:
-        environment = even_sky(foreign.sky)
     lights = (*(placed_light(light, linear, world.offset) for light in foreign.lights), *lamps)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
-        environment=environment,
+        environment=LIGHT if foreign.sky is None else even_sky(foreign.sky),
         lights=exposed(lights, objects, remarks),
         cameras=rig,
-        baked=baked,
     )
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
@@ -330,13 +322,17 @@ def _is_solid(material: Material | ForeignMaterial) -> bool:
     return material.medium is not None
 
 
+def _box(parts: tuple[ForeignObject, ...], linear: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "2 3"]:
+    """The corners of the box around all faces, after a turn."""
+    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
+    return np.array([np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)])
+
+
 def _find_scale(
     parts: tuple[ForeignObject, ...], foreign: ForeignScene, choices: ImportChoices, remarks: Remarks, *, where: str
 ) -> float:
     """Metres a unit."""
-    low = np.min([part.positions[part.faces].min(axis=(0, 1)) for part in parts], axis=0)
-    high = np.max([part.positions[part.faces].max(axis=(0, 1)) for part in parts], axis=0)
-    size = float((high - low).max())
+    size = float(np.ptp(_box(parts, np.eye(3)), axis=0).max())
     if not 1e-30 < size < 1e30:
         raise HyalineError(f"{where}: is {size:g} units large; expected a scene that has a size")
     if choices.scale is not None or foreign.is_complete:
@@ -346,8 +342,7 @@ def _find_scale(
 
 def _offset(parts: tuple[ForeignObject, ...], linear: np.ndarray) -> np.ndarray:
     """What puts the scene's box on z = 0, over the origin."""
-    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
-    low, high = np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)
+    low, high = _box(parts, linear)
     return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
 
 
@@ -355,15 +350,11 @@ def unique_names(names: list[str]) -> list[str]:
     """Names that a scene may have, each once: others are numbered."""
     fit = [re.sub(r"[^A-Za-z0-9_-]", "_", name).lstrip("-")[:60] or "object" for name in names]
     assert all(re.fullmatch(OBJECT_NAME, name) for name in fit)
-    counts = {name: fit.count(name) for name in set(fit)} if len(fit) < 1000 else dict.fromkeys(fit, 2)
-    taken: set[str] = {name for name, count in counts.items() if count == 1}
-    unique, following = [], dict.fromkeys(fit, 0)
+    counts, numbers = Counter(fit), {name: itertools.count() for name in fit}
+    taken = {name for name, count in counts.items() if count == 1}
+    unique = []
     for name in fit:
-        if counts[name] == 1:
-            unique.append(name)
-            continue
-        while (numbered := f"{name}_{following[name]}") in taken:
-            following[name] += 1
-        taken.add(numbered)
-        unique.append(numbered)
+        numbered = (f"{name}_{number}" for number in numbers[name])
+        unique.append(name if counts[name] == 1 else next(other for other in numbered if other not in taken))
+        taken.add(unique[-1])
     return unique

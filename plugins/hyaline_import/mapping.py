@@ -36,8 +36,6 @@ METAL_ENOUGH = 0.5
 """Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
 MIN_TRANSMITTANCE = 1e-4
 """Least share of a channel after the attenuation distance; 0 would mean infinite absorption."""
-MAX_MIRRORED = 0.8
-"""Largest share of light that a pane of glass mirrors; its index stays below 10."""
 UNIFORM = 0.05
 """Standard deviation of an image's values over a surface up to which they are one value."""
 ANGLES, POINTS = 64, 32
@@ -84,66 +82,44 @@ class Mapper:
     def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
         """The material of ours that comes nearest, on a surface of this shape."""
         is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
-        if lets_light_through(foreign):
-            if is_blended:
-                self.remarks.approximate(
-                    where, f"is glass and blended (alpha {foreign.alpha:.2g}); drawn as glass alone"
-                )
+        is_glass, told = lets_light_through(foreign), functools.partial(self.remarks.approximate, where)
+        if is_blended:
+            pane = "opaque" if foreign.alpha >= SOLID_BLEND else "as a thin pane of that colour"
+            told(f"is blended with alpha {foreign.alpha:.2g}; drawn {'as glass alone' if is_glass else pane}")
+        if is_glass:
             if foreign.transmission < 1:
-                self.remarks.approximate(
-                    where, f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass"
-                )
+                told(f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass")
             return self._glass(foreign, shape, where=where)
-        if is_blended and foreign.alpha >= SOLID_BLEND:
-            self.remarks.approximate(where, f"is blended with alpha {foreign.alpha:.2g}; drawn opaque")
-        elif is_blended and foreign.metallic >= 0.5:
-            self.remarks.approximate(
-                where,
-                f"is metal and blended with alpha {foreign.alpha:.2g}; drawn as a thin pane that mirrors where the "
-                "metal is, and lets the rest through",
-            )
-            return _metal_veil(self._flat_color(foreign, where=where), foreign.alpha)
-        elif is_blended:
-            self.remarks.approximate(
-                where, f"is blended with alpha {foreign.alpha:.2g}; drawn as a thin pane of that colour"
-            )
+        if is_blended and foreign.alpha < SOLID_BLEND:
             color = self._flat_color(foreign, where=where)
             red, green, blue = (1 - foreign.alpha + foreign.alpha * c for c in color)  # White where it is not there.
             return ThinDielectric(ior=foreign.ior, tint=(red, green, blue))
         if foreign.transmission > 0:
-            what = "is metal, which" if foreign.metallic >= 0.5 else "is drawn opaque, and"
-            self.remarks.approximate(where, f"{what} lets no light through (transmission {foreign.transmission:.2g})")
+            told(f"is drawn opaque, and lets no light through (transmission {foreign.transmission:.2g})")
         return self._opaque(foreign, shape, where=where)
 
     def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        ior, color = foreign.ior, self._flat_color(foreign, where=where)
+        ior, color, told = foreign.ior, self._flat_color(foreign, where=where), self.remarks.approximate
         says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
-        is_thin = not shape.is_closed or self.thin == "all" or says_thin
-        alpha = min(foreign.roughness**2, 1.0)
-        if is_thin:
-            if not shape.is_closed:
-                what = "its mesh is open: drawn as thin glass, which light crosses without bending"
-                if foreign.is_volume:
-                    self.remarks.approximate(where, f"{what}; --repair may close it")
-                else:
-                    self.remarks.note(where, what)
-            elif foreign.is_volume:
-                self.remarks.approximate(where, "is solid; drawn as thin glass, as --thin all asks for")
+        alpha, dispersion = min(foreign.roughness**2, 1.0), min(foreign.dispersion, MAX_DISPERSION)
+        if not shape.is_closed or self.thin == "all" or says_thin:
+            if foreign.is_volume:
+                why = "as --thin all asks for" if shape.is_closed else "its mesh is open, --repair may close it"
+                told(where, f"is solid; drawn as thin glass: {why}")
+            elif not shape.is_closed:
+                self.remarks.note(where, "its mesh is open: drawn as thin glass, which light crosses without bending")
             if alpha > SMOOTH_ALPHA:
-                self.remarks.approximate(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
-            if foreign.dispersion > 0:
-                self.remarks.approximate(where, "its dispersion is left out, since a thin pane bends nothing")
-            if foreign.is_volume and max(self._absorption(foreign)) > 0:
-                self.remarks.approximate(where, "its absorption is left out, since a thin pane has no depth")
+                told(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
+            if dispersion > 0 or (foreign.is_volume and max(self._absorption(foreign)) > 0):
+                told(where, "its dispersion and absorption are left out, since a thin pane has no depth")
             return ThinDielectric(ior=ior, tint=color)
         if not foreign.is_volume:
             self.remarks.note(
                 where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
             )
+        if dispersion < foreign.dispersion:
+            told(where, f"has a dispersion of {foreign.dispersion:g}; drawn with {dispersion:g}")
         red, green, blue = (math.sqrt(c) for c in color)  # Light crosses two surfaces, and then is of that colour.
-        if (dispersion := foreign.dispersion) > MAX_DISPERSION:
-            self.remarks.approximate(where, f"has a dispersion of {dispersion:g}; drawn with {MAX_DISPERSION:g}")
-            dispersion = MAX_DISPERSION
         solid = Dielectric(
             ior=ior,
             absorption=self._absorption(foreign),
@@ -235,15 +211,6 @@ class Mapper:
 def lets_light_through(foreign: ForeignMaterial) -> bool:
     """True for glass: metal lets nothing through, whatever its transmission."""
     return foreign.transmission * (1 - foreign.metallic) >= 0.5
-
-
-def _metal_veil(color: Color, alpha: float) -> ThinDielectric:
-    """A pane that at normal incidence mirrors and lets through as much as metal that covers this share of it."""
-    mirrored = min(alpha * sum(color) / 3, MAX_MIRRORED)
-    # With reflections to and fro inside of it, a pane mirrors 2 r / (1 + r), where one surface mirrors r.
-    root = math.sqrt(mirrored / (2 - mirrored))
-    share = (1 - alpha) / (1 - mirrored)
-    return ThinDielectric(ior=(1 + root) / (1 - root), tint=(share, share, share))
 
 
 # Clear coats

@@ -26,8 +26,6 @@ BLEND_CUTOFF = 0.5
 """Opacity from which on a blended surface is drawn."""
 PARTLY = (0.1, 0.9)
 """Opacity that is neither nothing nor all."""
-MAX_PARTLY = 0.02
-"""Share of an image's texels that may be partly opaque, as its edges are."""
 MOSTLY = 0.5
 """Share of a surface from which on it is a pane if its image is partly opaque there."""
 
@@ -114,12 +112,7 @@ def cut_of(
     if not has_uv and opacity.size > 1:
         remarks.approximate(where, "is cut out by an image, and has no uv; drawn whole")
         return None
-    partly = float(((opacity > PARTLY[0]) & (opacity < PARTLY[1])).mean())
-    what = f"is cut out where its opacity is below {cutoff:.2g}"
-    if material.alpha_mode == "blend" and partly > MAX_PARTLY:
-        remarks.approximate(where, f"{what}; {100 * partly:.0f} % of its texels let a part of the light through")
-    else:
-        remarks.note(where, what)
+    remarks.note(where, f"is cut out where its opacity is below {cutoff:.2g}")
     return Cut(opacity=opacity, cutoff=cutoff, corner_uv=corner_uv_of(mesh))
 
 

@@ -1,13 +1,9 @@
-"""What other projects write, made from a dataset or an export: a scene of RefRef, a binary model of COLMAP."""
+"""What other projects write, made from a dataset or an export: a scene of RefRef."""
 
 import json
-import struct
 from pathlib import Path
 
-import numpy as np
-
 from datagen.data.dataset import Dataset
-from datagen.data.images import npy_bytes
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.quantities.surfaces import surfaces_of
@@ -16,46 +12,20 @@ from hyaline_export.source import ROLES, Source
 
 
 def write_refref(dataset: Dataset, root: Path) -> None:
-    """Pictures, masks of glass and depth by split, with a mesh, index and absorption of each object of glass."""
+    """Pictures and masks of glass by split, with a mesh of each object of glass."""
     source = Source(dataset=dataset, num_points=1, flow=False)
     for role in ROLES:
         frames = []
         (root / role).mkdir(parents=True)
         for item in source.of_role(role):
-            image, mask, depth = f"image_{item.name}.png", f"mask_{item.name}.png", f"depth_{item.name}.npy"
+            image, mask = f"image_{item.name}.png", f"mask_{item.name}.png"
             (root / role / image).write_bytes(rgba_png(item))
             (root / role / mask).write_bytes(mask_png(item.quantities.glass))
-            (root / role / depth).write_bytes(npy_bytes(item.quantities.depth_along_axis))
-            files = {"mask_file_path": f"./{role}/{mask}", "depth_file_path": f"./{role}/{depth}"}
-            frames.append(frame(item, f"./{role}/{image}", **files))
+            frames.append(frame(item, f"./{role}/{image}", mask_file_path=f"./{role}/{mask}"))
         about = {**lens_keys(source.lens), **world_keys(source), "frames": frames}
         (root / f"transforms_{role}.json").write_text(json.dumps(about))
-    described = {}
     (root / "meshes").mkdir()
     surfaces = surfaces_of(dataset)
     for item, mesh in zip(surfaces.scene.objects, surfaces.meshes, strict=True):
-        if not item.material.is_glass:
-            continue
-        medium = item.material.medium
-        described[item.name] = {
-            "mesh": f"meshes/{item.name}.ply",
-            "ior": item.material.surface().ior,
-            "is_thin": medium is None,
-            "absorption_per_metre": [0, 0, 0] if medium is None else list(medium.absorption),
-        }
-        (root / "meshes" / f"{item.name}.ply").write_bytes(write_ply(mesh))
-    (root / "objects.json").write_text(json.dumps(described))
-
-
-def write_binary_model(model: Path) -> None:
-    """cameras.bin and images.bin, without points, beside the text files of a model with one PINHOLE camera."""
-    (camera,) = [line.split() for line in (model / "cameras.txt").read_text().splitlines() if line[0] != "#"]
-    head = struct.pack("<QIiQQ", 1, 1, 1, *map(int, camera[2:4]))
-    (model / "cameras.bin").write_bytes(head + np.array(camera[4:], "<f8").tobytes())
-    lines = [line for line in (model / "images.txt").read_text().splitlines() if not line.startswith("#")][::2]
-    data = [struct.pack("<Q", len(lines))]
-    for line in lines:
-        number, *pose, camera_id, name = line.split()
-        data.append(struct.pack("<I7dI", int(number), *map(float, pose), int(camera_id)))
-        data.append(name.encode() + b"\0" + struct.pack("<Q", 0))
-    (model / "images.bin").write_bytes(b"".join(data))
+        if item.material.is_glass:
+            (root / "meshes" / f"{item.name}.ply").write_bytes(write_ply(mesh))

@@ -6,8 +6,6 @@ from typing import Literal
 
 from datagen.disk.errors import HyalineError
 
-MAX_DOWNSCALE = 64
-
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetImportChoices:
@@ -18,15 +16,13 @@ class DatasetImportChoices:
     may be repeated. Without meshes nothing can be peeled."""
     material: tuple[str, ...] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
-    them. Default: the material in the folder, or else glass of the index --ior."""
+    them. Default: the material in the file, or else glass of the index --ior."""
     ior: float = 1.5
-    """Index of refraction for glass without one in the folder."""
+    """Index of refraction of glass."""
     scale: float = 1.0
-    """Metres per unit of the cameras, the meshes and the depth."""
+    """Metres per unit of the cameras and the meshes."""
     up: Literal["x", "y", "z"] = "z"
     """The axis of the cameras' world that points up."""
-    downscale: int = 1
-    """Divide width and height by this factor, averaging linear light."""
     background: Literal["white", "black"] = "white"
     """Background for images with transparency."""
 
@@ -35,5 +31,3 @@ class DatasetImportChoices:
             raise HyalineError(f"--ior: is {self.ior:g}; expected more than 1, and less than 10")
         if not 1e-9 < self.scale < 1e9:
             raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
-        if not 1 <= self.downscale <= MAX_DOWNSCALE:
-            raise HyalineError(f"--downscale: is {self.downscale}; expected 1 to {MAX_DOWNSCALE}")

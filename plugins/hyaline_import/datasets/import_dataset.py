@@ -13,20 +13,36 @@ from datagen.builder.build import open_or_start
 from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, DatasetConfig, Imported, Resolution, Split, SplitConfig, unknown_license
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
+from datagen.data.depth_range import seeing, with_depth_range
 from datagen.data.writing import commit_imported_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
-from datagen.scene.description import Scene
+from datagen.machine.confined import allow_triangles
+from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
+from datagen.scene.import_choices import ImportChoices
+from datagen.scene.materials import Dielectric
 from datagen.terminal.command import track
 from datagen.terminal.plugins import Group
+from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.choices import DatasetImportChoices
 from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name
 from hyaline_import.datasets.pictures import view_files
-from hyaline_import.datasets.surfaces import find_scene
-from hyaline_import.foreign import z_up_from
-from hyaline_import.foreign_files import scene_name
+from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
+from hyaline_import.foreign_files import (
+    EXPORT_ADVICE,
+    check_overrides,
+    ending_of,
+    override,
+    parse_overrides,
+    scene_name,
+)
+from hyaline_import.foreign_files import READERS as FILES
+from hyaline_import.importing import Made, World, unique_names
+from hyaline_import.mapping import Mapper
+from hyaline_import.overlaps import apart, nested
+from hyaline_import.remarks import Remarks
+from hyaline_import.staging import even_sky
 
 READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
     name="hyaline.dataset_readers",
@@ -37,6 +53,8 @@ READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
 """Each gets a folder, and returns None where it is not of its layout."""
 
 PRESET = "imported"
+UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
+"""Stands in for the unknown light: such a scene is never rendered."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,15 +74,11 @@ class Plan:
 def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     """Reads all of a folder but for its pictures."""
     foreign = read_foreign_dataset(folder)
-    whole, times = foreign.lens.size, choices.downscale
-    if whole.width % times or whole.height % times:
-        raise HyalineError(f"--downscale: is {times}, and pictures are {whole} pixels; expected a divisor of both")
     views, lines = split_views(foreign)
     linear = choices.scale * z_up_from(choices.up)
-    size = Resolution(width=whole.width // times, height=whole.height // times)
-    lens = foreign.lens.fitted(size)
+    size = foreign.lens.size
     cameras: dict[Split, Cameras] = {
-        split: lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
+        split: foreign.lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
         for split in SPLITS
     }
     name = scene_name(folder.resolve())
@@ -79,17 +93,14 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     imported = Imported(
         layout=foreign.layout,
         source=folder.resolve().name,
-        source_sha256=digest_of(
-            [*foreign.files, *choices.mesh], f"{choices.downscale} {choices.background} {choices.scale}"
-        ),
+        source_sha256=digest_of([*foreign.files, *choices.mesh], f"{choices.background} {choices.scale}"),
         has_masks=all(view.mask is not None for view in used),
-        has_depth=all(view.depth is not None for view in used),
+        has_depth=False,
         remarks=told,
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
-        view, kinds = views[split][index], imported
-        return view_files(view, whole, choices, has_mask=kinds.has_masks, has_depth=kinds.has_depth)
+        return view_files(views[split][index], size, choices, has_mask=imported.has_masks)
 
     return Plan(
         files=files, cameras=cameras, config=config, scene=scene, imported=imported, stated_license=foreign.license
@@ -158,6 +169,75 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
     for file in files:
         digest.update(sha256_file(file).encode())
     return digest.hexdigest()
+
+
+# The scene
+
+
+def find_scene(
+    name: str, surfaces: Sequence[ForeignSurface], cameras: dict[Split, Cameras], choices: DatasetImportChoices
+) -> tuple[Scene, list[str]]:
+    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it."""
+    where = ", ".join(str(surface.file) for surface in surfaces)
+    return scene_from(_save_scene, name, surfaces, cameras, choices, where=where)
+
+
+def _save_scene(
+    folder: Path,
+    name: str,
+    surfaces: Sequence[ForeignSurface],
+    cameras: dict[Split, Cameras],
+    choices: DatasetImportChoices,
+) -> None:
+    remarks, overrides, made = Remarks(), parse_overrides(choices.material), Made()
+    world = World(
+        linear=choices.scale * z_up_from(choices.up),
+        offset=np.zeros(3),
+        mapper=Mapper(metres=choices.scale, thin="open", remarks=remarks),
+        choices=ImportChoices(),
+        thins_open=True,
+    )
+    parts = [(surface, part) for surface in surfaces for part in read_surface(surface, remarks)]
+    allow_triangles(sum(len(part.faces) for _, part in parts))
+    if len(parts) > MAX_OBJECTS:
+        raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
+    names = unique_names([surface.name for surface, _ in parts])
+    check_overrides(overrides, names)
+    for object_name, (surface, part) in zip(names, parts, strict=True):
+        chosen = override(object_name, overrides)
+        if chosen is None and part.material is PLAIN:
+            chosen = Dielectric(ior=choices.ior)
+            remarks.approximate(
+                surface.name,
+                f"has no known material; taken for glass of index {choices.ior:g}, --ior or --material sets it",
+            )
+        made.add(object_name, part, world, chosen)
+    scene = unlit_scene(name, made, world, cameras)
+    for item in scene.objects:
+        if item.material.is_glass and not any(any(seeing(cameras[split], item.mesh)) for split in SPLITS):
+            remarks.approximate(item.name, "no camera sees it")
+    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
+
+
+def unlit_scene(name: str, made: Made, world: World, cameras: dict[Split, Cameras], *, how: str = "Imported") -> Scene:
+    """The scene of objects whose light is unknown, mended and checked."""
+    scene = Scene(
+        name=name,
+        description=f"{how} from {name}; its light is unknown",
+        objects=tuple(nested(apart(made.objects, world.remarks), world.remarks)),
+        environment=even_sky(UNKNOWN_LIGHT),
+        cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
+    )
+    return made.finished(scene, world, where=name)
+
+
+def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
+    """The objects in the file of a mesh."""
+    ending, known = ending_of(surface.file), sorted(set(FILES.names()) - {"xml"})
+    if ending not in known:
+        endings = ", ".join(f".{name}" for name in known)
+        raise HyalineError(f"{surface.file}: is not a mesh by its ending; expected one of {endings}: {EXPORT_ADVICE}")
+    return FILES.find(ending)(surface.file, remarks).objects
 
 
 # Splits

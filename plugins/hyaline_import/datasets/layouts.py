@@ -1,10 +1,11 @@
 """Layouts of other projects' datasets with transforms files, read before any picture is decoded.
 
-    refref         transforms_{train,val,test}.json, whose frames name masks and depth; meshes/ and objects.json with
-                   their index and absorption, if somebody adds them
+    refref         transforms_{train,val,test}.json, whose frames name masks
     openmaterial   transforms_{train,test}.json; {train,test}/mask/NAME beside {train,test}/images/NAME
     blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
     nerfstudio     transforms.json for all pictures
+
+Each may have meshes/, if somebody adds them.
 
 Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
 """
@@ -14,11 +15,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar, get_args
+from typing import Literal, TypeVar, get_args
 
 import numpy as np
 from jaxtyping import Float
-from msgspec import Meta, Struct
 from PIL import ExifTags, Image, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
@@ -26,14 +26,10 @@ from datagen.data.config import Resolution, license_line
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
-from datagen.disk.records import load_json, open_regular, shown
-from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME
-from hyaline_import.fields import read
+from datagen.disk.records import open_regular, shown
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
-
-ObjectName = Annotated[str, Meta(pattern=f"^{OBJECT_NAME}$")]
 
 Layout = Literal["refref", "openmaterial", "blender", "nerfstudio"]
 """The layouts of `read_folder`."""
@@ -46,11 +42,8 @@ class ForeignView:
     picture: Path
     mask: Path | None
     """Not black where the object is seen."""
-    depth: Path | None
     world_from_camera: Float[np.ndarray, "4 4"]
     """OpenGL convention, in the folder's units and axes."""
-    npy_unit: float = 1.0
-    """What 1 in a NumPy file of depth is in the folder's units."""
 
 
 View = TypeVar("View", bound=ForeignView)
@@ -58,14 +51,10 @@ View = TypeVar("View", bound=ForeignView)
 
 @dataclass(frozen=True, kw_only=True)
 class ForeignSurface:
-    """A mesh of the scene, and what is known of its material."""
+    """A mesh of the scene."""
 
     name: str
     file: Path
-    ior: float | None = None
-    absorption: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """1 over the folder's unit."""
-    is_thin: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,15 +76,13 @@ class ForeignDataset:
     def files(self) -> list[Path]:
         """Every file whose content becomes a part of the dataset."""
         views = [view for role in ROLES for view in self.views[role]]
-        parts = [part for view in views for part in (view.picture, view.mask, view.depth) if part is not None]
+        parts = [part for view in views for part in (view.picture, view.mask) if part is not None]
         return [*parts, *(surface.file for surface in self.surfaces)]
 
 
 ONE_FILE = "transforms.json"
 UNKNOWN, UPRIGHT = 0, 1
 """EXIF's orientations of pictures that are shown as they are stored."""
-MILLIMETRE = 0.001
-"""nerfstudio's unit of depth (`depth_unit_scale_factor`), in PNGs and NumPy files."""
 EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 FORMATS = ["PNG", "JPEG", "WEBP"]
@@ -109,9 +96,13 @@ def read_folder(root: Path) -> ForeignDataset | None:
     if not found:
         return None
     train = found["train"]
-    layout = "nerfstudio" if train.where.endswith(ONE_FILE) else _layout_of(root, train)
     views: dict[Role, tuple[ForeignView, ...]] = dict.fromkeys(ROLES, ())
-    views |= {role: _views(root, file, layout) for role, file in found.items()}
+    views |= {role: _views(root, file) for role, file in found.items()}
+    layout: Layout = "blender" if views["train"][0].mask is None else "openmaterial"
+    if "mask_file_path" in train.frames[0]:
+        layout = "refref"
+    if train.where.endswith(ONE_FILE):
+        layout = "nerfstudio"
     size = _shared_size([view.picture for role in ROLES for view in views[role]])
     lens = _lens_for(size, train)
     for file in found.values():
@@ -136,13 +127,6 @@ def transforms_in(root: Path) -> dict[Role, Transforms]:
     if "train" not in names:
         names = {"train": ONE_FILE} if (root / ONE_FILE).is_file() else {}
     return {role: read_transforms(find_file(root, name, where=str(root))) for role, name in names.items()}
-
-
-def _layout_of(root: Path, train: Transforms) -> Layout:
-    first = train.frames[0]
-    if "mask_file_path" in first or "depth_file_path" in first or (root / "objects.json").is_file():
-        return "refref"
-    return "openmaterial" if _openmaterial_mask(root, first) is not None else "blender"
 
 
 def _shared_size(pictures: Sequence[Path]) -> Resolution:
@@ -204,37 +188,19 @@ def header(path: Path) -> Iterator[Image.Image]:
         raise HyalineError(f"{path}: not a picture that can be read ({what})") from error
 
 
-def _openmaterial_mask(root: Path, frame: Frame) -> Path | None:
-    """The mask of `train/images/000.png` is `train/mask/000.png`."""
-    picture = find_named(root, frame, "file_path").relative_to(root)
-    mask = root / picture.parts[0] / "mask" / picture.name
-    if not mask.is_file():
-        return None
-    check_regular(mask, root, where=frame.where)
-    return mask
-
-
-def _views(root: Path, file: Transforms, layout: Layout) -> tuple[ForeignView, ...]:
+def _views(root: Path, file: Transforms) -> tuple[ForeignView, ...]:
     views = []
-    unit = MILLIMETRE if layout == "nerfstudio" else 1.0
     for frame in file.frames:
-        mask = depth = None
-        if layout == "openmaterial":
-            mask = _openmaterial_mask(root, frame)
-        elif "mask_file_path" in frame:
-            mask = find_named(root, frame, "mask_file_path")
-        if "depth_file_path" in frame and _is_metric(frame, layout):
-            depth = find_named(root, frame, "depth_file_path")
         picture = find_named(root, frame, "file_path")
-        pose = file.pose(frame)
-        views.append(ForeignView(picture=picture, mask=mask, depth=depth, world_from_camera=pose, npy_unit=unit))
+        mask = picture.parent.parent / "mask" / picture.name  # As in OpenMaterial.
+        if "mask_file_path" in frame:
+            mask = find_named(root, frame, "mask_file_path")
+        elif mask.is_file() and mask.is_relative_to(root):
+            check_regular(mask, root, where=frame.where)
+        else:
+            mask = None
+        views.append(ForeignView(picture=picture, mask=mask, world_from_camera=file.pose(frame)))
     return tuple(views)
-
-
-def _is_metric(frame: Frame, layout: Layout) -> bool:
-    """True for depth whose unit is documented: NumPy files, and nerfstudio's PNGs."""
-    file = frame.text("depth_file_path")
-    return file.endswith(".npy") or (layout == "nerfstudio" and file.endswith(".png"))
 
 
 def split_listed(file: Transforms, views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
@@ -264,37 +230,13 @@ def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
     return {"train": train, "val": (), "test": tuple(views[::EVERY])}
 
 
-class _Described(Struct):
-    """What objects.json says of an object."""
-
-    mesh: str
-    ior: Annotated[float, Meta(gt=1, lt=10)] | None = None
-    absorption_per_metre: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    is_thin: bool = False
-
-
 def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
-    """The meshes in the folder: those that objects.json describes, or all in meshes/."""
-    if (root / "objects.json").is_file():
-        path = find_file(root, "objects.json", where=str(root))
-        listed = read(dict[ObjectName, _Described], load_json(path), where=str(path))
-        if len(listed) > MAX_OBJECTS:
-            raise HyalineError(f"{path}: has {len(listed):,} objects; expected at most {MAX_OBJECTS}")
-        return tuple(_described(root, name, entry, where=f"{path}: {name}.mesh") for name, entry in listed.items())
+    """The meshes in meshes/."""
     folder = root / "meshes"
     files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
     for path in files:
         check_regular(path, root, where=str(root))
     return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
-
-
-def _described(root: Path, name: str, entry: _Described, *, where: str) -> ForeignSurface:
-    file = find_file(root, entry.mesh, where=where)
-    if not file.is_file():
-        raise HyalineError(f"{where}: names {shown(entry.mesh)}, which is not in {root}")
-    return ForeignSurface(
-        name=name, file=file, ior=entry.ior, absorption=entry.absorption_per_metre, is_thin=entry.is_thin
-    )
 
 
 def surface_name(file: Path) -> str:
@@ -305,8 +247,8 @@ def surface_name(file: Path) -> str:
 def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:
     lines = []
     first = train.frames[0]
-    if "depth_file_path" in first and not _is_metric(first, layout):
-        lines.append("depth: its files have no known unit; left out")
+    if "depth_file_path" in first:
+        lines.append("depth: is not imported")
     if layout == "openmaterial":
         lines.append("masks: show the object, which is taken for glass")
     if "mask_path" in first:
@@ -318,7 +260,4 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
     has_masks = [view.mask is not None for role in ROLES for view in views[role]]
     if any(has_masks) and not all(has_masks):
         lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
-    has_depth = [view.depth is not None for role in ROLES for view in views[role]]
-    if any(has_depth) and not all(has_depth):
-        lines.append(f"depth: {has_depth.count(False)} of {len(has_depth)} pictures have none; all of it was left out")
     return tuple(lines)

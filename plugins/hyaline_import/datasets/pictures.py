@@ -1,28 +1,18 @@
-"""Pictures, masks and depth of other projects, as the files of a dataset's view."""
+"""Pictures and masks of other projects, as the files of a dataset's view."""
 
 import io
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, UInt8
+from jaxtyping import Bool, UInt8
 from PIL import Image, ImageCms
 
 from datagen.data.config import Resolution
-from datagen.data.images import (
-    MAX_NPY_BYTES,
-    linear_from_srgb,
-    mask_pixels,
-    npy_bytes,
-    png_bytes,
-    read_npy,
-    srgb_from_linear,
-    to_8bit,
-)
+from datagen.data.images import mask_pixels, png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import read_regular
 from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.layouts import MILLIMETRE, ForeignView, header
+from hyaline_import.datasets.layouts import ForeignView, header
 
 BACKGROUND = {"white": 255.0, "black": 0.0}
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
@@ -31,31 +21,14 @@ PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
 
 
 def view_files(
-    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool, has_depth: bool
+    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool
 ) -> dict[str, bytes]:
-    """The files of a view, by ending.
-
-    Args:
-        size: of the foreign picture.
-    """
-    files = {".png": png_bytes(picture_of(view, size, choices))}
+    """The files of a view, by ending."""
+    picture = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
+    files = {".png": png_bytes(picture)}
     if has_mask:
-        mask = _blocks(mask_of(view, size).astype(np.float64), choices.downscale).mean(axis=(1, 3)) >= 0.5
-        files[".mask.png"] = png_bytes(np.where(mask, 255, 0).astype(np.uint8))
-    if has_depth:
-        depth = _blocks(depth_of(view, size), choices.downscale)
-        middle = choices.downscale // 2
-        files[".depth.npy"] = npy_bytes(depth[:, middle, :, middle] * np.float32(choices.scale))
+        files[".mask.png"] = png_bytes(np.where(mask_of(view, size), 255, 0).astype(np.uint8))
     return files
-
-
-def picture_of(view: ForeignView, size: Resolution, choices: DatasetImportChoices) -> UInt8[np.ndarray, "h w 3"]:
-    """The picture over its background, and as small as asked for."""
-    image = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
-    if choices.downscale == 1:
-        return image
-    linear = _blocks(linear_from_srgb(image.astype(np.float64) / 255), choices.downscale).mean(axis=(1, 3))
-    return to_8bit(srgb_from_linear(linear))
 
 
 def on_background(
@@ -92,19 +65,6 @@ def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
     return mask_pixels(opened(view.mask, (size.width, size.height)))
 
 
-def depth_of(view: ForeignView, size: Resolution) -> Float32[np.ndarray, "h w"]:
-    """Depth in the folder's units: of a NumPy file in the view's unit, or of a PNG in thousandths."""
-    assert view.depth is not None
-    where = str(view.depth)
-    if view.depth.suffix == ".npy":
-        depth = read_npy(read_regular(view.depth, at_most=MAX_NPY_BYTES), where=where) * np.float32(view.npy_unit)
-    else:
-        depth = np.asarray(opened(view.depth, (size.width, size.height))).astype(np.float64) * MILLIMETRE
-    if depth.shape != size.shape or depth.min() < 0:
-        raise HyalineError(f"{where}: is of shape {depth.shape}; expected {size} distances, none below 0")
-    return depth.astype(np.float32)
-
-
 def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
     """The picture of a file; nothing is decoded of one that has not the width and height it should have."""
     with header(path) as picture:
@@ -112,8 +72,3 @@ def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
             raise HyalineError(f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}")
         picture.load()
         return picture
-
-
-def _blocks(values: Float[np.ndarray, "h w *c"], side: int) -> Float[np.ndarray, "row i column j *c"]:
-    height, width = values.shape[:2]
-    return values.reshape(height // side, side, width // side, side, *values.shape[2:])

@@ -15,9 +15,8 @@ import numpy as np
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import parse_json, shown
-from hyaline_import.fields import read
 from hyaline_import.foreign import read_foreign
-from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf
+from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf, read
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -27,8 +26,8 @@ MAX_VALUES = 1 << 27
 MAX_JSON_BYTES = 1 << 28
 """A .gltf may hold its buffers as base64."""
 READ_EXTENSIONS = {
-    "EXT_mesh_features", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "KHR_draco_mesh_compression",
-    "KHR_lights_punctual", "KHR_materials_anisotropy", "KHR_materials_clearcoat",
+    "EXT_mesh_features", "EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_anisotropy",
+    "KHR_materials_clearcoat",
     "KHR_materials_diffuse_transmission", "KHR_materials_dispersion", "KHR_materials_emissive_strength",
     "KHR_materials_ior", "KHR_materials_iridescence", "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission", "KHR_materials_unlit",

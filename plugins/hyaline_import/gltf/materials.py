@@ -4,17 +4,15 @@ Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/g
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.scene.substances import SUBSTANCES
 from datagen.scene.values import Color
-from hyaline_import.fields import read
 from hyaline_import.foreign import (
     PLAIN,
     Factor,
@@ -27,7 +25,7 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.gltf import records
 from hyaline_import.gltf.file import GltfFile
-from hyaline_import.pictures import decoded, stored
+from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks
 
 IGNORED = {
@@ -39,7 +37,7 @@ IGNORED = {
     "KHR_materials_specular": "a specular weight or tint",
 }
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
-CLAMP_TO_EDGE, MIRRORED_REPEAT = 33071, 33648
+REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
 VOLUME = "KHR_materials_volume"
 LEAST_METAL = 0.25
@@ -57,17 +55,14 @@ class TextureUse:
     offset: tuple[float, ...]
     scale: tuple[float, ...]
     rotation: float
-    clamps: tuple[bool, bool]
-    """Along u and v, the image's edges are extended instead of repeating the image."""
-    mirrors: tuple[bool, bool]
-    """Along u and v, every other repeat is mirrored: the image is one from `mirrored`."""
+    repeats: tuple[bool, bool]
+    """Along u and v; else its edges are extended, or every other repeat is mirrored."""
 
     def uv_from_file(self, uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
         """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         u, v = uv[:, 0] * self.scale[0], uv[:, 1] * self.scale[1]
         sides = [cos * u + sin * v + self.offset[0], -sin * u + cos * v + self.offset[1]]
-        sides = [side / 2 if mirror else side for side, mirror in zip(sides, self.mirrors)]
         return np.stack([sides[0], 1 - sides[1]], axis=-1)
 
 
@@ -85,7 +80,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     if (shared := pbr.metallic_roughness_texture) is not None:
         others = [("metallic", shared, 2), ("roughness", shared, 1)]
     if is_gloss := GLOSS in entry.extensions:
-        gloss = entry.extension(GLOSS, records.Glossiness)
+        gloss = entry.extension(GLOSS)
         *color, alpha = gloss.diffuse_factor
         metallic, roughness, texture, others = 0.0, 1 - clipped(gloss.glossiness_factor), gloss.diffuse_texture, []
         specular = np.clip(gloss.specular_factor, 0, 1)
@@ -103,7 +98,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
     _remark_on(entry, name, remarks)
-    transmission = entry.extension(TRANSMISSION, records.Transmission)
+    transmission = entry.extension(TRANSMISSION)
     if transmission.transmission_texture is not None:
         others.append(("transmission", transmission.transmission_texture, 0))
     factor_images = []
@@ -122,8 +117,8 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
-    volume = entry.extension(VOLUME, records.Volume)
-    dispersion = entry.extension("KHR_materials_dispersion", records.Numbers).dispersion
+    volume = entry.extension(VOLUME)
+    dispersion = entry.extension("KHR_materials_dispersion").dispersion
     extras = entry.extras if isinstance(entry.extras, dict) else {}
     material = ForeignMaterial(
         name=name,
@@ -141,7 +136,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
         dispersion=max(dispersion, 0.0),
-        priority=read(records.Extras, extras, where=f"{entry.where}.extras").priority,
+        priority=records.read(records.Extras, extras, where=f"{entry.where}.extras").priority,
         emission=_emission(entry, name, remarks),
     )
     return material, use
@@ -155,7 +150,7 @@ def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
     if not is_given and named is not None:
         remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {SUBSTANCES[named]:g}")
         return SUBSTANCES[named]
-    ior = entry.extension("KHR_materials_ior", records.Numbers).ior
+    ior = entry.extension("KHR_materials_ior").ior
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
         remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
         return 1.5
@@ -171,7 +166,7 @@ def _remark_on(entry: records.Material, name: str, remarks: Remarks) -> None:
     left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
     for what in left_out:
         remarks.approximate(name, f"has {what}, which is left out")
-    if entry.extension(VOLUME, records.Volume).thickness_texture is not None:
+    if entry.extension(VOLUME).thickness_texture is not None:
         remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
 
 
@@ -180,7 +175,7 @@ def _emission(entry: records.Material, name: str, remarks: Remarks) -> Color:
     if entry.emissive_texture is not None and max(color) > 0:
         remarks.approximate(name, "emits light by an image, which is ignored")
         return 0.0, 0.0, 0.0
-    strength = entry.extension("KHR_materials_emissive_strength", records.Numbers).emissive_strength
+    strength = entry.extension("KHR_materials_emissive_strength").emissive_strength
     red, green, blue = (max(strength, 0.0) * c for c in color)
     return red, green, blue
 
@@ -193,7 +188,7 @@ def _texture(
 ) -> tuple[ForeignImage | None, TextureUse | None]:
     where = f"{file.path}: material {name}"
     entry = file.item(file.root.textures, texture.index, where=where)
-    webp = entry.extension("EXT_texture_webp", records.Texture)
+    webp = entry.extension("EXT_texture_webp")
     source = entry.source if webp.source is None else webp.source
     if source is None:
         kinds = ", ".join(entry.extensions)
@@ -210,46 +205,34 @@ def _texture(
         data = bytes(file.buffer_view(image.buffer_view, where=image.where)[0])
     else:
         raise HyalineError(f"{image.where}: has no bytes; the file is incomplete, export it again")
-    transform = texture.extension("KHR_texture_transform", records.Transform)
+    transform = texture.extension("KHR_texture_transform")
     sampler = records.Sampler()
     if entry.sampler is not None:
         sampler = file.item(file.root.samplers, entry.sampler, where=entry.where)
-    wraps = sampler.wrap_s, sampler.wrap_t
-    mirrors = wraps[0] == MIRRORED_REPEAT, wraps[1] == MIRRORED_REPEAT
     use = TextureUse(
         channel=texture.tex_coord if transform.tex_coord is None else transform.tex_coord,
         offset=transform.offset,
         scale=transform.scale,
         rotation=transform.rotation,
-        clamps=(wraps[0] == CLAMP_TO_EDGE, wraps[1] == CLAMP_TO_EDGE),
-        mirrors=mirrors,
+        repeats=(sampler.wrap_s == REPEAT, sampler.wrap_t == REPEAT),
     )
-    return mirrored(ForeignImage(name=name, data=data), mirrors), use
+    return ForeignImage(name=name, data=data), use
 
 
-def mirrored(image: ForeignImage, mirrors: tuple[bool, bool]) -> ForeignImage:
-    """The image beside its mirror image, along u, v or both; its repeats are mirrored repeats of the image."""
-    if not any(mirrors):
-        return image
-    pixels = stored(image)
-    pixels = np.concatenate([pixels, pixels[:, ::-1]], axis=1) if mirrors[0] else pixels
-    pixels = np.concatenate([pixels, pixels[::-1]], axis=0) if mirrors[1] else pixels
-    return replace(image, data=png_bytes(pixels))
-
-
-def clamped(
+def wrapped(
     uv: Float[np.ndarray, "vertex 2"],
     faces: Int[np.ndarray, "face 3"],
-    clamps: tuple[bool, bool],
+    repeats: tuple[bool, bool],
     remarks: Remarks,
     *,
     where: str,
 ) -> Float[np.ndarray, "vertex 2"]:
-    """uv of an image whose edges are extended: on its edge where they miss it by rounding; a remark if beyond it."""
-    inside = np.clip(uv, 0, 1)
-    uv = np.where(clamps & (np.abs(uv - inside) < ROUNDING), inside, uv)
-    if (clamps & (uv != inside))[faces].any():
+    """uv of an image that repeats in ours, and does not along u or v in the file: on its edge where they miss it by
+    rounding; a remark if they reach beyond it."""
+    inside, ends = np.clip(uv, 0, 1), np.logical_not(repeats)
+    uv = np.where(ends & (np.abs(uv - inside) < ROUNDING), inside, uv)
+    if (ends & (uv != inside))[faces].any():
         remarks.approximate(
-            where, "its uv reach beyond its image, whose edges the file extends; the image repeats there"
+            where, "its uv reach beyond its image, which the file extends or mirrors there; the image repeats"
         )
     return uv

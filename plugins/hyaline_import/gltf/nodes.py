@@ -1,10 +1,10 @@
-"""Where the meshes of a glTF file are: its tree of nodes, and the instances that they make.
+"""Where the meshes of a glTF file are, by its tree of nodes, and their shapes, by morph targets and skins.
 
-Source: glTF 2.0 sections 3.5 and 3.10, EXT_mesh_gpu_instancing.
+Source: glTF 2.0 sections 3.5, 3.7 and 3.10.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,12 +13,12 @@ from jaxtyping import Float
 from datagen.data.cameras import MAX_SKEW
 from datagen.data.cameras import Camera as Taken
 from datagen.disk.errors import HyalineError
-from hyaline_import.foreign import MAX_SURFACES, lens_of, rotation_of
+from hyaline_import.foreign import lens_of, rotation_of
 from hyaline_import.gltf.file import GltfFile
-from hyaline_import.gltf.records import Camera, Instancing, Node
+from hyaline_import.gltf.records import Camera, Node
 from hyaline_import.remarks import Remarks
 
-INSTANCING, LAMPS = "EXT_mesh_gpu_instancing", "KHR_lights_punctual"
+LAMPS = "KHR_lights_punctual"
 MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
 MIN_SCALE = 1e-10
@@ -53,7 +53,6 @@ def instances(
         raise HyalineError(f"{file.path}: has {len(nodes):,} nodes; expected at most {MAX_NODES:,}")
     waiting = [(index, np.eye(4)) for index in reversed(_roots(file))]
     seen: set[int] = set()
-    count = 0
     while waiting:
         index, world_from_parent = waiting.pop()
         node = file.item(nodes, index, where=f"{file.path}: nodes")
@@ -68,15 +67,11 @@ def instances(
             mesh = file.item(file.root.meshes, node.mesh, where=node.where)
             weights = mesh.weights if node.weights is None else node.weights
             # A mesh with a skin is where its joints are. Source: glTF 2.0 section 3.7.3.3.
-            copies = _copies(file, node, world_from_node) if node.skin is None else [np.eye(4)]
-            for world_from_mesh in copies:
-                # Scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3.
-                if np.linalg.svd(world_from_mesh[:3, :3], compute_uv=False)[1] < MIN_SCALE:
-                    remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
-                    continue
-                count += 1
-                if count > MAX_SURFACES:
-                    raise HyalineError(f"{file.path}: places more than {MAX_SURFACES:,} meshes; expected fewer")
+            world_from_mesh = world_from_node if node.skin is None else np.eye(4)
+            # Scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3.
+            if np.linalg.svd(world_from_mesh[:3, :3], compute_uv=False)[1] < MIN_SCALE:
+                remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
+            else:
                 yield Instance(node=node, mesh=node.mesh, weights=weights, world_from_mesh=world_from_mesh)
         if node.camera is not None:
             cameras += _camera(file.item(file.root.cameras, node.camera, where=node.where), world_from_node, remarks)
@@ -114,45 +109,74 @@ def _roots(file: GltfFile) -> list[int]:
 
 
 def _local(node: Node) -> Float[np.ndarray, "4 4"]:
+    """Scale, then turn by a quaternion (x, y, z, w), then move."""
     if node.matrix is not None:
         return np.array(node.matrix).reshape(4, 4).T
-    parts = (np.array([part], np.float64) for part in (node.translation, node.rotation, node.scale))
-    return _matrices(*parts, where=node.where)[0]
+    rotation = np.array(node.rotation)
+    if (length := np.linalg.norm(rotation)) < 1e-9:
+        raise HyalineError(f"{node.where}: has a rotation of length 0; export the file again")
+    matrix = np.eye(4)
+    matrix[:3, :3] = rotation_of(rotation / length) * node.scale
+    matrix[:3, 3] = node.translation
+    return matrix
 
 
-def _matrices(
-    translation: Float[np.ndarray, "n 3"],
-    rotation: Float[np.ndarray, "n 4"],
-    scale: Float[np.ndarray, "n 3"],
+# Poses
+
+
+def morph(
+    file: GltfFile,
+    attributes: dict[str, np.ndarray],
+    targets: Sequence[Mapping[str, int]],
+    weights: Sequence[float],
     *,
     where: str,
-) -> Float[np.ndarray, "n 4 4"]:
-    """Scale, then turn by a quaternion (x, y, z, w), then move."""
-    length = np.linalg.norm(rotation, axis=-1, keepdims=True)
-    if (length < 1e-9).any():
-        raise HyalineError(f"{where}: has a rotation of length 0; export the file again")
-    matrices = np.tile(np.eye(4), (len(translation), 1, 1))
-    matrices[:, :3, :3] = rotation_of(rotation / length) * scale[:, None, :]
-    matrices[:, :3, 3] = translation
-    return matrices
+) -> None:
+    """Moves positions and turns normals by the targets whose weights are not 0."""
+    for weight, target in zip(weights, targets):
+        for name in attributes.keys() & target.keys() & {"POSITION", "NORMAL"} if weight else ():
+            moves = file.array(target[name], "VEC3", where=where)
+            if len(moves) != len(attributes[name]):
+                raise HyalineError(f"{where}: a morph target differs in length from its mesh; export the file again")
+            attributes[name] = attributes[name] + weight * moves
 
 
-def _copies(file: GltfFile, node: Node, world_from_node: Float[np.ndarray, "4 4"]) -> list[np.ndarray]:
-    """One place, or those of EXT_mesh_gpu_instancing."""
-    if INSTANCING not in node.extensions:
-        return [world_from_node]
-    instancing = node.extension(INSTANCING, Instancing)
-    kinds = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
-    given = {name: index for name, index in instancing.attributes.items() if name in kinds}
-    counts = {file.count(index, where=node.where) for index in given.values()}
-    if len(counts) != 1 or max(counts) > MAX_SURFACES:
-        raise HyalineError(f"{node.where}: places {sorted(counts)} instances; expected one number up to {MAX_SURFACES}")
-    count = counts.pop()
-    values = {name: file.array(index, kinds[name], where=node.where) for name, index in given.items()}
-    placed = _matrices(
-        values.get("TRANSLATION", np.zeros((count, 3))),
-        values.get("ROTATION", np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))),
-        values.get("SCALE", np.ones((count, 3))),
-        where=node.where,
-    )
-    return [world_from_node @ local for local in placed]
+def skin_matrices(file: GltfFile, skin: int, worlds: Mapping[int, np.ndarray]) -> Float[np.ndarray, "joint 4 4"]:
+    """world_from_mesh for what is bound to each joint of a skin.
+
+    Args:
+        worlds: world_from_node of the scene's nodes.
+    """
+    described = file.item(file.root.skins, skin, where=f"{file.path}: nodes")
+    if lost := [joint for joint in described.joints if joint not in worlds]:
+        raise HyalineError(f"{described.where}: its joint {lost[0]} is no node of the scene; export the file again")
+    joints = np.array([worlds[joint] for joint in described.joints])
+    if described.inverse_bind_matrices is None:
+        return joints
+    columns = file.array(described.inverse_bind_matrices, "MAT4", where=described.where)
+    if len(columns) < len(joints):
+        raise HyalineError(f"{described.where}: binds {len(columns)} of {len(joints)} joints; export the file again")
+    return joints @ columns[: len(joints)].reshape(-1, 4, 4).swapaxes(1, 2)
+
+
+def bend(attributes: dict[str, np.ndarray], bones: Float[np.ndarray, "joint 4 4"], *, where: str) -> None:
+    """Puts vertices into the world: each by the weighted mean of its joints' matrices."""
+    sets = sorted(name[7:] for name in attributes if name.startswith("JOINTS_"))
+    if not sets or any(f"WEIGHTS_{number}" not in attributes for number in sets):
+        raise HyalineError(f"{where}: has a skin, but no joints and weights at its vertices; export the file again")
+    joints = np.concatenate([attributes[f"JOINTS_{number}"] for number in sets], axis=1).astype(np.int64)
+    weights = np.concatenate([attributes[f"WEIGHTS_{number}"] for number in sets], axis=1)
+    if joints.max(initial=0) >= len(bones) or joints.min(initial=0) < 0:
+        raise HyalineError(f"{where}: names joint {joints.max()} of {len(bones)}; export the file again")
+    if (weights.sum(axis=1) <= 0).any():
+        raise HyalineError(f"{where}: has vertices without weights, which no joint holds; export the file again")
+    matrices = np.zeros((len(joints), 4, 4))
+    for joint, weight in zip(joints.T, (weights / weights.sum(axis=1, keepdims=True)).T):
+        matrices += weight[:, None, None] * bones[joint]
+    linear = matrices[:, :3, :3]
+    attributes["POSITION"] = np.einsum("vij,vj->vi", linear, attributes["POSITION"]) + matrices[:, :3, 3]
+    if "NORMAL" in attributes:
+        # By the cofactors: as the inverse's transpose, and where a matrix is flat, too.
+        a, b, c = np.moveaxis(linear, 2, 0)
+        cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=2)
+        attributes["NORMAL"] = np.einsum("vij,vj->vi", cofactors, attributes["NORMAL"])

@@ -4,11 +4,12 @@
 Source: glTF 2.0 section 5, and the READMEs of the extensions in KhronosGroup/glTF.
 """
 
+import re
 from typing import Annotated, Any, Literal, TypeVar
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, ValidationError, convert
 
-from hyaline_import.fields import read
+from datagen.disk.errors import HyalineError
 
 Index = Annotated[int, Meta(ge=0, le=1 << 40)]
 Count = Annotated[int, Meta(ge=1, le=1 << 40)]
@@ -20,6 +21,20 @@ WHITE = (1.0, 1.0, 1.0)
 T = TypeVar("T")
 
 
+def read(kind: type[T], data: object, *, where: str) -> T:
+    """The record that JSON describes.
+
+    Raises:
+        HyalineError: a value is missing or of the wrong type, named by its place.
+    """
+    try:
+        return convert(data, kind, strict=False)  # Exporters write 3.0 for a count of 3.
+    except ValidationError as error:
+        what, _, place = str(error).partition(" - at `$")
+        inside = re.sub(r"^\.|`$", "", place)
+        raise HyalineError(f"{where}{f': {inside}' if inside else ''}: {what}; export the file again") from None
+
+
 class Entry(Struct, rename="camel", kw_only=True):
     """An object of the file that may have extensions."""
 
@@ -27,9 +42,9 @@ class Entry(Struct, rename="camel", kw_only=True):
     where: str = ""
     """Its place in the file, for errors."""
 
-    def extension(self, name: str, kind: type[T]) -> T:
+    def extension(self, name: str) -> "Extension":
         """What an extension says; its defaults where it is missing."""
-        return read(kind, self.extensions.get(name, {}), where=f"{self.where}.extensions.{name}")
+        return read(Extension, self.extensions.get(name, {}), where=f"{self.where}.extensions.{name}")
 
 
 class Asset(Entry):
@@ -59,7 +74,7 @@ class Accessor(Entry):
     count: Count
     type: str
     buffer_view: Index | None = None
-    """None for arrays that are compressed."""
+    """None for an array of zeros."""
     byte_offset: Index = 0
     normalized: bool = False
     sparse: Sparse | None = None
@@ -99,15 +114,6 @@ class Use(Entry):
     tex_coord: Channel = 0
 
 
-class Transform(Struct, rename="camel"):
-    """KHR_texture_transform"""
-
-    offset: tuple[float, float] = (0.0, 0.0)
-    scale: tuple[float, float] = (1.0, 1.0)
-    rotation: float = 0.0
-    tex_coord: Channel | None = None
-
-
 class Metallic(Struct, rename="camel", frozen=True):
     base_color_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
     base_color_texture: Use | None = None
@@ -135,39 +141,33 @@ class Extras(Struct):
     priority: Annotated[int, Meta(ge=-9, le=9)] = 0
 
 
-class Glossiness(Struct, rename="camel"):
-    """KHR_materials_pbrSpecularGlossiness"""
+class Extension(Struct, rename="camel"):
+    """What the extensions say, each some of it, with their defaults."""
 
+    # KHR_texture_transform
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    tex_coord: Channel | None = None
+    # EXT_texture_webp
+    source: Index | None = None
+    # KHR_materials_pbrSpecularGlossiness
     diffuse_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
     diffuse_texture: Use | None = None
     specular_factor: Color = WHITE
     glossiness_factor: float = 1.0
     specular_glossiness_texture: Use | None = None
-
-
-class Transmission(Struct, rename="camel"):
+    # KHR_materials_transmission, _volume
     transmission_factor: float = 0.0
     transmission_texture: Use | None = None
-
-
-class Volume(Struct, rename="camel"):
     thickness_factor: float = 0.0
     thickness_texture: Any = None
     attenuation_color: Color = WHITE
     attenuation_distance: Positive | None = None
-
-
-class Numbers(Struct, rename="camel"):
-    """The extensions of one number: KHR_materials_ior (0 mirrors everything), _dispersion and _emissive_strength."""
-
+    # KHR_materials_ior (0 mirrors everything), _dispersion, _emissive_strength
     ior: float = 1.5
     dispersion: float = 0.0
     emissive_strength: float = 1.0
-
-
-class Draco(Struct, rename="camel"):
-    buffer_view: Index
-    attributes: dict[str, Index]
 
 
 class Primitive(Entry):
@@ -188,10 +188,6 @@ class Mesh(Entry):
 class Skin(Entry):
     joints: Annotated[list[Index], Meta(min_length=1)]
     inverse_bind_matrices: Index | None = None
-
-
-class Instancing(Struct):
-    attributes: dict[str, Index]
 
 
 class Node(Entry):

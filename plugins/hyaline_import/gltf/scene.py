@@ -12,7 +12,6 @@ from datagen.data.cameras import Camera
 from datagen.data.config import license_line
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.terminal.distribution import install_command
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -21,14 +20,12 @@ from hyaline_import.foreign import (
     ForeignScene,
     elementwise,
 )
-from hyaline_import.gltf.file import READ_EXTENSIONS, WIDTHS, GltfFile
-from hyaline_import.gltf.materials import TextureUse, clamped, read_material
-from hyaline_import.gltf.nodes import Instance, instances
-from hyaline_import.gltf.posing import bend, morph, skin_matrices
-from hyaline_import.gltf.records import Draco, Gltf, Primitive
+from hyaline_import.gltf.file import READ_EXTENSIONS, GltfFile
+from hyaline_import.gltf.materials import TextureUse, read_material, wrapped
+from hyaline_import.gltf.nodes import Instance, bend, instances, morph, skin_matrices
+from hyaline_import.gltf.records import Gltf, Primitive
 from hyaline_import.remarks import Remarks
 
-DRACO = "KHR_draco_mesh_compression"
 TRIANGLES = 4
 """Mode of a primitive whose corners make triangles, three by three."""
 Materials = dict[int | None, tuple[ForeignMaterial, TextureUse | None]]
@@ -117,7 +114,7 @@ def _surfaces(
             continue
         uv = None
         if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
-            uv = clamped(use.uv_from_file(raw), faces, use.clamps, remarks, where=described.name or material.name)
+            uv = wrapped(use.uv_from_file(raw), faces, use.repeats, remarks, where=described.name or material.name)
         yield ForeignObject(
             name=described.name or material.name,
             positions=attributes["POSITION"],
@@ -134,13 +131,10 @@ def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[At
     wanted = {name: "VEC3" for name in ("POSITION", "NORMAL") if name in primitive.attributes}
     wanted |= {name: "VEC2" for name in primitive.attributes if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
     wanted |= {name: "VEC4" for name in primitive.attributes if re.fullmatch(r"(JOINTS|WEIGHTS)_\d", name)}
-    if DRACO in primitive.extensions:
-        found, corners = _decompressed(file, primitive.extension(DRACO, Draco), wanted, where=where)
-    else:
-        found = {name: file.array(primitive.attributes[name], kind, where=where) for name, kind in wanted.items()}
-        corners = np.arange(len(found["POSITION"]))
-        if primitive.indices is not None:
-            corners = file.array(primitive.indices, "SCALAR", where=where)
+    found = {name: file.array(primitive.attributes[name], kind, where=where) for name, kind in wanted.items()}
+    corners = np.arange(len(found["POSITION"]))
+    if primitive.indices is not None:
+        corners = file.array(primitive.indices, "SCALAR", where=where)
     count = len(found["POSITION"])
     if any(len(values) != count for values in found.values()):
         raise HyalineError(f"{where}: its attributes differ in length; export the file again")
@@ -148,30 +142,6 @@ def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[At
         raise HyalineError(f"{where}: its indices are not whole numbers; export the file again")
     if len(corners) and (corners.min() < 0 or corners.max() >= count):
         raise HyalineError(f"{where}: names vertex {corners.max()} of {count}; export the file again")
-    return found, corners
-
-
-def _decompressed(file: GltfFile, draco: Draco, wanted: dict[str, str], *, where: str) -> tuple[Attributes, np.ndarray]:
-    """What `_attributes` finds, of a mesh that Draco has compressed. Source: KHR_draco_mesh_compression."""
-    try:
-        import DracoPy  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise HyalineError(
-            f"{where}: is compressed by Draco; `{install_command('generate')}` brings what reads it, "
-            "or export the file without compression"
-        ) from None
-    view, _ = file.buffer_view(draco.buffer_view, where=where)
-    try:
-        mesh = DracoPy.decode(bytes(view))
-        arrays = {attribute["unique_id"]: np.asarray(attribute["data"], np.float64) for attribute in mesh.attributes}
-        corners = np.asarray(mesh.faces, np.int64).reshape(-1)
-    except Exception as error:  # DracoPy has no class of its own for files that it cannot read.
-        raise HyalineError(f"{where}: Draco cannot read it ({error}); export the file again") from None
-    found = {name: arrays[index] for name, index in draco.attributes.items() if name in wanted and index in arrays}
-    for name, kind in wanted.items():
-        values = found.get(name)
-        if values is None or values.shape[1:] != (WIDTHS[kind],) or not np.isfinite(values).all():
-            raise HyalineError(f"{where}: its {name} are not {kind} of finite numbers; export the file again")
     return found, corners
 
 

@@ -5,12 +5,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
 from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
-from hyaline_import.gltf.materials import mirrored
 from hyaline_import.mitsuba.nodes import Node
 from hyaline_import.pictures import stored
 from hyaline_import.remarks import Remarks
@@ -38,8 +36,6 @@ WRAPPERS = ("twosided", "mask", "bumpmap", "normalmap")
 """BSDFs around another one."""
 MAX_DEPTH = 8
 """BSDFs within BSDFs."""
-CELLS = 256
-"""Texels a side of a checkerboard's two by two fields."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +44,8 @@ class FoundMaterial:
 
     material: ForeignMaterial
     image_from_uv: np.ndarray
-    clamps: bool = False
-    """The image's edges are extended instead of repeating the image."""
+    repeats: bool = True
+    """Else the image's edges are extended, or every other repeat is mirrored."""
 
 
 def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
@@ -221,27 +217,16 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     texture = node.child(key)
     if texture is None:
         return _plain(replace(material, base_color=clipped_color(node.color(key, default))))
-    image_from_uv, clamps = texture.matrix("to_uv"), False
-    if texture.plugin == "bitmap":
-        if texture.flag("raw"):
-            remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
-        image, image_from_uv, clamps = _bitmap(texture, node.name)
-    elif texture.plugin == "checkerboard":
-        fields = np.array([texture.color("color0", 0.4), texture.color("color1", 0.2)])
-        place = np.arange(CELLS) >= CELLS // 2
-        linear = np.clip(fields[np.where(place[:, None] == place[None, :], 0, 1)], 0, 1)
-        image = ForeignImage(name=node.name, data=png_bytes(to_8bit(srgb_from_linear(linear))))
-    else:
-        raise HyalineError(f"{texture.where}: is of a kind that is not read; known are bitmap, checkerboard")
-    return FoundMaterial(material=replace(material, image=image), image_from_uv=image_from_uv, clamps=clamps)
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is of a kind that is not read; known is bitmap")
+    if texture.flag("raw"):
+        remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
+    image, repeats = _bitmap(texture, node.name)
+    material = replace(material, image=image)
+    return FoundMaterial(material=material, image_from_uv=texture.matrix("to_uv"), repeats=repeats)
 
 
-def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, np.ndarray, bool]:
-    """The image of a texture, how it lies, and whether its edges are extended."""
-    mode = texture.text("wrap_mode", "repeat")
-    if mode not in ("repeat", "mirror", "clamp"):
-        raise HyalineError(f"{texture.where}: wrap_mode is {shown(mode)}; expected one of repeat, mirror, clamp")
-    image, image_from_uv = ForeignImage(name=name, data=read_foreign(texture.file("filename"))), texture.matrix("to_uv")
-    if mode == "mirror":
-        image, image_from_uv = mirrored(image, (True, True)), np.diag([0.5, 0.5, 1, 1]) @ image_from_uv
-    return image, image_from_uv, mode == "clamp"
+def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, bool]:
+    """The image of a texture, and whether it repeats."""
+    repeats = texture.text("wrap_mode", "repeat") == "repeat"
+    return ForeignImage(name=name, data=read_foreign(texture.file("filename"))), repeats

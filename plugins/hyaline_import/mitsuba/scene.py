@@ -16,17 +16,15 @@ import numpy as np
 from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import MAP_ENDINGS
-from datagen.scene.images import read_map
 from datagen.scene.modelling import ball, sheet
 from datagen.scene.values import Color
+from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
     PLAIN,
     Axis,
     ForeignLight,
-    ForeignMap,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -34,11 +32,10 @@ from hyaline_import.foreign import (
     lens_of,
     read_foreign,
 )
-from hyaline_import.gltf.materials import clamped
-from hyaline_import.meshes.bare import read_ply_file
-from hyaline_import.meshes.obj import read_obj
+from hyaline_import.gltf.materials import wrapped
 from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
 from hyaline_import.mitsuba.nodes import Node, NodeList
+from hyaline_import.obj import read_obj
 from hyaline_import.remarks import Remarks
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
@@ -58,7 +55,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     lights: list[ForeignLight] = []
     cameras: list[Camera] = []
     sensors: list[Node] = []
-    sky: Color | ForeignMap | None = None
+    sky: Color | None = None
     for node in nodes.root.children():
         if node.kind == "Shape":
             _add_shape(node, objects, lights, remarks)
@@ -67,8 +64,6 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
             cameras += _camera(node, remarks)
         elif node.kind == "Emitter" and node.plugin == "constant":
             sky = node.color("radiance", 1.0)
-        elif node.kind == "Emitter" and node.plugin == "envmap":
-            sky = _map(node)
         elif node.kind == "Emitter":
             remarks.approximate(node.name, f"is a light of kind {node.plugin}, which is left out")
         elif node.kind not in QUIET:
@@ -109,7 +104,7 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
             flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
             flat = flat @ found.image_from_uv.T
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
-            uv = clamped(uv, item.faces, (found.clamps, found.clamps), remarks, where=node.name)
+            uv = wrapped(uv, item.faces, (found.repeats, found.repeats), remarks, where=node.name)
         objects.append(replace(item, uv=uv, material=material))
         if sum(len(other.faces) for other in objects) > MAX_TRIANGLES or len(objects) > MAX_SURFACES:
             raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
@@ -126,28 +121,11 @@ def _light(node: Node, emitter: Node) -> ForeignLight:
     )  # fmt: skip
 
 
-def _map(node: Node) -> ForeignMap:
-    """A map of the environment: its middle column lies towards +z, and +y is up, before it is turned."""
-    path = node.file("filename")
-    if path.suffix.lower() not in MAP_ENDINGS:
-        raise HyalineError(f"{node.where}: names {path.name}; expected linear radiance, in .exr or .hdr")
-    world = node.matrix("to_world")[:3, :3]
-    if np.linalg.det(world) < 0:
-        raise HyalineError(f"{node.where}: is mirrored by its to_world; expected a turn, mirror the picture instead")
-    data, scale = read_foreign(path), node.number("scale", 1.0)
-    read_map(data, where=str(path))
-    if scale <= 0:
-        raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")
-    middle, up = (column / np.linalg.norm(column) for column in (world[:, 2], world[:, 1]))
-    return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
-
-
 def _camera(node: Node, remarks: Remarks) -> list[Camera]:
     """The camera of a sensor; none if it is skewed or mirrored."""
-    if node.plugin not in ("perspective", "thinlens"):
-        raise HyalineError(f"{node.where}: is of a kind that is not read; known are perspective, thinlens")
-    if node.plugin == "thinlens":
-        remarks.approximate(node.name, "is out of focus in places; drawn sharp everywhere")
+    if node.plugin != "perspective":
+        remarks.approximate(node.name, f"is a camera of kind {node.plugin}, which is left out")
+        return []
     film = node.inner("Film")
 
     def of_film(key: str, default: float) -> float:
@@ -213,22 +191,14 @@ def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
         elif normals is not None:
             normals = elementwise(normals, np.linalg.inv(world[:3, :3]).T, np.zeros(3)) * (-1 if is_flipped else 1)
         elif node.plugin in ("obj", "ply", "serialized"):
-            normals = _smooth_normals(positions, faces)
+            import trimesh
+
+            # As Mitsuba computes missing ones: over every edge, weighted by the angles of a vertex's faces.
+            normals = np.array(trimesh.Trimesh(positions, faces, process=False).vertex_normals)
         found.append(
             dataclasses.replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg)
         )
     return found
-
-
-def _smooth_normals(positions: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Normals as Mitsuba computes missing ones, over every edge: weighted by the angles of a vertex's faces."""
-    corners = positions[faces]
-    normals, sums = _unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])), 0 * positions
-    for corner in range(3):
-        one, other = (_unit(corners[:, (corner + step) % 3] - corners[:, corner]) for step in (1, 2))
-        angle = np.arccos(np.clip((one * other).sum(axis=-1, keepdims=True), -1, 1))
-        np.add.at(sums, faces[:, corner], angle * normals)
-    return _unit(sums)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -1,26 +1,23 @@
 """Tests surfaces that an image cuts out, against Mitsuba's masks, Embree, and SciPy's interpolation."""
 
 import dataclasses
-import io
 
 import numpy as np
 import pytest
 import trimesh
-from PIL import Image
-from scipy.ndimage import map_coordinates
+from scipy.ndimage import map_coordinates, zoom
 from support.scenes import WHITE, rendered, scene_of
 from support.synthetic import look_at
 
 from datagen.data.cameras import Cameras
 from datagen.data.images import linear_from_srgb, png_bytes
 from datagen.data.meshes import Mesh, check_mesh, face_areas
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject
 from datagen.scene.images import linear_pixels
-from datagen.scene.materials import Dielectric, Diffuse
-from datagen.scene.modelling import ball, sheet
-from hyaline_import.cutouts import Cut, corner_uv_of, cut_out, opacity_of, with_cuts
+from datagen.scene.materials import Diffuse
+from datagen.scene.modelling import sheet
+from hyaline_import.cutouts import Cut, corner_uv_of, cut_out
 from hyaline_import.foreign import ForeignImage
 from hyaline_import.pictures import decoded
 
@@ -64,7 +61,12 @@ def test_what_is_left_has_the_area_in_which_interpolated_opacity_reaches_the_cut
     image: str, cutoff: float, scale: float
 ) -> None:
     rng = np.random.default_rng(1)
-    images = {"leaf": leaf(), "noise": rng.random((9, 9)), "wide": rng.random((5, 17))}
+    # Noise is smooth: what touches in a saddle of four texels is always parted.
+    images = {
+        "leaf": leaf(),
+        "noise": zoom(rng.random((9, 9)), 4, order=1),
+        "wide": zoom(rng.random((5, 17)), 4, order=1),
+    }
     opacity = images[image].astype(np.float32)
     mesh = cut(card(scale=scale), opacity, cutoff)
     check_mesh(dataclasses.replace(mesh, uv=mesh.uv / np.float32(scale)), where="leaf")
@@ -72,7 +74,7 @@ def test_what_is_left_has_the_area_in_which_interpolated_opacity_reaches_the_cut
     uv = scale * np.stack(np.meshgrid(place, place), axis=-1)
     expected = float((opacity_at(opacity, uv, repeats=scale > 1) >= cutoff).mean())
     # An outline is straight inside a cell of four texels, where the interpolation's is a hyperbola.
-    assert face_areas(mesh).sum() == pytest.approx(expected, abs=0.012 if image != "leaf" else 0.002)
+    assert face_areas(mesh).sum() == pytest.approx(expected, abs=0.002)
     assert mesh.uv == pytest.approx(scale * mesh.vertices[:, :2], abs=1e-5)
     assert mesh.normals == pytest.approx(np.tile([0, 0, 1], (len(mesh.vertices), 1)), abs=1e-6)
 
@@ -153,32 +155,8 @@ def test_fine_noise_is_cut_along_coarser_outlines_and_images_larger_than_needed_
     assert face_areas(mesh).sum() == pytest.approx(0.5, abs=0.1)
 
 
-def png(opacity: np.ndarray, mode: str) -> bytes:
-    values = (255 * opacity).round().astype(np.uint8)
-    image = Image.fromarray(values)
-    if mode == "RGBA":
-        image = Image.merge("RGBA", [Image.new("L", image.size, 90)] * 3 + [image])
-    data = io.BytesIO()
-    image.save(data, format="PNG")
-    return data.getvalue()
-
-
-def test_a_solid_is_not_cut() -> None:
-    solid = ball(0.2, subdivisions=1)
-    whole = Cut(opacity=leaf(), cutoff=0.5, corner_uv=corner_uv_of(solid))
-    scene = scene_of(SceneObject(name="leaves", mesh=solid, material=Dielectric()))
-    with pytest.raises(HyalineError, match="object leaves: is solid, and a cutout would open it"):
-        with_cuts(scene, {"leaves": whole})
-
-
-def test_opacity_is_alpha_and_else_brightness() -> None:
-    for mode in ("RGBA", "L"):
-        assert opacity_of(png(leaf(), mode), where="x") == pytest.approx(leaf(), abs=1 / 500)
-
-
 def test_grey_of_16_bits_is_scaled_to_8() -> None:
     data = png_bytes(np.array([[0, 20000], [40000, 65535]], np.uint16))
     encoded = np.array([[0, 78], [156, 255]]) / 255
-    assert opacity_of(data, where="x") == pytest.approx(encoded)
     assert linear_pixels(data, where="x")[..., 1] == pytest.approx(linear_from_srgb(encoded))
     assert decoded(ForeignImage(name="x", data=data))[..., 2] == pytest.approx(linear_from_srgb(encoded))

@@ -11,29 +11,24 @@ import pytest
 import trimesh
 from PIL import Image
 from support.commands import call
-from support.foreign import CARD, add, glass_entry, obj_of, refused, taken, use_of
-from support.gltf import BOX, GltfBuilder, clear, glass, glass_of
+from support.foreign import CARD, add, glass_entry, refused, taken, use_of
+from support.gltf import BOX, GltfBuilder, clear, glass_of
 from support.rigs import config
 
-from datagen.data.config import square
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
-from datagen.render.mitsuba_scene import radiance_of_environment
 from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.modelling import ball, lathe, sheet
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
+from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras
-from datagen.scene.staging import LIGHT
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.textures import ImageTexture
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.lights import glowing
-from hyaline_import.remarks import Remarks
-from hyaline_import.staging import make_ground
 from hyaline_import.surfaces import edge_tilt_deg, mesh_of
 
 
@@ -83,14 +78,6 @@ def test_glass_is_solid_and_of_the_volume_that_it_had_and_an_image_comes_along(i
         np.testing.assert_allclose(np.asarray(picture.convert("RGB"))[64, 64], [200, 104, 62], atol=2)
 
 
-@pytest.mark.parametrize("resolution", [32, 128])
-def test_a_period_of_the_grounds_pattern_is_four_texels(imported: Imported, resolution: int) -> None:
-    ground = make_ground(imported.scene.objects[:2], resolution=square(resolution), remarks=Remarks())
-    assert isinstance(ground.material, Diffuse) and isinstance(ground.material.color, SolidTexture)
-    # An object's texture is half as wide as the picture.
-    assert extent(ground)[0] / ground.material.color.scale == pytest.approx(resolution / 2 / 4, rel=1e-5)
-
-
 def test_cameras_of_all_splits_are_above_the_ground_and_see_the_glass_whole(imported: Imported) -> None:
     vase = of_name(imported.scene, "vase").mesh.vertices
     for split, cameras in make_cameras(imported.scene.cameras, config(views=32)).items():
@@ -105,23 +92,9 @@ def test_cameras_of_all_splits_are_above_the_ground_and_see_the_glass_whole(impo
                 assert shares.max() > 0.4, "and not far away"
 
 
-def glass_row() -> GltfBuilder:
-    builder = GltfBuilder()
-    for place in range(5):
-        add(builder, f"b{place}", BOX, glass_entry(), scale=[0.1] * 3, translation=[0.3 * place, 0.5, 0])
-    return builder
-
-
-@pytest.mark.parametrize(
-    ("builder", "wall"),
-    [
-        (scene_with_glass(), {"scale": [2, 3, 0.01], "translation": [0, 0, -0.15]}),
-        (glass_row(), {"scale": [1.6, 1.2, 0.01], "translation": [0.6, 0.5, -0.08]}),
-    ],
-    ids=["a wall", "a panel behind a wide row"],
-)
-def test_a_backdrop_keeps_the_cameras_on_its_front_side(builder: GltfBuilder, wall: dict, tmp_path: Path) -> None:
-    scene = import_scene(add(builder, "wall", **wall).written(tmp_path), ImportChoices()).scene
+def test_a_backdrop_keeps_the_cameras_on_its_front_side(tmp_path: Path) -> None:
+    builder = add(scene_with_glass(), "wall", scale=[2, 3, 0.01], translation=[0, 0, -0.15])
+    scene = import_scene(builder.written(tmp_path), ImportChoices()).scene
     # The file's +z, where its viewer is, is our -y.
     front = of_name(scene, "wall").mesh.vertices[:, 1].min()
     for cameras in make_cameras(scene.cameras, config(views=32)).values():
@@ -142,15 +115,6 @@ def test_scale_and_up_are_as_one_says(scale: float | None, up: str, expected: li
     path = add(GltfBuilder(), "box", scale=[0.1, 0.2, 0.1]).written(tmp_path)
     scene = import_scene(path, ImportChoices(scale=scale, up=up)).scene  # pyright: ignore
     np.testing.assert_allclose(extent(scene.objects[0]), expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(("factor", "size"), [(1.0, 1.0), (20.0, 0.2), (3000.0, 3.0), (40_000.0, 0.3), (0.001, 0.3)])
-def test_a_scene_too_small_or_large_for_metres_gets_another_unit_and_says_so(
-    factor: float, size: float, tmp_path: Path
-) -> None:
-    done = import_scene(add(GltfBuilder(), "box", scale=[factor] * 3).written(tmp_path), ImportChoices())
-    assert extent(done.scene.objects[0])[0] == pytest.approx(size, rel=1e-4)
-    assert any("--scale" in line.what for line in done.remarks) == (factor != 1)
 
 
 def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
@@ -250,26 +214,6 @@ def test_a_full_glass_on_a_table_keeps_its_walls_and_has_no_film_of_air(tmp_path
     np.testing.assert_allclose(np.ptp(vessel.vertices, axis=0), [0.074, 0.074, 0.1 - 2e-4], atol=1e-6)
 
 
-def test_liquids_that_lie_on_each_other_in_a_glass_come_in(tmp_path: Path) -> None:
-    parts = [("tumbler", tumbler(), 1.5), ("syrup", drink(high=0.04), 1.4), ("juice", drink(low=0.04), 1.35)]
-    done = taken(glasses(*parts).written(tmp_path), "--up z --scale 1")
-    syrup, juice, vessel = (done[name].mesh for name in ("syrup", "juice", "tumbler"))
-    liquids = np.concatenate([face_corners(syrup), face_corners(juice)])
-    height = np.linspace(0.01, 0.069, 200) + vessel.vertices[:, 2].min()
-    for radius in (0.001, 0.03205):  # Through both of them, and where they touch the glass.
-        points = np.stack([np.full(200, radius), np.full(200, 1e-4), height], axis=-1)
-        assert (windings(liquids, points) + windings(face_corners(vessel), points) > 0).all()
-
-
-def test_more_full_glasses_than_may_overlap_come_in_with_a_gap_around_their_drinks(tmp_path: Path) -> None:
-    builder = glasses(("tumbler", tumbler(12), 1.5), ("drink", drink(12), 1.33))
-    for index, kind in itertools.product(range(1, 17), range(2)):
-        builder.node(mesh=kind, name=f"{('tumbler', 'drink')[kind]}{index}", translation=[0.1 * index, 0, 0])
-    done = taken(builder.written(tmp_path), "--up z --scale 1 --ground never")
-    assert len(done.scene.objects) == 34
-    assert (windings(face_corners(done["tumbler"].mesh), done["drink"].mesh.vertices) == 0).all()
-
-
 @pytest.mark.parametrize("is_same_material", [True, False])
 def test_a_shell_that_faces_inwards_inside_a_body_of_its_material_is_its_cavity(
     is_same_material: bool, tmp_path: Path
@@ -359,29 +303,6 @@ def test_a_lamp_of_any_shape_keeps_its_power(shape: Mesh) -> None:
         for light in glowing(shape, (3.0, 2.0, 1.0))
     )
     assert power == pytest.approx(face_areas(shape).sum() * np.array([3.0, 2.0, 1.0]), rel=1e-5)
-
-
-def test_an_open_lamp_shines_to_where_its_faces_look() -> None:
-    (light,) = glowing(sheet((0, 0, 0), (0.4, 0, 0), (0, 0.2, 0)), (1.0, 1.0, 1.0))
-    assert np.cross(light.edge_u, light.edge_v) == pytest.approx([0, 0, 0.08], abs=1e-6)
-
-
-def test_the_light_of_files_without_any_has_highlights_and_dark_outlines_for_glass_on_every_side() -> None:
-    azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 3)), np.radians(np.arange(0, 80, 3)))
-    across = np.cos(elevation)
-    directions = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)], axis=-1)
-    radiance = radiance_of_environment(LIGHT, directions).mean(axis=-1)
-    usual = np.median(radiance)
-    for start in range(0, 120, 10):
-        third = radiance[:, (start + np.arange(40)) % 120]  # 120 degrees.
-        assert third.max() > 4 * usual
-        assert third.min() < 0.25 * usual
-    # A perfectly white sheet that lies below it is about as bright as white on a screen.
-    directions = np.random.default_rng(0).normal(size=(200_000, 3))
-    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
-    light = radiance_of_environment(LIGHT, directions)
-    sheet_radiance = 4 * (light.mean(axis=-1) * np.maximum(directions[:, 2], 0)).mean()
-    assert 0.8 < sheet_radiance < 1.3
 
 
 # The command
@@ -481,13 +402,6 @@ def test_build_takes_what_import_takes(tmp_path: Path) -> None:
     assert other.status == 1 and "--overwrite" in other.error
 
 
-@pytest.mark.parametrize("scene", ["glass_table", "{folder}"])
-def test_flags_of_an_import_without_one_are_refused(scene: str, tmp_path: Path) -> None:
-    taken(scene_with_glass().written(tmp_path))
-    answer = call(f"datagen build --out data --repair --scene {scene.format(folder=tmp_path / 'taken')}")
-    assert answer.status == 1 and "--repair: goes with a file that is imported, such as vase.glb" in answer.error
-
-
 # Materials
 
 
@@ -508,30 +422,6 @@ def halves(left: tuple[int, int, int], right: tuple[int, int, int]) -> np.ndarra
     return np.tile(np.repeat(np.array([left, right]), 4, axis=0)[None], (8, 1, 1))
 
 
-@pytest.mark.parametrize(
-    ("pixels", "expected", "line"),
-    [
-        (halves((0, 0, 0), (0, 0, 0)), Dielectric(ior=1.5), "metalness 0.00 and roughness 0.00"),
-        (  # The mesh lies in the left half.
-            halves((0, 153, 0), (255, 153, 255)),
-            RoughDielectric(ior=1.5, roughness=0.6**2),
-            "metalness 0.00 and roughness 0.60",
-        ),
-    ],
-)
-def test_glass_with_an_image_of_metalness_is_the_glass_that_the_image_says(
-    pixels: np.ndarray, expected: Dielectric, line: str, tmp_path: Path
-) -> None:
-    builder = GltfBuilder()
-    # Exporters leave the factors out, which then are 1.
-    entry = {"pbrMetallicRoughness": {"metallicRoughnessTexture": use_of(builder, pixels)}, "extensions": glass()}
-    uv = np.full((len(BOX.vertices), 2), (0.2, 0.5), np.float32)
-    add(builder, "stuff", dataclasses.replace(BOX, uv=uv), entry, scale=[0.1] * 3)
-    done = taken(builder.written(tmp_path), "--strict")
-    assert f"stuff: from its image: {line}" in done.err
-    assert done["stuff"].material == expected
-
-
 def test_an_image_that_makes_a_part_of_a_surface_metal_is_averaged_and_told(tmp_path: Path) -> None:
     builder = GltfBuilder()
     use = use_of(builder, halves((0, 51, 0), (0, 255, 255)))
@@ -550,70 +440,6 @@ def test_an_image_that_makes_a_part_of_a_surface_metal_is_averaged_and_told(tmp_
     told = {line.where: line.what for line in found.remarks if "varies" in line.what and line.is_approximation}
     assert told["apart"].endswith("drawn with the mean: metalness 0.50 and roughness 0.60")
     assert set(told) == {"most", "some", "apart"}
-
-
-def test_an_image_of_transmission_and_one_of_glossiness_count_too(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    black, half = (use_of(builder, np.full((4, 4, 4), (0, 0, 0, value))) for value in (255, 128))
-    opaque = {"KHR_materials_transmission": {"transmissionFactor": 1.0, "transmissionTexture": black}}
-    add(builder, "box0", BOX, {"pbrMetallicRoughness": clear(roughnessFactor=1.0), "extensions": opaque})
-    shiny = {"specularGlossinessTexture": half, "diffuseFactor": [0.5, 0.5, 0.5, 1]}
-    entry = {"extensions": {"KHR_materials_pbrSpecularGlossiness": shiny}}
-    done = taken(add(builder, "box1", BOX, entry, translation=[2, 0, 0]).written(tmp_path), "--scale 0.1")
-    assert isinstance(done["box0"].material, Diffuse)
-    material = done["box1"].material
-    assert isinstance(material, Plastic) and material.roughness == 0.25
-
-
-def test_metal_without_its_image_is_no_metal_unless_a_factor_says_so(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    use = {"index": builder.add("textures", {"extensions": {"KHR_texture_basisu": {"source": 0}}})}
-    for factor in ({}, {"metallicFactor": 1.0}):
-        pbr = {"metallicRoughnessTexture": use, "roughnessFactor": 0.2, **factor}
-        add(builder, "box", BOX, {"pbrMetallicRoughness": pbr}, scale=[0.1] * 3)
-    done = taken(builder.written(tmp_path), "--ground never")
-    assert [type(item.material) for item in done.scene.objects] == [Plastic, Conductor]
-
-
-def test_a_table_of_blended_metal_is_seen_through_and_a_file_without_glass_says_how_to_get_some(
-    tmp_path: Path,
-) -> None:
-    entry = {"pbrMetallicRoughness": {"baseColorFactor": [0, 0, 0, 0.25]}, "alphaMode": "BLEND"}
-    done = taken(add(GltfBuilder(), "top", BOX, entry, scale=[0.1] * 3).written(tmp_path))
-    assert "1 of them glass" in done.err
-    assert done["top"].material == ThinDielectric(ior=1.0, tint=(0.75, 0.75, 0.75))
-    line = "2 objects, none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
-    entry["alphaMode"] = "OPAQUE"
-    assert line in taken(add(GltfBuilder(), "top", BOX, entry, scale=[0.1] * 3).written(tmp_path)).err
-
-
-@pytest.mark.parametrize(
-    ("lines", "expected"),
-    [
-        # As Blender 4.5 writes Principled BSDFs with its PBR extensions: Tf is the weight of transmission.
-        ("Kd 1 1 1\nNi 1.45\nd 1\nillum 2\nPr 0\nPm 0\nTf 1 1 1", Dielectric(ior=1.45)),
-        ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 0.2\nPm 0\nTf 1 1 1", RoughDielectric(ior=1.5, roughness=0.2**2)),
-        ("Kd 1 1 1\nNi 1.5\nd 1\nillum 2\nPr 1\nPm 0", Diffuse(color=(1, 1, 1))),
-        # As 3ds Max writes what is opaque.
-        ("Kd 0.8 0.8 0.8\nNs 0\nNi 1.5\nd 1\nTr 0\nTf 1 1 1\nillum 2", Diffuse(color=(0.8, 0.8, 0.8))),
-        ("Kd 0.8 0.8 0.8\nNi 1.5\nd 1\nillum 4\nTf 1 1 1", Dielectric(ior=1.5)),
-    ],
-)
-def test_an_obj_of_blenders_with_a_weight_of_transmission_is_glass(
-    lines: str, expected: Dielectric | Diffuse, tmp_path: Path
-) -> None:
-    done = taken(obj_of(tmp_path, lines), "--strict")
-    assert ("none of them glass" in done.err) == isinstance(expected, Diffuse)
-    assert done["thing"].material == expected
-
-
-def test_white_texels_that_no_base_below_a_coat_shows_are_drawn_matt_though_the_mean_could_be(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    for name, colors in (("checker", ((0, 0, 0), (255, 255, 255))), ("grey", ((188, 188, 188), (188, 188, 188)))):
-        pbr = {**clear(roughnessFactor=0.5), "baseColorTexture": use_of(builder, halves(*colors))}
-        add(builder, name, CARD, {"pbrMetallicRoughness": pbr})
-    done = taken(builder.written(tmp_path), "--ground never")
-    assert [type(item.material) for item in done.scene.objects] == [Diffuse, Plastic]
 
 
 @pytest.mark.parametrize(("mode", "is_cut"), [("MASK", True), ("BLEND", True), ("OPAQUE", False)])

@@ -1,23 +1,19 @@
 """Tests that foreign materials become the nearest ones of ours, by the formulas of glTF's extensions."""
 
-import dataclasses
 import io
-import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
-from support.foreign import add, glass_entry, use_of
+from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.disk.errors import HyalineError
-from datagen.scene.import_choices import ImportChoices, Thin
+from datagen.scene.import_choices import Thin
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.textures import ImageTexture
 from hyaline_import.foreign import ForeignMaterial
 from hyaline_import.gltf.scene import read_gltf
-from hyaline_import.importing import import_scene
 from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
 from hyaline_import.remarks import Remarks
 from hyaline_import.surfaces import Shape
@@ -55,15 +51,6 @@ def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.exp(-0.015 * np.array(material.absorption)), [0.1, 0.5, 0.9])
 
 
-def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(tmp_path: Path) -> None:
-    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass()))
-    assert material == Dielectric(ior=1.5)
-    extensions = glass(attenuationColor=[0, 1, 1], attenuationDistance=0.5)
-    material, _ = mapped(foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions))
-    assert isinstance(material, Dielectric)
-    np.testing.assert_allclose(material.absorption, [-math.log(1e-4) / 0.5, 0, 0])
-
-
 @pytest.mark.parametrize(
     ("entry", "expected"),
     [
@@ -73,6 +60,7 @@ def test_without_attenuation_glass_is_clear_and_black_attenuation_stays_finite(t
         ),
         ({"name": "Water.001"}, Dielectric(ior=1.333)),
         ({"pbrMetallicRoughness": clear(roughnessFactor=0.5)}, RoughDielectric(ior=1.5, roughness=0.25)),
+        ({"extensions": {"KHR_materials_dispersion": {"dispersion": 0.5}}}, Dielectric(ior=1.5, dispersion=0.5)),
     ],
 )
 def test_index_substance_priority_and_roughness_are_those_of_the_file(
@@ -160,78 +148,12 @@ def test_matt_things_keep_the_light_of_their_sheen_and_say_so(tmp_path: Path) ->
     assert white == Diffuse(color=(1, 1, 1)) and len(lines) == 1 and "is brighter than a base" in lines[0]
 
 
-def test_metal_lets_no_light_through_whatever_its_transmission(tmp_path: Path) -> None:
-    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={"roughnessFactor": 0.5}, extensions=glass()))
-    assert isinstance(found, Conductor)
-    assert len(lines) == 1 and "is metal" in lines[0]
-
-
-def test_metal_too_rough_to_be_bright_is_matt_and_a_surface_without_a_material_grey(tmp_path: Path) -> None:
-    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness={}))
-    assert found == Diffuse(color=(1, 1, 1)) and len(lines) == 1 and "metal so rough" in lines[0]
-    builder = GltfBuilder()
-    builder.node(mesh=builder.mesh(), name="thing")
-    found = import_scene(builder.written(tmp_path), ImportChoices(ground="never"))
-    assert found.scene.objects[0].material == Diffuse(color=(0.8, 0.8, 0.8))
-    assert any("has no material in the file" in line for line in found.told())
-
-
 def test_a_blended_surface_becomes_a_pane_that_lets_through_what_it_does_not_cover(tmp_path: Path) -> None:
     pbr = clear(baseColorFactor=[0.0, 0.5, 1.0, 0.4])
     found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
     assert isinstance(found, ThinDielectric)
     np.testing.assert_allclose(found.tint, [0.6, 0.8, 1.0])
     assert len(lines) == 1
-
-
-@pytest.mark.parametrize(("color", "alpha"), [((0.0, 0.0, 0.0), 0.25), ((0.9, 0.6, 0.3), 0.5), ((1, 1, 1), 0.85)])
-def test_blended_metal_mirrors_where_it_is_and_lets_through_the_rest(
-    color: tuple[float, float, float], alpha: float, tmp_path: Path
-) -> None:
-    pbr = {"baseColorFactor": [*color, alpha]}
-    found, lines = mapped(foreign(tmp_path, pbrMetallicRoughness=pbr, alphaMode="BLEND"))
-    assert isinstance(found, ThinDielectric) and isinstance(found.ior, float)
-    one_side = ((found.ior - 1) / (found.ior + 1)) ** 2
-    mirrored = 2 * one_side / (1 + one_side)
-    assert mirrored == pytest.approx(min(alpha * np.mean(color), 0.8))
-    np.testing.assert_allclose((1 - mirrored) * np.array(found.tint), 1 - alpha)
-    assert len(lines) == 1 and "is metal and blended" in lines[0]
-
-
-def test_a_rough_pane_is_drawn_smooth(tmp_path: Path) -> None:
-    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.5), extensions=glass())
-    pane, lines = mapped(entry, OPEN)
-    assert pane == ThinDielectric(ior=1.5)
-    assert any("rough pane (GGX alpha 0.25)" in line for line in lines)
-
-
-def test_dispersion_is_kept_and_left_out_of_a_pane_that_bends_nothing(tmp_path: Path) -> None:
-    extensions = {**glass(), "KHR_materials_dispersion": {"dispersion": 0.5}}
-    entry = foreign(tmp_path, pbrMetallicRoughness=clear(roughnessFactor=0.0), extensions=extensions)
-    assert mapped(entry) == (Dielectric(ior=1.5, dispersion=0.5), [])
-    pane, lines = mapped(entry, OPEN)
-    assert pane == ThinDielectric(ior=1.5)
-    assert any("dispersion is left out" in line for line in lines)
-    solid, lines = mapped(dataclasses.replace(entry, dispersion=60.0, roughness=0.5))
-    assert solid == RoughDielectric(ior=1.5, dispersion=20.0, roughness=0.25)
-    assert any("has a dispersion of 60; drawn with 20" in line for line in lines)
-
-
-def test_each_thing_that_is_not_drawn_is_a_line(tmp_path: Path) -> None:
-    texture = {"index": 0}
-    lamp = {"normalTexture": texture, "occlusionTexture": texture, "emissiveTexture": texture}
-    entry = {**glass_entry(), **lamp, "emissiveFactor": [1, 0, 0]}
-    entry["extensions"]["KHR_materials_sheen"] = {}
-    path, remarks = add(GltfBuilder(), "thing", BOX, entry).written(tmp_path), Remarks()
-    read_gltf(path, remarks)
-    assert [line.what for line in remarks.lines if line.is_approximation] == [
-        "has sheen, which is left out",
-        "has a normal map, which is left out",
-        "has an occlusion map, which is left out",
-        "emits light by an image, which is ignored",
-    ]
-    with pytest.raises(HyalineError, match="leave out --strict"):
-        read_gltf(path, Remarks(is_strict=True))
 
 
 def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_gets_its_mean(tmp_path: Path) -> None:

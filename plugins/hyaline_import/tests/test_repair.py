@@ -60,12 +60,6 @@ def test_holes_are_closed_and_the_volume_stays(name: str) -> None:
     assert f"{1e6 * signed_volume(whole):.4g} cm^3" in remarks.lines[0].what
 
 
-def test_a_mesh_without_holes_stays_as_it_is() -> None:
-    remarks = Remarks()
-    assert closed(BALL, remarks, where="ball") is BALL
-    assert remarks.lines == []
-
-
 def test_what_closing_would_change_and_what_cannot_be_closed_is_refused() -> None:
     upper = BALL.vertices[BALL.faces][..., 2].min(axis=1) > -0.02
     with pytest.raises(HyalineError, match=r"1 holes closed: its volume was .* % off; expected at most 5 %"):
@@ -132,37 +126,6 @@ def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, 
         assert isinstance(block.material, ThinDielectric)
 
 
-@pytest.mark.parametrize("bridged", [True, False])
-def test_a_small_mesh_with_many_points_on_its_edges_is_solid_after_repair(bridged: bool, tmp_path: Path) -> None:
-    mesh = with_split_edges(BOX, bridged=bridged, every=2, points=5, scale=0.005)
-    builder = add(glass_of(mesh, name="bead"), "block", BOX, glass_entry(), scale=[0.1] * 3, translation=[0, 0.1, 0])
-    bead = taken(builder.written(tmp_path), "--repair --scale 1")["bead"]
-    assert bead.material == Dielectric(ior=1.5) and open_edges(bead.mesh) == 0
-    assert signed_volume(bead.mesh) == pytest.approx(0.005**3 * signed_volume(BOX), rel=1e-3)
-
-
-def test_what_cannot_be_closed_is_drawn_thin_as_the_error_says(tmp_path: Path) -> None:
-    fin = np.array([[*BOX.faces[0, :2], 50]], np.int32)
-    finned = dataclasses.replace(BOX, faces=np.concatenate([BOX.faces, fin]))
-    path = glass_of(finned, name="block").written(tmp_path)
-    for more in ("--repair", "--repair --material glass"):
-        assert "or draw it as thin glass with --material 'block=thin-glass'" in refused(path, more)
-        done = taken(path, f"{more} --material 'block=thin-glass'")
-        assert isinstance(done["block"].material, ThinDielectric)
-
-
-def test_open_glass_that_was_chosen_says_what_closes_it_and_that_works(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    builder.node(mesh=builder.mesh(without(BOX, [3])), name="block")
-    path = builder.written(tmp_path)
-    assert refused(path, "--material glass") == (
-        "error: block: has 3 open edges, and glass must be closed; --repair closes holes, and --material "
-        "'block=thin-glass' draws it as a thin pane"
-    )
-    for more in ("--repair", "--material 'block=thin-glass'"):
-        taken(path, f"--material glass {more}")
-
-
 def crossed(mesh: Mesh) -> Mesh:
     """A closed body whose upper half is turned about its axis by half a turn, through itself."""
     vertices = mesh.vertices.copy()
@@ -186,12 +149,6 @@ def test_repair_leaves_out_the_one_body_of_many_that_crosses_itself(is_one_objec
     assert what in done.err
     beads = [item for item in done.scene.objects if item.material.is_glass]
     assert sum(signed_volume(item.mesh) for item in beads) == pytest.approx(39e-3 * signed_volume(small), rel=1e-4)
-
-
-def test_glass_that_cannot_be_mended_is_an_error_if_no_other_glass_is_in_the_file(tmp_path: Path) -> None:
-    builder = add(glass_of(crossed(ball(0.05, subdivisions=2)), name="bead"), "box", translation=[0, 0, 1])
-    error = refused(builder.written(tmp_path), "--repair")
-    assert "bead" in error and "crosses itself" in error
 
 
 @pytest.mark.parametrize("repair", ["", "--repair"])

@@ -20,10 +20,16 @@ from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views
+from hyaline_import.datasets.import_dataset import (
+    Plan,
+    digest_of,
+    imported_config,
+    read_surface,
+    split_views,
+    unlit_scene,
+)
 from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
 from hyaline_import.datasets.pictures import on_background, opened
-from hyaline_import.datasets.surfaces import read_surface, unlit_scene
 from hyaline_import.foreign import z_up_from
 from hyaline_import.foreign_files import scene_name
 from hyaline_import.importing import Made, scene_object, unique_names

@@ -213,7 +213,6 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
                 Shot(
                     picture=picture,
                     mask=None,
-                    depth=None,
                     world_from_camera=file.pose(frame),
                     lens=lens_of_frame(file, frame, sizes[picture]),
                     masks=masks_of(frame, picture),
@@ -257,9 +256,7 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             continue
         row, pose, where = listed[name]
         lens = lens_of_colmap(row, picture_size(picture), where=where)
-        shots.append(
-            Shot(picture=picture, mask=None, depth=None, world_from_camera=pose, lens=lens, masks=masks.of(picture))
-        )
+        shots.append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=masks.of(picture)))
     if len(shots) < 3:
         raise HyalineError(
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "

@@ -169,5 +169,3 @@ def test_runs_predict_variants_and_the_report_scores_them(
         path.write_bytes(content)
     assert "perfect" in said.out and not any(title in said.out for title in titles)
     assert "variants/angles" in said.err
-
-

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from itertools import pairwise, takewhile
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -49,15 +49,10 @@ GLASS_MODELS = (4, 6, 7, 9)
 MAX_OPAQUE = 0.9
 """Dissolve from which on a surface is opaque."""
 USUAL_IOR = 1.5
-DEFAULTS: dict[str, tuple[float | str, ...]] = {
-    "-blendu": ("on",), "-blendv": ("on",), "-boost": (0,), "-mm": (0, 1), "-o": (0, 0, 0), "-s": (1, 1, 1),
-    "-t": (0, 0, 0), "-texres": ("",), "-clamp": ("off",), "-bm": (1,), "-imfchan": ("",), "-cc": ("off",),
-}  # fmt: skip
-"""The words that follow each option of an image if it changes nothing."""
-VECTORS = ("-o", "-s", "-t")
-"""Options whose second and third number may be left out."""
 COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
-NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+NUMBER = re.compile(r"(?<=\s)[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=\s)")
+OPTIONS = re.compile(rf"(?:-[a-z]+\s+(?:(?:{NUMBER.pattern}|on|off|[rgbmlz])\s+)*)*")
+"""The options before an image's name, with their values."""
 IGNORED = {
     "map_bump": "a bump map",
     "bump": "a bump map",
@@ -129,17 +124,14 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
 
 def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
     """Adds the materials of one file, whose name may have spaces, or of several."""
-    names = [file_named(words)]
-    if _find(path, names[0], where=where) is None:
-        each = [file_named([word]) for word in words]
-        names = each if any(_find(path, name, where=where) for name in each) else names
-    for name in names:
-        if (found := _find(path, name, where=where)) is not None:
-            text.materials |= read_mtl(found, remarks)
-        else:
-            remarks.approximate(
-                path.name, f"names {shown(name)}, which is not in its folder; drawn without these materials"
-            )
+    names = [file_named(words)] if _find(path, file_named(words), where=where) else [file_named([w]) for w in words]
+    found = [library for name in names if (library := _find(path, name, where=where)) is not None]
+    for library in found:
+        text.materials |= read_mtl(library, remarks)
+    if len(found) < max(len(names), 1):
+        remarks.approximate(
+            path.name, f"names {shown(file_named(words))}, which is not in its folder; drawn without these materials"
+        )
 
 
 def _find(path: Path, name: str, *, where: str) -> Path | None:
@@ -332,14 +324,11 @@ def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -
     words = list(entry.get(key, []))
     if not words:
         return None
-    while words and words[0] in DEFAULTS:
-        option, *words = words
-        values = words[: len(DEFAULTS[option])]
-        values = list(takewhile(NUMBER.fullmatch, values)) if option in VECTORS else values
-        words = words[len(values) :]
-        given = tuple(float(value) if NUMBER.fullmatch(value) else value for value in values)
-        if given != DEFAULTS[option][: len(given)]:
-            remarks.approximate(name, f"has an image with the option {option}, which is left out")
+    options = OPTIONS.match(" ".join(words))
+    assert options is not None, "it matches nothing, too"
+    if any(float(value) not in (0, 1) for value in NUMBER.findall(options[0])):
+        remarks.approximate(name, f"has an image that options move or scale ({options[0].strip()}), which is left out")
+    words = words[len(options[0].split()) :]
     found = _find(path, file := file_named(words), where=f"{path}: material {name}")
     if found is None:
         remarks.approximate(name, f"has the image {shown(file)}, which is not in its folder; drawn without it")
