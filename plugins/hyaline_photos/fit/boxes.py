@@ -13,10 +13,9 @@ from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import grid_faces, rotation
-from hyaline_photos.fit.lathe import Axis, perpendicular, spread
+from hyaline_photos.fit.lathe import perpendicular
 from hyaline_photos.fit.outside import WORTH_A_TILT, find_center
-from hyaline_photos.fit.section import SHARP, Section
-from hyaline_photos.fit.shapes import OUTSIDE, Glass, Revolution
+from hyaline_photos.fit.shapes import Glass
 from hyaline_photos.fit.silhouettes import descend, errors, misfit, pull
 from hyaline_photos.fit.views import NearRays
 
@@ -64,12 +63,6 @@ USELESS = 0.3
 
 MOST_REACH = 1.5
 """Largest half diagonal in parts of how far the mask's rays pass from their middle: what others hide has no bounds."""
-
-SQUARE = 0.005
-"""By how much the sides of a square may differ."""
-
-EDGE = 0.02
-"""Radius of an edge that counts as sharp, over half the width."""
 
 GUTTER = 0.01
 """Width of the empty border around each chart of the atlas."""
@@ -136,26 +129,6 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     best = _finer(best, rays.at_edges(), about_up if best is upright else any_way, support)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
-
-
-def outline_of(box: Box) -> Revolution:
-    """A box as an outline about the rectangle of its sides, as a vessel has; its upper and lower edges are sharp."""
-    narrow, wide = np.sort(box.half_sizes[:2])
-    is_oblong = wide > (1 + SQUARE) * narrow
-    half, height = narrow if is_oblong else box.half_sizes[:2].mean(), box.half_sizes[2]
-    long = box.axes[int(box.half_sizes[:2].argmax())]
-    first, second = perpendicular(box.axes[2])
-    rounding = box.rounding / half
-    # Where a square's corner of this radius crosses the diagonal, so does the superellipse.
-    sharpness = SHARP if rounding < EDGE else -np.log(2) / np.log(1 - (1 - np.sqrt(0.5)) * rounding)
-    section = Section(
-        sides=4,
-        sharpness=float(sharpness),
-        turn=float(np.arctan2(long @ second, long @ first)),
-        stretch=float(wide - narrow) if is_oblong else 0.0,
-    )
-    line = spread(np.array([(0.0, -height), (half, -height), (half, height)]), OUTSIDE)
-    return Revolution(axis=Axis(point=box.center, direction=box.axes[2]), outside=line, section=section, as_solid=box)
 
 
 def _finer(box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], support: float | None) -> Box:

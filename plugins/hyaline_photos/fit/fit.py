@@ -43,7 +43,6 @@ from hyaline_photos.fit.found import (
     digest,
     from_state,
     in_words,
-    settled,
     summary,
     to_state,
     write_geometry,
@@ -51,7 +50,6 @@ from hyaline_photos.fit.found import (
 from hyaline_photos.fit.kinds import choose_outside, choose_shown
 from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import alternatives, count_searches, guess, guesses, in_even_views, refine
-from hyaline_photos.fit.shapes import Revolution
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -134,7 +132,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             choices=choices,
             scene=with_materials(scene, assumed),
             meshes=meshes,
-            sightings=drinks.find_filling(sightings, known),
+            sightings=sightings,
             folder=folder,
         )
         found = work.run()
@@ -183,7 +181,6 @@ class _Work:
         if "grid" not in skip:
             what = "grid: tells solid glass from vessels"
             found = self._stage("grid", what, found, lambda: self._scan(self._room(textures, found), found))
-        found = settled(found)
         if "search" not in skip:
             what = "search: one number after the other"
             found = self._stage("search", what, found, lambda: self._search("search", textures, found, range(ROUNDS)))
@@ -226,8 +223,8 @@ class _Work:
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
             found |= self._found_if_shown(object_id, sightings)
-            if object_id in found and isinstance(solid := found[object_id].glass.settled(), Box):
-                sightings = with_known(sightings, object_id, solid.mesh())
+            if object_id in found and isinstance(found[object_id].glass, Box):
+                sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
         done = set[int]()
         for inside, vessel in holders.items():
             if vessel in done:
@@ -258,7 +255,7 @@ class _Work:
             return {}
 
     def _find_outside(self, object_id: int, sightings: Sightings) -> FoundGlass:
-        below = (*known_meshes(self.meshes, (*self.sightings.unknown, *self.sightings.filling)), *sightings.found)
+        below = (*known_meshes(self.meshes, self.sightings.unknown), *sightings.found)
         try:
             outside = choose_outside(
                 sightings,
@@ -273,10 +270,7 @@ class _Work:
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
         if outside.unexplained > MOST_WRONG:
             say(f"  {self._name(object_id)}: its masks contradict the cameras; check the order of the masks")
-        glass = outside.glass
-        if isinstance(glass, Revolution):
-            glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
-        return FoundGlass(glass=glass, unexplained=outside.unexplained)
+        return FoundGlass(glass=outside.glass, unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)

@@ -15,12 +15,10 @@ from datagen.data.paths import FITTED, TRUTH
 from datagen.disk.records import Json
 from datagen.scene.folder import material_json
 from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.handles import Attached, Handled
 from hyaline_photos.fit.hull import HullShape
 from hyaline_photos.fit.intervals import intervals
 from hyaline_photos.fit.lathe import Axis
 from hyaline_photos.fit.materials import Found
-from hyaline_photos.fit.section import Section
 from hyaline_photos.fit.shapes import Glass, Revolution
 from model.run.checkpoint import fingerprint
 from model.settings.state import State
@@ -42,7 +40,7 @@ class FoundGlass:
         return (object_id,) if self.drink_id is None else (object_id, self.drink_id)
 
 
-KINDS = (Attached, Axis, Box, Found, FoundGlass, Handled, HullShape, Mesh, Revolution, Section)
+KINDS = (Axis, Box, Found, FoundGlass, HullShape, Mesh, Revolution)
 """The records that a state may hold."""
 
 
@@ -69,11 +67,6 @@ DRINK_NUMBERS = ("level", "drink_")
 
 Objects = dict[int, FoundGlass]
 """By object id."""
-
-
-def settled(found: Objects) -> Objects:
-    """The same objects, those that were found solid as the shapes that they are then."""
-    return {object_id: dataclasses.replace(item, glass=item.glass.settled()) for object_id, item in found.items()}
 
 
 def digest(found: Objects) -> str:
@@ -111,7 +104,7 @@ def write_geometry(
     materials = dict(assumed)
     for object_id, item in found.items():
         for each, (mesh, material) in zip(item.ids(object_id), item.glass.bodies(), strict=True):
-            # Where a handle meets its vessel, a search can flatten faces.
+            # A search can flatten faces, as of a rounding that shrinks to nothing.
             has_area = face_areas(mesh) >= MIN_AREA
             meshes[each - 1] = dataclasses.replace(mesh, faces=mesh.faces[has_area])
             assignment[each - 1] = FITTED

@@ -38,12 +38,8 @@ class Sightings:
     """The straight ray meets an unknown object somewhere, perhaps behind other glass."""
     depth: Float32[np.ndarray, "view h w"]
     """Metres along the ray to the first surface of known shape; infinite where there is none."""
-    met: UInt8[np.ndarray, "view h w"]
-    """Id of the object which that surface belongs to; 0 where there is none."""
     unknown: tuple[int, ...]
     """Ids of the objects of unknown shape."""
-    filling: tuple[int, ...] = ()
-    """Ids of known objects inside unknown ones, such as a straw in a glass."""
     found: tuple[Mesh, ...] = ()
     """Objects whose shapes were unknown and are found (`with_known`)."""
 
@@ -56,10 +52,8 @@ class Sightings:
         return self.first == object_id
 
     def is_open(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
-        """True where nothing hides this object: the ray first meets neither another unknown object nor a known one
-        inside an unknown one."""
-        others = [other for other in self.unknown if other != object_id]
-        return ~(np.isin(self.first, others) | ((self.first == 0) & np.isin(self.met, self.filling)))
+        """True where no other unknown object hides this one."""
+        return ~np.isin(self.first, [other for other in self.unknown if other != object_id])
 
 
 def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
@@ -98,8 +92,7 @@ def read_sightings(
     cameras = dataset.cameras("train")
     known = known_meshes(meshes, unknown)
     peeler = Peeler(known) if any(map(is_there, known)) else None
-    known_ids = np.array([place + 1 for place, mesh in enumerate(known) if is_there(mesh)] + [0], np.uint8)
-    first, touched, depth, met = [], [], [], []
+    first, touched, depth = [], [], []
     for view in dataset.views("train"):
         seen, anywhere = (
             _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
@@ -110,11 +103,9 @@ def read_sightings(
         flat = directions.reshape(-1, 3)
         if peeler is None:
             depth.append(np.full(directions.shape[:2], np.inf, np.float32))
-            met.append(np.zeros(directions.shape[:2], np.uint8))
             continue
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
-        met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
     depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
     if masks is not None:
         for object_id in unknown:
@@ -127,7 +118,6 @@ def read_sightings(
         first=seen,
         touched=np.stack(touched),
         depth=depths if is_exact else doubted(depths, seen),
-        met=np.stack(met),
         unknown=unknown,
     )
 
@@ -147,7 +137,6 @@ def with_known(sightings: Sightings, object_id: int, mesh: Mesh) -> Sightings:
         sightings,
         first=np.where(seen, 0, sightings.first).astype(np.uint8),
         depth=depth,
-        met=np.where(seen, object_id, sightings.met).astype(np.uint8),
         unknown=tuple(each for each in sightings.unknown if each != object_id),
         found=(*sightings.found, mesh),
     )
