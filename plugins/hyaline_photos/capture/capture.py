@@ -1,7 +1,6 @@
 """Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
 
 import dataclasses
-from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -35,9 +34,7 @@ from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.outlines import Outline, find_outlines
-from hyaline_photos.capture.panes import Pane, find_panes
-from hyaline_photos.capture.planes import LEAST_POINTS, find_up
-from hyaline_photos.capture.room import Part, fit_room
+from hyaline_photos.capture.room import LEAST_POINTS, Part, find_up, fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths
 from hyaline_photos.capture.structure import find_cameras, find_points
 
@@ -80,10 +77,6 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     )
     shots = folder.shots
     every = world.cameras(shots, lens)
-    found = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
-    panes = [pane for pane in found if pane.thickness > 0]  # Masks that are too wide may leave it none.
-    flat = {pane.name: pane.outline() for pane in panes}
-    outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
     views, about_splits = split_views(_as_foreign(folder))
     cameras: dict[Split, Cameras] = {
         split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
@@ -92,12 +85,12 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     if not choices.room:
         points = world.points(folder.points)
         enough = len(points) >= LEAST_POINTS
-        maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
-        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
+        maps = _find_depths(shots, lens, every, points, ids) if enough else None
+        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps)
         parts, about_world = room.parts, [*about_world, room.remark]
         if room.support is not None:
             outlines = tuple(outline.standing_on(room.support) for outline in outlines)
-    about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
+    about_world += [_size_of(outline) for outline in outlines]
     name = scene_name(root.resolve())
     where = ", ".join(map(str, choices.room)) or name
     scene, about_scene = scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
@@ -164,14 +157,12 @@ def _find_depths(
     cameras: Cameras,
     points: Float[np.ndarray, "point 3"],
     ids: dict[Path, UInt8[np.ndarray, "h w"]],
-    objects: Sequence[str],
-    panes: Sequence[Pane],
 ) -> DepthMaps:
-    """Depth maps of everything that is not glass, also of what is seen through panes."""
+    """Depth maps of everything that is not glass."""
     say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
-    flat = [1 + objects.index(pane.name) for pane in panes]
-    is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
-    return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)
+    return find_depths(
+        [_picture(shot, lens) for shot in shots], [ids[shot.picture] > 0 for shot in shots], cameras, points
+    )
 
 
 # Masks
@@ -266,10 +257,9 @@ def _place(
     return world, placed, lines
 
 
-def _size_of(outline: Outline, *, is_pane: bool) -> str:
+def _size_of(outline: Outline) -> str:
     sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
-    kind = "a pane, which depth maps look through; " if is_pane else ""
-    return f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid, until `model fit` finds its shape"
+    return f"{outline.name}: about {sides} mm by its masks; an ellipsoid, until `model fit` finds its shape"
 
 
 def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
