@@ -134,7 +134,7 @@ def fit_room(
         side, bottom = 3 * radius, min(outline.center[2] - outline.radii[2] for outline in glass) - GAP
         floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
         found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
-        remark = f"room: {found}; using a floor below the glass, unless --room gives a mesh"
+        remark = f"room: {found}; using a floor below the glass"
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
     floor, support = levels[0], _support(levels, points, glass, near)
     parts, top = _floors(points, floor, middle, radius), None
@@ -163,7 +163,7 @@ def fit_room(
         things += fuse(maps, low, high, COARSER * near / 2, is_far)
     parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things[:MAX_THINGS])]
     kinds = f"a floor, {'a table, ' * (top is not None)}and {len(parts)} parts in all"
-    remark = f"room: {kinds} were fitted to {len(points):,} points; --room takes meshes instead"
+    remark = f"room: {kinds} were fitted to {len(points):,} points"
     return Room(parts=tuple(parts), support=support, remark=remark)
 
 

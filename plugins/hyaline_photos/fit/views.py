@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, UInt8
@@ -11,9 +10,7 @@ from scipy import ndimage
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.images import mask_pixels, open_png, refuse_inverted
 from datagen.data.meshes import Mesh, is_there, no_mesh
-from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
@@ -76,15 +73,13 @@ def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tupl
 
 
 def read_sightings(
-    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], masks: Path | None, *, is_exact: bool
+    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], *, is_exact: bool
 ) -> Sightings:
     """Reads the masks of the training views, and traces the known surfaces.
 
     Args:
         meshes: of all objects; those of unknown ones are not looked at.
         is_exact: masks and known surfaces are; otherwise depths are `doubted`.
-        masks: a folder with NAME/0000.png for each unknown object and training view, white where the object is seen.
-            None: masks are those that the dataset has.
     """
     use_mitsuba()
     from datagen.trace.peel import Peeler
@@ -94,9 +89,7 @@ def read_sightings(
     peeler = Peeler(known) if any(map(is_there, known)) else None
     first, touched, depth = [], [], []
     for view in dataset.views("train"):
-        seen, anywhere = (
-            _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
-        )
+        seen, anywhere = _read_masks(dataset, view, unknown)
         first.append(seen)
         touched.append(anywhere)
         origin, directions = cameras[view.index].rays()
@@ -107,12 +100,6 @@ def read_sightings(
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
     depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
-    if masks is not None:
-        for object_id in unknown:
-            folder = masks / dataset.objects[object_id - 1].name
-            refuse_inverted(seen == object_id, where=str(folder))
-            if not (seen == object_id).any():
-                _refuse_dim(folder, len(seen))
     return Sightings(
         cameras=cameras,
         first=seen,
@@ -186,35 +173,9 @@ def _read_masks(dataset: Dataset, view: View, unknown: tuple[int, ...]) -> tuple
     if len(unknown) == 1 and (mask := view.imported_mask) is not None:
         return np.where(mask, unknown[0], 0).astype(np.uint8), np.asarray(mask)
     raise HyalineError(
-        f"{dataset.root}: its pictures have no masks of single objects; give them with --masks FOLDER, as "
-        f"FOLDER/{dataset.objects[unknown[0] - 1].name}/{view_name(0)}.png"
+        f"{dataset.root}: its pictures have no masks of single objects; expected a dataset of `datagen build`, or "
+        "of `datagen capture` with a mask for each object"
     )
-
-
-def _read_pngs(dataset: Dataset, view: View, unknown: tuple[int, ...], masks: Path) -> tuple[np.ndarray, np.ndarray]:
-    """`first` and `touched` of a view, from PNG files."""
-    shape = dataset.config.resolution.shape
-    seen = np.zeros(shape, np.uint8)
-    for object_id in unknown:
-        path = masks / dataset.objects[object_id - 1].name / f"{view_name(view.index)}.png"
-        if not path.is_file():
-            raise HyalineError(f"{path}: the file is missing; expected masks of all glass, or of --unknown alone")
-        mask = mask_pixels(open_png(path, size=dataset.config.resolution))
-        if bool((seen[mask] > 0).any()):
-            other = dataset.objects[int(seen[mask].max()) - 1].name
-            raise HyalineError(f"{path}: overlaps the mask of {other}; expected the object that is seen first")
-        seen[mask] = object_id
-    return seen, seen > 0
-
-
-def _refuse_dim(folder: Path, views: int) -> None:
-    """Raises a HyalineError if masks that show nothing have marks that are too dark, such as 1 for an object."""
-    pictures = (open_png(folder / f"{view_name(view)}.png").convert("RGB") for view in range(views))
-    brightest = max(int(np.asarray(picture).max()) for picture in pictures)
-    if 0 < brightest <= 127:
-        raise HyalineError(
-            f"{folder}: its masks are black everywhere; the brightest pixel is {brightest}, expected 255 on the object"
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
-from hyaline_photos.fit.intervals import intervals
+from hyaline_photos.fit.found import intervals
 from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import INDEX_HELD, alternatives, count_searches, guess, in_even_views, refine, scan
 from hyaline_photos.fit.shapes import Revolution
