@@ -372,7 +372,8 @@ class _Work:
             counts = seen.sum(axis=(1, 2))
             large = np.flatnonzero(counts >= np.quantile(counts[counts > 0], 0.5))
             some = large[np.linspace(0, len(large) - 1, min(SHOWN_VIEWS, len(large))).astype(int)].tolist()
-            boxes = [ndimage.find_objects(ndimage.binary_dilation(seen[view], iterations=MARGIN))[0] for view in some]
+            near = [np.asarray(ndimage.binary_dilation(seen[view], iterations=MARGIN), np.uint8) for view in some]
+            boxes = [ndimage.find_objects(each)[0] for each in near]
             rows.append([part for view, box in zip(some, boxes) for part in self._compared(drawn, view, box)])
         self.folder.write_picture(stage, sheet(rows))
 
