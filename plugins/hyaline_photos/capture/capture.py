@@ -1,6 +1,7 @@
 """Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
 
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
@@ -34,7 +35,9 @@ from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.outlines import Outline, find_outlines
-from hyaline_photos.capture.room import LEAST_POINTS, Part, find_up, fit_room
+from hyaline_photos.capture.panes import Pane, find_panes
+from hyaline_photos.capture.planes import LEAST_POINTS, find_up
+from hyaline_photos.capture.room import Part, fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths
 from hyaline_photos.capture.structure import find_cameras, find_points
 
@@ -79,17 +82,22 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     )
     shots = folder.shots
     every = world.cameras(shots, lens)
+    found = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
+    panes = [pane for pane in found if pane.thickness > 0]  # Masks that are too wide may leave it none.
+    flat = {pane.name: pane.outline() for pane in panes}
+    outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
     views, about_splits = split_views(_as_foreign(folder))
     cameras: dict[Split, Cameras] = {
         split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
     }
     points = world.points(folder.points)
-    maps = _find_depths(shots, lens, every, points, ids) if len(points) >= LEAST_POINTS else None
-    room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps)
+    enough = len(points) >= LEAST_POINTS
+    maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
+    room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
     about_world = [*about_world, room.remark]
     if room.support is not None:
         outlines = tuple(outline.standing_on(room.support) for outline in outlines)
-    about_world += [_size_of(outline) for outline in outlines]
+    about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
     name = scene_name(root.resolve())
     scene, about_scene = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
@@ -155,12 +163,14 @@ def _find_depths(
     cameras: Cameras,
     points: Float[np.ndarray, "point 3"],
     ids: dict[Path, UInt8[np.ndarray, "h w"]],
+    objects: Sequence[str],
+    panes: Sequence[Pane],
 ) -> DepthMaps:
-    """Depth maps of everything that is not glass."""
+    """Depth maps of everything that is not glass, also of what is seen through panes."""
     say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
-    return find_depths(
-        [_picture(shot, lens) for shot in shots], [ids[shot.picture] > 0 for shot in shots], cameras, points
-    )
+    flat = [1 + objects.index(pane.name) for pane in panes]
+    is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
+    return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)
 
 
 # Masks
@@ -255,9 +265,10 @@ def _place(
     return world, placed, lines
 
 
-def _size_of(outline: Outline) -> str:
+def _size_of(outline: Outline, *, is_pane: bool) -> str:
     sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
-    return f"{outline.name}: about {sides} mm by its masks; an ellipsoid, until `model fit` finds its shape"
+    kind = "a pane, which depth maps look through; " if is_pane else ""
+    return f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid, until `model fit` finds its shape"
 
 
 def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:

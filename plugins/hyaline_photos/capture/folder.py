@@ -1,9 +1,11 @@
 """The folder of a capture: pictures, a mask for each picture and glass object, cameras, points.
 
-FOLDER/images/NAME.jpg           pictures (PNG, JPEG or WebP); or in FOLDER itself, or where a transforms file says
-FOLDER/masks/OBJECT/NAME.png     white where the object is seen
-FOLDER/transforms.json           cameras as NeRF tools write them (or transforms_{train,val,test}.json), or
-FOLDER/sparse/0/                 a model of COLMAP, binary or text, or neither
+    FOLDER/images/NAME.jpg           pictures (PNG, JPEG or WebP); or in FOLDER itself, or where a transforms file says
+    FOLDER/masks/OBJECT/NAME.png     white where the object is seen
+    FOLDER/transforms.json           cameras as NeRF tools write them (or transforms_{train,val,test}.json), or
+    FOLDER/sparse/0/                 a model of COLMAP, binary or text, or neither
+
+Masks that a transforms file names (mask_file_path, as in RefRef) are of one object, `glass`.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,6 +44,7 @@ OTHER_ENDINGS = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp")
 """Pictures of kinds that are not read."""
 POINTS = ("points3d.ply", "sparse_pc.ply")
 """Files of points beside a transforms file that names none."""
+ONE_OBJECT = "glass"
 NAMED = 3
 """Files that an error names."""
 
@@ -194,7 +197,16 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
     every = list(dict.fromkeys(path for paths in pictures.values() for path in paths))
     sizes = {path: picture_size(path) for path in every}
-    masks, remarks = Masks(root, every), []
+    remarks = []
+    if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
+        masks = Masks(root, every)
+        objects, masks_of = masks.objects, lambda _, picture: masks.of(picture)
+    elif all("mask_file_path" in frame for file in found.values() for frame in file.frames):
+        objects, masks_of = (ONE_OBJECT,), lambda frame, _: (find_named(root, frame, "mask_file_path"),)
+        remarks.append(f"masks: {MASKS}/ is not there; the files' masks are those of one object, {ONE_OBJECT}")
+    else:
+        Masks(root, [])
+        raise AssertionError("without folders of masks, this is an error")
     views: dict[Role, list[Shot]] = {role: [] for role in ROLES}
     for role, file in found.items():
         for frame, picture in zip(file.frames, pictures[role], strict=True):
@@ -205,7 +217,7 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
                     depth=None,
                     world_from_camera=file.pose(frame),
                     lens=lens_of_frame(file, frame, sizes[picture]),
-                    masks=masks.of(picture),
+                    masks=masks_of(frame, picture),
                 )
             )
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
@@ -216,7 +228,7 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     return Folder(
         root=root,
         views=listed,
-        objects=masks.objects,
+        objects=objects,
         points=_points_in(points_file),
         has_unit=True,
         cameras=", ".join(Path(file.where).name for file in found.values()),

@@ -2,7 +2,7 @@
 
 Points are on the plane one unit ahead: x right, y down. Pixels are columns and rows from the upper left corner.
 
-Source: the camera models of COLMAP (src/colmap/sensor/models.h) and OpenCV; those with up to three radial and two
+Source: the camera models of COLMAP (src/colmap/sensor/models.h) and OpenCV; those with up to six radial and two
 tangential coefficients.
 """
 
@@ -35,7 +35,7 @@ class TakenLens:
     focal: tuple[float, float]
     center: tuple[float, float]
     radial: tuple[float, ...] = ()
-    """k1, k2, k3."""
+    """k1, k2, k3 in the numerator, then k4, k5, k6 in the denominator."""
     tangential: tuple[float, float] = (0.0, 0.0)
 
     @property
@@ -55,7 +55,9 @@ class TakenLens:
         """Where points are seen."""
         x, y = points[..., 0], points[..., 1]
         square = x * x + y * y
-        factor = np.polynomial.Polynomial([1.0, *self.radial])(square)
+        k = (*self.radial, *(0.0,) * (6 - len(self.radial)))
+        factor = 1 + square * (k[0] + square * (k[1] + square * k[2]))
+        factor = factor / (1 + square * (k[3] + square * (k[4] + square * k[5])))
         p1, p2 = self.tangential
         across = x * factor + 2 * p1 * x * y + p2 * (square + 2 * x * x)
         down = y * factor + 2 * p2 * x * y + p1 * (square + 2 * y * y)
@@ -67,13 +69,8 @@ def lens_of_colmap(row: ColmapCamera, size: tuple[int, int], *, where: str) -> T
     focals, values = row.focals, row.values
     bends = values[focals + 2 :]
     radial, tangential = bends, (0.0, 0.0)
-    if row.model == "FULL_OPENCV":
-        raise HyalineError(
-            f"{where}: its camera model is FULL_OPENCV; expected at most OPENCV: undistort the pictures first "
-            "(`colmap image_undistorter`)"
-        )
-    if row.model == "OPENCV":
-        radial, tangential = bends[:2], (bends[2], bends[3])
+    if row.model in ("OPENCV", "FULL_OPENCV"):
+        radial, tangential = (*bends[:2], *bends[4:]), (bends[2], bends[3])
     lens = TakenLens(
         width=row.width,
         height=row.height,
@@ -91,8 +88,10 @@ def lens_of_frame(file: Transforms, frame: Frame, size: tuple[int, int]) -> Take
     def number(key: str, default: float = 0.0) -> float:
         return file.number(key, default, frame=frame)
 
-    # nerfstudio writes k4 for fisheyes alone, OpenCV for rational lenses.
-    if other := file.other_model(frame) or "k4" * (abs(number("k4")) > 1e-9):
+    model = str(frame.data.get("camera_model", file.content.get("camera_model", "")))
+    is_rational = model.upper() == "FULL_OPENCV"
+    # nerfstudio writes k4 for fisheyes alone.
+    if other := file.other_model(frame) or "k4" * (not is_rational and abs(number("k4")) > 1e-9):
         raise HyalineError(
             f"{frame.where}: its camera is not a pinhole camera ({other}); expected PINHOLE or OPENCV: undistort the "
             "pictures first (`colmap image_undistorter`)"
@@ -106,7 +105,7 @@ def lens_of_frame(file: Transforms, frame: Frame, size: tuple[int, int]) -> Take
         height=round(height),
         focal=(focal, number("fl_y") or focal),
         center=(number("cx", width / 2), number("cy", height / 2)),
-        radial=tuple(number(f"k{place}") for place in range(1, 4)),
+        radial=tuple(number(f"k{place}") for place in range(1, 7 if is_rational else 4)),
         tangential=(number("p1"), number("p2")),
     )
     return _checked(lens, size, where=frame.where)

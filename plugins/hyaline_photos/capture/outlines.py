@@ -121,11 +121,18 @@ def _is_inside(
     """Points that hardly any view denies."""
     yes, empty, views = (np.zeros(len(points), np.int32) for _ in range(3))
     for view, picture in enumerate(ids):
-        pixel, depth = cameras[view].project(points)
-        column, row = np.floor(pixel).astype(np.int64).T
-        shown = (depth > 0) & (column >= 0) & (row >= 0) & (column < cameras.width) & (row < cameras.height)
-        found = picture[np.where(shown, row, 0), np.where(shown, column, 0)]
+        shown, found = ids_at(points, picture, cameras[view])
         yes += shown & (found == index)
         empty += shown & (found == 0)
         views += shown
     return (yes >= LEAST_VIEWS) & (empty <= MAX_OUTSIDE * views) & (views - yes <= MAX_HIDDEN * views)
+
+
+def ids_at(
+    points: Float[np.ndarray, "point 3"], picture: UInt8[np.ndarray, "h w"], camera: Camera
+) -> tuple[Bool[np.ndarray, " point"], UInt8[np.ndarray, " point"]]:
+    """Whether points are in a camera's picture, and the ids of the pixels there; any id for the others."""
+    pixel, depth = camera.project(points)
+    column, row = np.floor(pixel).astype(np.int64).T
+    shown = (depth > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)
+    return shown, picture[np.where(shown, row, 0), np.where(shown, column, 0)]

@@ -1,7 +1,8 @@
-"""Fits an opaque room to points and depth maps: a floor, the support of the glass, and the surfaces of all else.
+"""Fits an opaque room to points and depth maps: a floor, the support of the glass, walls, and things.
 
-Points are in metres with z up, but for `find_up`. Of every surface only its front counts, which a texture is learned
-for; what depth maps do not show (plain walls) is left to the sky.
+Things are the surfaces that depth maps show, and boxes around points where they show none. Points are in metres with z
+up. Of every surface only its front counts, which a texture is learned for; what no points show (plain walls) is left
+to the sky.
 """
 
 from collections.abc import Iterator, Sequence
@@ -14,30 +15,31 @@ from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
 from hyaline_photos.capture.fusing import fuse
 from hyaline_photos.capture.outlines import GAP, Outline
+from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.planes import (
+    FAR,
+    FARTHER,
+    LEAST_POINTS,
+    LEAST_SHARE,
+    MAX_BEHIND,
+    NEAR,
+    Points,
+    Wall,
+    find_walls,
+    floor_around,
+    floor_within,
+    wall_mesh,
+)
+from hyaline_photos.capture.rectangles import Rectangle, box_on, smallest_rectangle
 from hyaline_photos.capture.stereo import DepthMaps
 
-Points = Float[np.ndarray, "_ 3"]
-Flat = Float[np.ndarray, "_ 2"]
-
-NEAR = 0.012
-"""Distance from a surface that counts as on it, over the cameras' distance; so are the next lengths."""
-FAR = 4.0
-"""How far the floor goes on: a ray that goes down meets something."""
-CLOSE = 0.75
-"""Half the box around the glass in which surfaces are as fine as depth maps; beyond, they are `COARSER` times so."""
-COARSER = 4
 CELL = 0.05
-"""Distance up to which points are of one surface."""
-LEAST_POINTS = 25
-"""Points that make a plane."""
-LEAST_SHARE = 0.01
-"""Share of all points on a floor or a support."""
-MAX_BELOW = 0.05
-"""Share of the points that may lie below the floor: they were seen in a mirror, or matched wrongly."""
-MARGIN = 0.15
-"""Margin added around the points of a floor, relative to their extent."""
+"""Side of the cells by whose contact points are one thing, over the cameras' distance."""
 MAX_THINGS = 24
-RANSAC_TRIES = 3000
+FOUND = 0.5
+"""Share of a thing's points near surfaces from depth maps, above which it needs no box."""
+SLAB = 0.04
+"""Thickness of a table top over its narrow side."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,76 +60,31 @@ class Room:
     remark: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rectangle:
-    """A rectangle in the plane, at an angle to the axes."""
-
-    axes: Float[np.ndarray, "2 2"]
-    """Unit vectors along its sides, as rows."""
-    low: Float[np.ndarray, "2"]
-    """Its corners, along these axes."""
-    high: Float[np.ndarray, "2"]
-
-    def holds(self, flat: Flat, *, margin: float) -> Bool[np.ndarray, "_"]:
-        """True for points in it."""
-        along = flat @ self.axes.T
-        return np.all((along >= self.low - margin) & (along <= self.high + margin), axis=1)
-
-    def sheet(self, height: float) -> Mesh:
-        """It, facing up."""
-        along, across = (self.high - self.low)[:, None] * self.axes
-        return sheet((*(self.low @ self.axes), height), (*along, 0), (*across, 0))
-
-
-def find_up(points: Points, cameras: Float[np.ndarray, "view 4 4"]) -> Float[np.ndarray, "3"]:
-    """Across the plane with the most points that the cameras look down on; their own up without such a plane."""
-    mean = cameras[:, :3, 1].mean(axis=0)
-    mean /= max(np.linalg.norm(mean), 1e-9)
-    if len(points) < LEAST_POINTS:
-        return mean
-    near = NEAR * float(np.median(np.linalg.norm(cameras[:, :3, 3] - np.median(points, axis=0), axis=1)))
-    rng, best, most = np.random.default_rng(0), mean, 0
-    for _ in range(RANSAC_TRIES):
-        three = points[rng.choice(len(points), 3, replace=False)]
-        normal = np.cross(three[1] - three[0], three[2] - three[0])
-        normal /= max(np.linalg.norm(normal), 1e-12)
-        normal *= np.sign(normal @ mean) or 1.0
-        above = ((cameras[:, :3, 3] - three[0]) @ normal > 0).mean()
-        # Cameras that look down by 45 degrees from one side have an up that is 45 degrees off.
-        if normal @ mean < np.cos(np.radians(50)) or above < 0.95:
-            continue
-        count = int((np.abs((points - three[0]) @ normal) < near).sum())
-        if count > most:
-            best, most = _plane_through(points, three[0], normal, near), count
-    return best if most >= LEAST_SHARE * len(points) else mean
-
-
-def _plane_through(points: Points, place: np.ndarray, normal: np.ndarray, near: float) -> Float[np.ndarray, "3"]:
-    """The normal of the plane that fits the points near a plane."""
-    for _ in range(3):
-        on = points[np.abs((points - place) @ normal) < near]
-        place = on.mean(axis=0)
-        found = np.linalg.svd(on - place, full_matrices=False)[2][2]
-        normal = found * (np.sign(found @ normal) or 1.0)
-    return normal
-
-
 def fit_room(
-    points: Points, glass: Sequence[Outline], places: Float[np.ndarray, "view 3"], maps: DepthMaps | None = None
+    points: Points,
+    glass: Sequence[Outline],
+    places: Float[np.ndarray, "view 3"],
+    maps: DepthMaps | None = None,
+    panes: Sequence[Pane] = (),
 ) -> Room:
     """The room that points and depth maps show.
 
     Args:
         glass: all objects of glass.
         places: of the cameras.
-        maps: depths of opaque surfaces; without them, there are only floor and support.
+        maps: depths of opaque surfaces; without them, things are boxes.
+        panes: the objects that are panes.
     """
     middle = np.mean([outline.center for outline in glass], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    standing = _standing(glass, panes)
+    bottom = min(outline.center[2] - outline.radii[2] for outline in standing)
     whole = points
     points = points[np.linalg.norm(points - middle, axis=1) < 20 * radius]
-    for outline in glass:  # Features on glass are no room.
-        points = points[~outline.around(points, times=1.25)]
+    for outline in glass:
+        # Features on glass are no room. The ellipsoid of a pane or a plate holds what is on it, too.
+        if outline.radii[2] > 0.5 * max(outline.radii[:2]):
+            points = points[~outline.around(points, times=1.25)]
     near, few = NEAR * radius, max(LEAST_POINTS, LEAST_SHARE * len(points))
     levels = _levels(points, near, few, below=float(places[:, 2].min()))
     if not levels:
@@ -136,35 +93,85 @@ def fit_room(
         found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
         remark = f"room: {found}; using a floor below the glass"
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
-    floor, support = levels[0], _support(levels, points, glass, near)
-    parts, top = _floors(points, floor, middle, radius), None
-    if support > floor + 4 * near:
-        top = _smallest_rectangle(_largest_patch(points[np.abs(points[:, 2] - support) < near], CELL * radius), 1.0)
-        parts.append(Part(name="table", mesh=top.sheet(support)))
+    floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
+    parts: list[Part] = []
+    top: Rectangle | None = None
+    support, is_pane = _support(levels, points, standing, panes, near)
+    if support > floor + 4 * near and not is_pane:
+        on = np.abs(rest[:, 2] - support) < near
+        top = smallest_rectangle(_largest_thing(rest[on], CELL * radius)[:, :2], 1.0)
+        parts.append(Part(name="table", mesh=_board(top, support, below=floor, points=rest, near=near)))
+        rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
+    walls, rest = find_walls(rest, places, middle, radius, few)
+    parts += [Part(name=f"wall_{place}", mesh=wall_mesh(wall, walls, floor)) for place, wall in enumerate(walls)]
+    parts = [*_floors(points, floor, walls, middle, radius), *parts]
 
     def is_thing(place: Points) -> Bool[np.ndarray, "_"]:
-        """True where a surface is neither the floor nor the table."""
+        """True where a surface is neither the floor, the table nor a wall."""
         kept = place[:, 2] > floor + 2 * near
         if top is not None:
             kept &= ~(top.holds(place[:, :2], margin=near) & (np.abs(place[:, 2] - support) < 2 * near))
+        for wall in walls:
+            kept &= wall.ahead(place[:, :2]) > FARTHER * near
         return kept
 
-    rest = points[is_thing(points)]
     things: list[Mesh] = []
     if maps is not None and len(rest) >= LEAST_POINTS:
         low, high = np.percentile(rest, (1, 99), axis=0) + 4 * near * np.array([[-1], [1]])
-        inner = np.clip(middle - CLOSE * radius, low, high), np.clip(middle + CLOSE * radius, low, high)
-
-        def is_far(place: Points) -> Bool[np.ndarray, "_"]:
-            return is_thing(place) & ~np.all((place > inner[0]) & (place < inner[1]), axis=1)
-
-        if (inner[1] > inner[0]).all():
-            things += fuse(maps, *inner, near / 2, is_thing)
-        things += fuse(maps, low, high, COARSER * near / 2, is_far)
-    parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things[:MAX_THINGS])]
-    kinds = f"a floor, {'a table, ' * (top is not None)}and {len(parts)} parts in all"
+        things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
+        for pane in panes:
+            things = [pane.without(thing) for thing in things]
+    parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things)]
+    boxes = []
+    for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
+        box = smallest_rectangle(thing[:, :2])
+        foot, head = np.percentile(thing[:, 2], (2, 98)).tolist()
+        base = support if foot > support - 2 * near else floor
+        # Points at its foot may be missing; something on a glass table has no surface below it.
+        bottom = base if foot - base < 0.5 * (head - foot) else foot
+        if head - bottom > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, head, places):
+            boxes.append(Part(name=f"box_{len(boxes)}", mesh=box_on(box, bottom, head)))
+    parts += boxes[: MAX_THINGS - len(things)]
+    kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts[1:])} parts in all"
     remark = f"room: {kinds} were fitted to {len(points):,} points"
     return Room(parts=tuple(parts), support=support, remark=remark)
+
+
+# Levels
+
+
+def _standing(glass: Sequence[Outline], panes: Sequence[Pane]) -> Sequence[Outline]:
+    """All glass except panes; the panes themselves if there is no other glass."""
+    names = {pane.name for pane in panes}
+    return [outline for outline in glass if outline.name not in names] or glass
+
+
+def _support(
+    levels: Sequence[float], points: Points, standing: Sequence[Outline], panes: Sequence[Pane], near: float
+) -> tuple[float, bool]:
+    """Height of the surface below the glass, and whether that is a pane."""
+    bottom = min(outline.center[2] - outline.radii[2] for outline in standing)
+    # Cameras above cannot see where glass ends, so the masks' cones extend into its support.
+    reach = max(4 * near, 0.3 * min(outline.radii[2] for outline in standing))
+    names = {outline.name for outline in standing}
+    tops = [pane.top for pane in panes if pane.name not in names and abs(pane.top - bottom) < reach]
+    if tops:
+        return max(tops), True
+    counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
+    return max(
+        (each for each in levels if abs(each - bottom) < reach), key=counts.__getitem__, default=levels[0]
+    ), False
+
+
+def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> list[Part]:
+    """The floor as far as points show it, and what lies around it unless something is below."""
+    near = NEAR * radius
+    ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
+    around: list[Rectangle] = []
+    if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
+        around = floor_around(ground, walls, middle, FAR * radius)
+    named = {"floor": ground, **{f"floor_{place}": part for place, part in enumerate(around)}}
+    return [Part(name=name, mesh=part.sheet(floor)) for name, part in named.items()]
 
 
 def _levels(points: Points, near: float, few: float, *, below: float) -> list[float]:
@@ -183,60 +190,45 @@ def _levels(points: Points, near: float, few: float, *, below: float) -> list[fl
     return sorted(found)
 
 
-def _support(levels: Sequence[float], points: Points, glass: Sequence[Outline], near: float) -> float:
-    """Height of the surface below the glass."""
-    bottom = min(outline.center[2] - outline.radii[2] for outline in glass)
-    # Cameras above cannot see where glass ends, so the masks' cones extend into its support.
-    reach = max(4 * near, 0.3 * min(outline.radii[2] for outline in glass))
-    counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
-    return max((each for each in levels if abs(each - bottom) < reach), key=counts.__getitem__, default=levels[0])
+def _far_from(meshes: Sequence[Mesh], points: Points, cell: float, near: float) -> Points:
+    """The points of things that meshes do not show."""
+    from scipy.spatial import KDTree
+
+    if not meshes:
+        return points
+    surface = KDTree(np.concatenate([mesh.vertices for mesh in meshes]))
+    others = [thing for thing in _things(points, cell) if (surface.query(thing)[0] < near).mean() < FOUND]
+    return np.concatenate([points[:0], *others])
 
 
-def _floors(points: Points, floor: float, middle: np.ndarray, radius: float) -> list[Part]:
-    """The floor as far as points show it, and unless something is below, up to four rectangles around it.
-
-    Each is a part of its own, so that its large area takes no texels from the floor.
-    """
-    near = NEAR * radius
-    on = points[np.abs(points[:, 2] - floor) < 2 * near]
-    # The middle of the scene belongs to it, whatever points show.
-    shown = _smallest_rectangle(np.concatenate([on, middle[None]]), 0.5)
-    grown = MARGIN / 2 * (shown.high - shown.low)
-    low, high = shown.low - grown, shown.high + grown
-    pieces = [(low, high)]
-    if (points[:, 2] < floor - 4 * near).mean() < MAX_BELOW:
-        center = shown.axes @ middle[:2]
-        first, last = np.minimum(low, center - FAR * radius), np.maximum(high, center + FAR * radius)
-        pieces += [
-            (first, (low[0], last[1])),
-            ((high[0], first[1]), last),
-            ((low[0], first[1]), (high[0], low[1])),
-            ((low[0], high[1]), (high[0], last[1])),
-        ]
-    rectangles = [_Rectangle(axes=shown.axes, low=np.array(start), high=np.array(end)) for start, end in pieces]
-    names = ("floor", *(f"floor_{place}" for place in range(4)))
-    return [Part(name=name, mesh=each.sheet(floor)) for name, each in zip(names, rectangles)]
+def _largest_thing(points: Points, cell: float) -> Points:
+    return max(_things(points, cell, least=1), key=len, default=points)
 
 
-def _smallest_rectangle(points: Points, percent: float) -> _Rectangle:
-    """The smallest upright rectangle around all points but few, as seen from above."""
-
-    def at(turn: float) -> _Rectangle:
-        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-        low, high = np.percentile(points[:, :2] @ axes.T, (percent, 100 - percent), axis=0)
-        return _Rectangle(axes=axes, low=low, high=high)
-
-    found: Iterator[_Rectangle] = map(at, np.radians(np.arange(0, 90, 2)))
-    return min(found, key=lambda each: float(np.prod(each.high - each.low)))
-
-
-def _largest_patch(points: Points, cell: float) -> Points:
-    """The most points with no wider gaps between them than a cell."""
+def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[Points]:
+    """Points that are one thing: in cells that touch; things of few points are left out."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import KDTree
 
+    if not len(points):
+        return
     pairs = KDTree(points).query_pairs(cell, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(points), len(points)))
-    _, label = connected_components(graph, directed=False)
-    return points[label == np.bincount(label).argmax()]
+    count, label = connected_components(graph, directed=False)
+    sizes = np.bincount(label, minlength=count)
+    for index in np.argsort(-sizes, kind="stable"):
+        if sizes[index] >= least:
+            yield points[label == index]
+
+
+def _board(top: Rectangle, height: float, *, below: float, points: Points, near: float) -> Mesh:
+    """A table: solid to the floor where points show its sides, a thin board otherwise."""
+    under = (points[:, 2] > below + 3 * near) & (points[:, 2] < height - 6 * near)
+    sides = under & top.holds(points[:, :2], margin=near)
+    low = below if sides.sum() >= LEAST_POINTS else height - SLAB * 2 * min(top.half)
+    return box_on(top, low, height)
+
+
+def _holds_camera(base: Rectangle, high: float, places: Float[np.ndarray, "view 3"]) -> bool:
+    return bool((base.holds(places[:, :2]) & (places[:, 2] < high)).any())

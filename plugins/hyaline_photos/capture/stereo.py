@@ -41,7 +41,11 @@ BORDERS = (0.8, 1.25)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DepthMaps:
-    """Depths along the cameras' axes in metres; 0 where none was found."""
+    """Depths along the cameras' axes in metres; 0 where none was found.
+
+    What is seen through a pane appears a third of the pane's thickness nearer than it is. That is less than a depth is
+    off by, and is left as it is.
+    """
 
     cameras: Cameras
     depth: Float32[np.ndarray, "view h w"]
@@ -56,7 +60,7 @@ def find_depths(
     """The depth map of each view.
 
     Args:
-        is_glass: True where a picture shows glass, which shifts what is seen through it.
+        is_glass: True where a picture shows glass that shifts what is seen through it: any but panes.
         points: some points of the scene, which tell the range of depths.
     """
     grey = np.stack([picture.astype(np.float32).mean(axis=-1) / 255 for picture in pictures])

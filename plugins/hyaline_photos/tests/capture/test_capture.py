@@ -25,7 +25,10 @@ from datagen.scene.folder import open_scene
 from hyaline_photos.capture.folder import Masks, find_pictures, read_capture
 from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.outlines import Outline
-from hyaline_photos.capture.room import find_up, fit_room
+from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.planes import find_up
+from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.room import fit_room
 
 SIDE = 48
 FOV = 0.6
@@ -216,6 +219,24 @@ def test_an_exported_dataset_comes_back_without_its_shapes(tmp_path: Path) -> No
                 assert np.array_equal(new.imported_object_ids == again.object_id(name), first == ours.object_id(name))
 
 
+def test_masks_that_a_refref_scene_names_are_of_one_object(own: Path, tmp_path: Path) -> None:
+    content = json.loads((own / "transforms.json").read_text())
+    for frame in content["frames"]:
+        frame["mask_file_path"] = frame["file_path"].replace("images/", "masks/ball/")
+    (own / "transforms.json").unlink()
+    (own / "masks" / "ball").rename(own / "silhouettes")
+    shutil.rmtree(own / "masks")
+    for frame in content["frames"]:
+        frame["mask_file_path"] = frame["mask_file_path"].replace("masks/ball", "silhouettes")
+    for role, frames in (("train", content["frames"][4:]), ("test", content["frames"][:4])):
+        (own / f"transforms_{role}.json").write_text(json.dumps({**content, "frames": frames}))
+    answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
+    assert answer.status == 0, answer.error
+    dataset = open_dataset(tmp_path / "out")
+    assert [item.name for item in dataset.objects if item.is_glass] == ["glass"]
+    assert dataset.num_views == {"train": 14, "interpolating": 3, "extrapolating": 1}
+
+
 # COLMAP's world
 
 
@@ -267,36 +288,29 @@ def test_a_model_of_colmap_is_turned_upright_scaled_by_a_diameter_and_given_a_ro
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_floor_and_table_are_fitted_in_spite_of_points_that_are_nowhere(seed: int) -> None:
+def test_planes_and_boxes_are_fitted_in_spite_of_points_that_are_nowhere(seed: int) -> None:
     points = room_points(np.random.default_rng(seed))
     glass = [Outline(name="ball", center=(0.0, 0.0, 0.1), radii=(0.1, 0.1, 0.1))]
     room = fit_room(points, glass, circle().world_from_camera[:, :3, 3])
     meshes = {part.name: part.mesh.vertices for part in room.parts}
     assert room.support == pytest.approx(0, abs=0.005)
+    assert {"floor", "table", "wall_0", "wall_1"} <= meshes.keys()
+    assert "wall_2" not in meshes
     assert np.abs(meshes["floor"][:, 2] + 0.7).max() < 0.005
     assert np.abs(np.ptp(meshes["table"], axis=0)[:2] - (1, 0.8)).max() < 0.08
     assert meshes["table"][:, 2].max() == pytest.approx(0, abs=0.005)
-
-
-def test_a_floor_goes_on_far_unless_something_is_below() -> None:
-    rng = np.random.default_rng(0)
-    floor = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
-    deeper = np.column_stack([rng.uniform(-3, 3, (200, 2)), rng.uniform(-2, -0.5, 200)])
-    glass = [Outline(name="ball", center=(0, 0, 0.1), radii=(0.1, 0.1, 0.1))]
-
-    def floors(points: np.ndarray) -> list[np.ndarray]:
-        return [part.mesh.vertices for part in fit_room(points, glass, circle().world_from_camera[:, :3, 3]).parts]
-
-    found = floors(floor)
-    assert np.abs(np.concatenate(found)[:, :2]).max() > 3.5
-    assert np.ptp(found[0], axis=0)[:2].max() < 2.5, "what points show is a part of its own"
-    assert len(floors(np.concatenate([floor, deeper]))) == 1
+    fitted = sorted((meshes["wall_0"], meshes["wall_1"]), key=lambda vertices: np.ptp(vertices[:, 0]))
+    assert np.abs(fitted[0][:, 0] + 2).max() < 0.03 and np.abs(fitted[1][:, 1] - 2).max() < 0.03
+    boxes = [vertices for name, vertices in meshes.items() if name.startswith("box")]
+    (box,) = [box for box in boxes if np.abs(box.mean(axis=0) - (-0.275, 0.25, 0.06)).max() < 0.05]
+    assert np.abs(np.ptp(box, axis=0) - (0.15, 0.1, 0.12)).max() < 0.06
 
 
 def test_without_points_the_floor_is_below_all_glass() -> None:
     ball = Outline(name="ball", center=(0.0, 0.0, 0.1), radii=(0.1, 0.1, 0.1))
     top = Outline(name="top", center=(0.0, 0.0, -0.01), radii=(0.5, 0.5, 0.01))
-    room = fit_room(np.zeros((0, 3)), [ball, top], circle().world_from_camera[:, :3, 3])
+    pane = Pane(name="top", footprint=Rectangle(center=(0, 0), half=(0.5, 0.5), angle=0), top=0, thickness=0.02)
+    room = fit_room(np.zeros((0, 3)), [ball, top], circle().world_from_camera[:, :3, 3], None, [pane])
     assert room.parts[0].mesh.vertices[:, 2].max() < -0.02
 
 

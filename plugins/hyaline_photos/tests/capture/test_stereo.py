@@ -99,15 +99,19 @@ def test_nothing_is_fused_where_no_view_saw_anything() -> None:
     assert fuse(empty, np.full(3, -0.3), np.full(3, 0.3), 0.02, lambda place: place[:, 2] > -1) == []
 
 
-def test_a_thing_is_the_surface_that_depth_maps_show(maps: DepthMaps) -> None:
+def test_a_thing_is_its_surface_where_depth_maps_show_it_and_a_box_elsewhere(maps: DepthMaps) -> None:
     rng = np.random.default_rng(0)
     away = rng.normal(size=(600, 3))
     ball = RADIUS * away / np.linalg.norm(away, axis=1, keepdims=True)
     floor = np.concatenate([rng.uniform(-1, 1, (900, 2)), np.full((900, 1), FLOOR)], axis=1)
+    unseen = np.array((0.6, 0.6, FLOOR)) + rng.uniform(0, 0.15, (200, 3))
     glass = [Outline(name="glass", center=(-0.6, 0.0, FLOOR + 0.05), radii=(0.05, 0.05, 0.05))]
     places = maps.cameras.world_from_camera[:, :3, 3]
-    parts = fit_room(np.concatenate([ball, floor]), glass, places, maps).parts
-    meshes = {part.name: part.mesh.vertices for part in parts if part.name.startswith("thing")}
-    vertices = np.concatenate(list(meshes.values()))
-    assert np.abs(np.linalg.norm(vertices, axis=1) - RADIUS).mean() < 0.006
-    assert vertices[:, 0].min() < -0.15 and vertices[:, 0].max() > 0.15, "near the glass, and far from it"
+    points = np.concatenate([ball, floor, unseen])
+    with_maps = {part.name: part.mesh.vertices for part in fit_room(points, glass, places, maps).parts}
+    assert {"thing_0", "box_0"} <= with_maps.keys()
+    assert np.abs(np.linalg.norm(with_maps["thing_0"], axis=1) - RADIUS).mean() < 0.006
+    assert np.abs(with_maps["box_0"].mean(axis=0)[:2] - 0.675).max() < 0.03
+    assert "box_1" not in with_maps
+    without = {part.name for part in fit_room(points, glass, places).parts}
+    assert {"box_0", "box_1"} <= without and "thing_0" not in without

@@ -1,0 +1,124 @@
+"""Tests that panes are told from other glass by masks, and what a captured room makes of them; floors that go on."""
+
+import math
+
+import numpy as np
+import pytest
+from jaxtyping import Bool, Float, UInt8
+
+from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.meshes import Mesh
+from datagen.scene.modelling import sheet
+from hyaline_photos.capture.outlines import Outline, find_outlines
+from hyaline_photos.capture.panes import Pane, find_panes
+from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.room import fit_room
+
+SIDE, VIEWS = 96, 24
+ANGLE = math.radians(25)
+HALF, TOP, THICKNESS = (0.4, 0.25), 0.7, 0.016
+BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
+"""A ball on a pane."""
+
+
+def around() -> Cameras:
+    places = []
+    for view in range(VIEWS):
+        azimuth, elevation = 2.4 * view, math.radians(15 + 15 * (view % 4))
+        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
+        places.append(look_at(np.array((0, 0, TOP)) + 1.3 * np.array(away), (0.0, 0.0, TOP)))
+    return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
+
+
+def rays(cameras: Cameras, view: int) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "h w 3"]]:
+    origin, directions = (part.astype(np.float64) for part in cameras[view].rays())
+    return origin, directions
+
+
+def sees_ball(origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    away = BALL - origin
+    return away @ away - (directions @ away) ** 2 < RADIUS**2
+
+
+def sees_pane(origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    c, s = math.cos(ANGLE), math.sin(ANGLE)
+    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    low, high = np.array((-HALF[0], -HALF[1], TOP - THICKNESS)), np.array((*HALF, TOP))
+    start, ahead = turn @ origin, directions @ turn.T
+    ends = np.stack([(low - start) / ahead, (high - start) / ahead])
+    return ends.min(axis=0).max(axis=-1) < ends.max(axis=0).min(axis=-1)
+
+
+@pytest.fixture(scope="module")
+def ids() -> list[UInt8[np.ndarray, "h w"]]:
+    """1 where the ball is seen first, 2 at the pane."""
+    cameras, found = around(), []
+    for view in range(VIEWS):
+        origin, directions = rays(cameras, view)
+        picture = np.where(sees_pane(origin, directions), 2, 0).astype(np.uint8)
+        picture[sees_ball(origin, directions)] = 1
+        found.append(picture)
+    return found
+
+
+def test_a_pane_is_found_and_a_ball_is_none(ids: list[UInt8[np.ndarray, "h w"]]) -> None:
+    cameras = around()
+    (pane,) = find_panes(find_outlines(("ball", "pane"), ids, cameras, where="masks"), ids, cameras)
+    assert pane.name == "pane"
+    pixel = 1.3 * 0.8 / SIDE
+    assert pane.top == pytest.approx(TOP, abs=pixel)
+    assert pane.thickness == pytest.approx(THICKNESS, abs=pixel)
+    assert np.abs(np.sort(pane.footprint.half) - np.sort(HALF)).max() < 1.2 * pixel
+    assert pane.footprint.holds(0.95 * np.array([[1, 1], [1, -1]]) * HALF @ [[0.906, 0.423], [-0.423, 0.906]]).all()
+    outline = pane.outline()
+    assert outline.center[2] + outline.radii[2] == pytest.approx(pane.top)
+    assert np.all(np.array(outline.radii[:2]) > HALF[1])
+
+
+def test_nothing_opaque_is_left_in_a_pane() -> None:
+    pane = Pane(name="pane", footprint=Rectangle(center=(0, 0), half=(0.4, 0.25), angle=0), top=0.7, thickness=0.02)
+    flat = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0))
+    heights = (0.5, 0.683, 0.695, 0.72)
+
+    def at(height: float, aside: float = 0.0) -> Mesh:
+        vertices = flat.vertices + np.array((aside, 0, height), np.float32)
+        return Mesh(vertices=vertices, faces=flat.faces, normals=flat.normals, uv=flat.uv)
+
+    found = [pane.without(at(height)).vertices[0, 2] for height in heights]
+    assert found[0] == pytest.approx(0.5) and found[3] == pytest.approx(0.72)
+    assert 0.678 < found[1] < 0.68 and 0.7 < found[2] < 0.702
+    assert pane.without(at(0.69, aside=2.0)).vertices[0, 2] == pytest.approx(0.69)
+
+
+def test_glass_stands_on_a_pane_and_no_table_takes_its_place() -> None:
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
+    frame = np.column_stack([rng.uniform(-0.4, 0.4, (300, 2)), np.full(300, 0.69)])
+    cameras = around()
+    pane = Pane(name="pane", footprint=Rectangle(center=(0, 0), half=HALF, angle=ANGLE), top=TOP, thickness=THICKNESS)
+    glass = [Outline(name="ball", center=(0.1, -0.05, 0.76), radii=(0.07, 0.07, 0.08)), pane.outline()]
+    places = cameras.world_from_camera[:, :3, 3]
+    points = np.concatenate([floor, frame])
+    room = fit_room(points, glass, places, panes=[pane])
+    assert room.support == pytest.approx(TOP)
+    assert "table" not in {part.name for part in room.parts}
+    without = fit_room(points, glass, places)
+    assert "table" in {part.name for part in without.parts}, "so a pane's height has points"
+
+
+def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
+    rng = np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-1, 1, (900, 2)), np.zeros(900)])
+    wall = np.column_stack([np.full(500, -1.8), rng.uniform(-1.5, 1.5, 500), rng.uniform(0.1, 1.5, 500)])
+    glass = [Outline(name="ball", center=(0, 0, 0.1), radii=(0.1, 0.1, 0.1))]
+    places = around().world_from_camera[:, :3, 3] * (1, 1, 0.7)
+
+    def floors(points: Float[np.ndarray, "point 3"]) -> list[Float[np.ndarray, "_ 3"]]:
+        return [part.mesh.vertices for part in fit_room(points, glass, places).parts if part.name.startswith("floor")]
+
+    found = np.concatenate(floors(np.concatenate([floor, wall])))
+    assert found[:, 0].min() == pytest.approx(-1.8, abs=0.05) and found[:, 0].max() > 4
+    assert found[:, 1].min() < -4 and found[:, 1].max() > 4
+    assert np.ptp(floors(np.concatenate([floor, wall]))[0], axis=0)[1] < 2.5, "what points show is a part of its own"
+    deeper = np.column_stack([rng.uniform(-3, 3, (200, 2)), rng.uniform(-2, -0.5, 200)])
+    assert len(floors(np.concatenate([floor, wall, deeper]))) == 1, "something is below"
