@@ -23,7 +23,7 @@ def capture(
     """Make a dataset from a folder of pictures and masks of glass.
 
     Reads cameras from a transforms file or COLMAP's sparse/0, or finds them (needs the extra `capture`). Fits the
-    opaque room to points as planes, surfaces and boxes, unless --room gives it. Each glass object is an ellipsoid until
+    opaque room to points: a floor, a table, and surfaces from depth maps. Each glass object is an ellipsoid until
     `model fit` finds its shape. If interrupted, the same command resumes.
 
     Args:
@@ -47,7 +47,6 @@ def fit(
     /,
     *,
     unknown: tuple[str, ...] = (),
-    masks: Path | None = None,
     mask_errors: int | None = None,
     name: str = FITTED,
     out: Path | None = None,
@@ -65,10 +64,8 @@ def fit(
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         unknown: An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes.
-        masks: Folder of masks as PNG files, OBJECT/0000.png for each object and training view, white where the object
-            is seen first. Default: the dataset's own.
         mask_errors: Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many
-            neighbouring rays miss it as well. Default: 2 with --masks and for imported or captured masks, otherwise 0.
+            neighbouring rays miss it as well. Default: 2 for imported or captured masks, otherwise 0.
         name: The geometry's name: fitted, or fitted-SOMETHING.
         out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
         steps: Training steps for the room's textures.
@@ -85,10 +82,8 @@ def fit(
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
     if mask_errors is None:
-        mask_errors = 0 if masks is None and opened.imported is None else 2
-    choices = FitChoices(
-        unknown=unknown, masks=masks, mask_errors=mask_errors, steps=steps, skip=skip, room=room, seed=seed
-    )
+        mask_errors = 0 if opened.imported is None else 2
+    choices = FitChoices(unknown=unknown, mask_errors=mask_errors, steps=steps, skip=skip, room=room, seed=seed)
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

@@ -30,7 +30,7 @@ def write_fit(dataset: Dataset, folder: Path, names: tuple[str, ...], *, scale: 
     folder.mkdir(parents=True)
     for name in ("room", "search"):
         (folder / f"{name}.png").write_bytes(png_bytes(np.full((16, 32, 3), 90, np.uint8)))
-    content: dict[str, Json] = {"version": 2, "dataset": dataset.seal, "geometry": FITTED, "objects": objects}
+    content: dict[str, Json] = {"version": 3, "dataset": dataset.seal, "geometry": FITTED, "objects": objects}
     commit_sealed(folder / "fit.json", {**content, "unknown": list(names)})
 
 

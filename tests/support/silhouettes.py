@@ -38,7 +38,6 @@ def sightings_of(meets: Meets, *, views: int = 40, size: int = 64, wrong: float 
         first=seen.astype(np.uint8),
         touched=seen,
         depth=np.stack(depths).astype(np.float32),
-        met=np.zeros(seen.shape, np.uint8),
         unknown=(1,),
     )
 

@@ -20,19 +20,12 @@ from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.import_dataset import (
-    Plan,
-    digest_of,
-    imported_config,
-    read_surface,
-    split_views,
-    unlit_scene,
-)
-from hyaline_import.datasets.layouts import ForeignDataset, ForeignSurface, surface_name
+from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
+from hyaline_import.datasets.layouts import ForeignDataset
 from hyaline_import.datasets.pictures import on_background, opened
 from hyaline_import.foreign import z_up_from
 from hyaline_import.foreign_files import scene_name
-from hyaline_import.importing import Made, scene_object, unique_names
+from hyaline_import.importing import Made, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
@@ -46,6 +39,8 @@ from hyaline_photos.capture.room import Part, fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths
 from hyaline_photos.capture.structure import find_cameras, find_points
 
+IOR = 1.5
+"""Of the glass, until `model fit` finds it."""
 DISTANCE = 1.0
 """Metres from the cameras to the glass if the scale is unknown."""
 GREY = (0.5, 0.5, 0.5)
@@ -93,26 +88,23 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     cameras: dict[Split, Cameras] = {
         split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
     }
-    parts: tuple[Part, ...] = ()
-    if not choices.room:
-        points = world.points(folder.points)
-        enough = len(points) >= LEAST_POINTS
-        maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
-        room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
-        parts, about_world = room.parts, [*about_world, room.remark]
-        if room.support is not None:
-            outlines = tuple(outline.standing_on(room.support) for outline in outlines)
+    points = world.points(folder.points)
+    enough = len(points) >= LEAST_POINTS
+    maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
+    room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
+    about_world = [*about_world, room.remark]
+    if room.support is not None:
+        outlines = tuple(outline.standing_on(room.support) for outline in outlines)
     about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
     name = scene_name(root.resolve())
-    where = ", ".join(map(str, choices.room)) or name
-    scene, about_scene = scene_from(_save_scene, name, outlines, parts, cameras, world, choices, where=where)
+    scene, about_scene = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     imported = Imported(
         layout="capture",
         source=root.resolve().name,
-        source_sha256=digest_of(_files(folder, choices), str(choices)),
+        source_sha256=digest_of(_files(folder), str(choices)),
         has_masks=True,
         has_depth=False,
         has_objects=True,
@@ -153,10 +145,10 @@ def _as_foreign(folder: Folder) -> ForeignDataset:
     )
 
 
-def _files(folder: Folder, choices: CaptureChoices) -> list[Path]:
+def _files(folder: Folder) -> list[Path]:
     """Every file whose content becomes a part of the dataset."""
     parts = [path for shot in folder.shots for path in (shot.picture, *shot.masks)]
-    return [*parts, *([folder.points_file] if folder.points_file else []), *choices.room]
+    return [*parts, *([folder.points_file] if folder.points_file else [])]
 
 
 def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
@@ -216,7 +208,7 @@ def _place_with_points(
 ) -> tuple[Folder, World, tuple[Outline, ...], list[str]]:
     """Places everything; looks for points if there are none, after all that is quicker and may be wrong."""
     placed = _place(folder, lens, ids, choices)
-    if not choices.room and not len(folder.points):
+    if not len(folder.points):
         find_points(folder)
         folder = read_capture(folder.root, find_cameras)
         if not folder.has_unit:  # Points say what is up.
@@ -294,41 +286,23 @@ def _save_scene(
     outlines: tuple[Outline, ...],
     parts: tuple[Part, ...],
     cameras: dict[Split, Cameras],
-    world: World,
-    choices: CaptureChoices,
 ) -> None:
     remarks = Remarks()
     glass = [
         SceneObject(
             name=outline.name,
             mesh=moved(transformed(ball(1.0, subdivisions=3), np.diag(outline.radii), (0, 0, 0)), outline.center),
-            material=Dielectric(ior=choices.ior),
+            material=Dielectric(ior=IOR),
         )
         for outline in outlines
     ]
     opaque = [SceneObject(name=part.name, mesh=part.mesh, material=Diffuse(color=GREY)) for part in parts]
-    opaque += _given_room(choices, world, remarks)
     allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
     taken = {item.name for item in glass}
     others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
     names = unique_names([*(item.name for item in glass), *others])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
-    placed = _placed(world, remarks)
+    mapper = Mapper(metres=1.0, thin="open", remarks=remarks)
+    placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
     scene = unlit_scene(name, Made(objects=objects, without_uv=set(names)), placed, cameras, how="Captured")
     save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
-
-
-def _given_room(choices: CaptureChoices, world: World, remarks: Remarks) -> list[SceneObject]:
-    """The meshes of --room, all of them diffuse."""
-    placed = _placed(world, remarks)
-    return [
-        scene_object(surface_name(file), part, placed, Diffuse(color=GREY))
-        for file in choices.room
-        for part in read_surface(ForeignSurface(name=surface_name(file), file=file), remarks)
-    ]
-
-
-def _placed(world: World, remarks: Remarks) -> Placed:
-    """How meshes of the photographs' world become objects of the scene."""
-    mapper = Mapper(metres=world.scale, thin="open", remarks=remarks)
-    return Placed(linear=world.scale * world.rotation, offset=world.offset, mapper=mapper, choices=ImportChoices())

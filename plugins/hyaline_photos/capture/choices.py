@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from datagen.disk.errors import HyalineError
@@ -16,9 +15,6 @@ class CaptureChoices:
 
     longest: int = 256
     """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light."""
-    room: tuple[Path, ...] = ()
-    """A mesh of the opaque room in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...); may be repeated.
-    Default: planes, surfaces and boxes fitted to points."""
     scale: float | None = None
     """Metres per unit of the cameras. Default: 1 with a transforms file; otherwise a unit that puts them 1 m away."""
     diameter: str | None = None
@@ -26,8 +22,6 @@ class CaptureChoices:
     up: Literal["auto", "x", "y", "z"] = "auto"
     """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
     largest surface below the cameras."""
-    ior: float = 1.5
-    """Index of refraction of the glass, until `model fit` finds it."""
 
     def __post_init__(self) -> None:
         if not 8 <= self.longest <= MAX_LONGEST:
@@ -38,8 +32,6 @@ class CaptureChoices:
             raise HyalineError("--diameter: gives the scale, as --scale does; leave one of them out")
         if self.diameter is not None:
             self.known_diameter()
-        if not 1 < self.ior < 10:
-            raise HyalineError(f"--ior: is {self.ior:g}; expected more than 1, and less than 10")
 
     def known_diameter(self) -> tuple[str, float]:
         """The object of `diameter`, and its metres."""

@@ -91,7 +91,7 @@ def fit_room(
         side, bottom = 3 * radius, min(outline.center[2] - outline.radii[2] for outline in glass) - GAP
         floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
         found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
-        remark = f"room: {found}; using a floor below the glass, unless --room gives a mesh"
+        remark = f"room: {found}; using a floor below the glass"
         return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
     floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
     parts: list[Part] = []
@@ -133,7 +133,7 @@ def fit_room(
             boxes.append(Part(name=f"box_{len(boxes)}", mesh=box_on(box, bottom, head)))
     parts += boxes[: MAX_THINGS - len(things)]
     kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts[1:])} parts in all"
-    remark = f"room: {kinds} were fitted to {len(points):,} points; --room takes meshes instead"
+    remark = f"room: {kinds} were fitted to {len(points):,} points"
     return Room(parts=tuple(parts), support=support, remark=remark)
 
 

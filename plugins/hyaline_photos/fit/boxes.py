@@ -13,10 +13,9 @@ from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import grid_faces, rotation
-from hyaline_photos.fit.lathe import Axis, perpendicular, spread
-from hyaline_photos.fit.outside import WORTH_A_TILT, find_center
-from hyaline_photos.fit.section import SHARP, Section
-from hyaline_photos.fit.shapes import OUTSIDE, Glass, Revolution
+from hyaline_photos.fit.lathe import perpendicular
+from hyaline_photos.fit.outside import find_center
+from hyaline_photos.fit.shapes import Glass
 from hyaline_photos.fit.silhouettes import descend, errors, misfit, pull
 from hyaline_photos.fit.views import NearRays
 
@@ -56,20 +55,11 @@ FLAT, THICK = 0.06, 0.02
 get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
 its faces, out of sight."""
 
-EXPLAINED = 0.1
-"""Share of edge pixels that an upright box may get wrong before others are tried from any direction."""
-
 USELESS = 0.3
 """Share of edge pixels beyond which a box is none; half of them are wrong for no shape at all."""
 
 MOST_REACH = 1.5
 """Largest half diagonal in parts of how far the mask's rays pass from their middle: what others hide has no bounds."""
-
-SQUARE = 0.005
-"""By how much the sides of a square may differ."""
-
-EDGE = 0.02
-"""Radius of an edge that counts as sharp, over half the width."""
 
 GUTTER = 0.01
 """Width of the empty border around each chart of the atlas."""
@@ -81,7 +71,7 @@ class Box(Glass):
 
     center: Float64[np.ndarray, "3"]
     axes: Float64[np.ndarray, "3 3"]
-    """Unit vectors in the world, one a row, right-handed; the last is the upward one of an upright box."""
+    """Unit vectors in the world, one a row, right-handed; the last is the upward one."""
     half_sizes: Float64[np.ndarray, "3"]
     """Along its axes, in metres."""
     rounding: float
@@ -98,7 +88,7 @@ class Box(Glass):
 
 
 def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = None) -> Box | None:
-    """The box that explains the masks best, upright unless a tilt explains more.
+    """The upright box that explains the masks best.
 
     None if no box resembles the masks, or other objects hide too much of it.
 
@@ -114,54 +104,25 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
 
-    def search(starts: Sequence[Box], turn: Float64[np.ndarray, "turn 3"]) -> Box:
-        rough = [
-            _fitted(_fitted(box, few, turn, SOFTNESS[0], support), few, turn, SOFTNESS[1], support) for box in starts
-        ]
-        return sharpen(min((_judged(box, few) for box in rough), key=_errors_of), turn, SOFTNESS[1:])
-
-    def sharpen(box: Box, turn: Float64[np.ndarray, "turn 3"], steps: Sequence[float]) -> Box:
+    def sharpen(box: Box, steps: Sequence[float]) -> Box:
         for softness in steps:
-            box = _fitted(box, edge, turn, softness, support)
+            box = _fitted(box, edge, softness, support)
         return _judged(box, edge)
 
-    about_up, any_way = np.asarray(up, np.float64)[None], np.eye(3)
-    upright = search([_turned(start, angle * about_up[0]) for angle in np.radians(range(0, 90, 15))], about_up)
-    if upright.unexplained > THICK:
-        panes = [sharpen(pane, about_up, SOFTNESS[2:]) for pane in _panes(upright)]
-        upright = min([upright, *panes], key=_errors_of)
-    others = [_turned(start, turn) for turn in rng.normal(size=(8, 3))] if upright.unexplained > EXPLAINED else []
-    tilted = search([upright, *others], any_way)
-    best = min(upright, tilted, key=lambda box: box.unexplained + (box is tilted) * WORTH_A_TILT)
-    best = _finer(best, rays.at_edges(), about_up if best is upright else any_way, support)
+    turned = [_turned(start, angle) for angle in np.radians(range(0, 90, 15))]
+    rough = [_fitted(_fitted(box, few, SOFTNESS[0], support), few, SOFTNESS[1], support) for box in turned]
+    best = sharpen(min((_judged(box, few) for box in rough), key=_errors_of), SOFTNESS[1:])
+    if best.unexplained > THICK:
+        best = min([best, *(sharpen(pane, SOFTNESS[2:]) for pane in _panes(best))], key=_errors_of)
+    best = _finer(best, rays.at_edges(), support)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
 
 
-def outline_of(box: Box) -> Revolution:
-    """A box as an outline about the rectangle of its sides, as a vessel has; its upper and lower edges are sharp."""
-    narrow, wide = np.sort(box.half_sizes[:2])
-    is_oblong = wide > (1 + SQUARE) * narrow
-    half, height = narrow if is_oblong else box.half_sizes[:2].mean(), box.half_sizes[2]
-    long = box.axes[int(box.half_sizes[:2].argmax())]
-    first, second = perpendicular(box.axes[2])
-    rounding = box.rounding / half
-    # Where a square's corner of this radius crosses the diagonal, so does the superellipse.
-    sharpness = SHARP if rounding < EDGE else -np.log(2) / np.log(1 - (1 - np.sqrt(0.5)) * rounding)
-    section = Section(
-        sides=4,
-        sharpness=float(sharpness),
-        turn=float(np.arctan2(long @ second, long @ first)),
-        stretch=float(wide - narrow) if is_oblong else 0.0,
-    )
-    line = spread(np.array([(0.0, -height), (half, -height), (half, height)]), OUTSIDE)
-    return Revolution(axis=Axis(point=box.center, direction=box.axes[2]), outside=line, section=section, as_solid=box)
-
-
-def _finer(box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], support: float | None) -> Box:
+def _finer(box: Box, rays: NearRays, support: float | None) -> Box:
     box = _judged(box, rays)
     for softness in FINER:
-        box = min(box, _judged(_fitted(box, rays, turn, softness, support), rays), key=_errors_of)
+        box = min(box, _judged(_fitted(box, rays, softness, support), rays), key=_errors_of)
     return box
 
 
@@ -212,13 +173,10 @@ def _closest(box: Box, rays: NearRays) -> Float64[np.ndarray, "ray 3"]:
     return rays.at(high)
 
 
-def _fitted(
-    box: Box, rays: NearRays, turn: Float64[np.ndarray, "turn 3"], softness: float, support: float | None
-) -> Box:
+def _fitted(box: Box, rays: NearRays, softness: float, support: float | None) -> Box:
     """The box whose silhouettes are most likely, from one nearby: damped Newton steps.
 
     Args:
-        turn: axes in the world about which the box may turn.
         softness: in pixels.
     """
     width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
@@ -230,44 +188,41 @@ def _fitted(
     def step(box: Box, points: np.ndarray, damping: float) -> Box:
         before = _distance(box, points)
         # Where a ray comes closest, its distance does not change with the place along it.
-        moves = TINY * np.eye(7 + len(turn))
-        slopes = np.stack([(_distance(_moved(box, move, turn), points) - before) / TINY for move in moves])
+        moves = TINY * np.eye(8)
+        slopes = np.stack([(_distance(_moved(box, move), points) - before) / TINY for move in moves])
         pulls = pull(before, rays.hits, width)
         curvature = (slopes * pulls.curvature) @ slopes.T / len(before)
         damped = curvature + damping * np.diag(curvature.diagonal() + 1e-9)
         way = -np.linalg.solve(damped, slopes @ pulls.slope / len(before))
-        return _limited(_moved(box, way, turn), turn, support)
+        return _limited(_moved(box, way), support)
 
     return descend(box, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
 
 
-def _moved(box: Box, step: Float64[np.ndarray, " number"], turn: np.ndarray) -> Box:
-    """The box after a step in center, half sizes, rounding and turns."""
+def _moved(box: Box, step: Float64[np.ndarray, "8"]) -> Box:
+    """The box after a step in center, half sizes, rounding and turn."""
     return dataclasses.replace(
-        _turned(box, step[7:] @ turn),
+        _turned(box, float(step[7])),
         center=box.center + step[:3],
         half_sizes=box.half_sizes + step[3:6],
         rounding=float(box.rounding + step[6]),
     )
 
 
-def _limited(box: Box, turn: np.ndarray, support: float | None) -> Box:
-    """The box within the limits of its numbers, an upright one above its support."""
-    half_sizes, center = np.maximum(box.half_sizes, LEAST_SIZE), box.center
+def _limited(box: Box, support: float | None) -> Box:
+    """The box within the limits of its numbers, above its support."""
+    up, half_sizes, center = box.axes[2], np.maximum(box.half_sizes, LEAST_SIZE), box.center
     most = MOST_ROUNDING * half_sizes.min()
     rounding = float(np.clip(box.rounding, min(LEAST_ROUNDING, most), most))
-    if support is not None and len(turn) == 1 and (below := support - (center @ turn[0] - half_sizes[2])) > 0:
+    if support is not None and (below := support - (center @ up - half_sizes[2])) > 0:
         half_sizes = np.maximum(half_sizes - [0, 0, below / 2], LEAST_SIZE)
-        center = center + below / 2 * turn[0]
+        center = center + below / 2 * up
     return dataclasses.replace(box, center=center, half_sizes=half_sizes, rounding=rounding)
 
 
-def _turned(box: Box, turn: Float64[np.ndarray, "3"]) -> Box:
-    """The box turned about an axis in the world, by its length in radians."""
-    angle = float(np.linalg.norm(turn))
-    if angle < 1e-12:
-        return box
-    return dataclasses.replace(box, axes=box.axes @ rotation(tuple(turn / angle), np.degrees(angle)).T)
+def _turned(box: Box, angle: float) -> Box:
+    """The box turned about its upward axis, by radians."""
+    return dataclasses.replace(box, axes=box.axes @ rotation(tuple(box.axes[2]), np.degrees(angle)).T)
 
 
 def _judged(box: Box, rays: NearRays) -> Box:

@@ -1,4 +1,4 @@
-"""Finds drinks in vessels and their levels from masks, and known objects inside vessels, such as straws.
+"""Finds drinks in vessels and their levels from masks.
 
 A camera sees a drink first only through its vessel's opening, so the vessel surrounds the drink's mask. Other objects
 seen only through an opening, such as marbles, are mistaken for drinks.
@@ -11,19 +11,10 @@ import numpy as np
 from jaxtyping import Int
 from scipy import ndimage
 
-from datagen.data.meshes import Mesh, is_there
-from hyaline_photos.fit.outside import crossings, find_center
+from hyaline_photos.fit.outside import crossings
 from hyaline_photos.fit.search import USUAL, WALLS
 from hyaline_photos.fit.shapes import Glass, Revolution
-from hyaline_photos.fit.views import NearRays, Sightings, rays_near
-
-NEAR_CENTER, WIDEST = 0.8, 1.5
-"""Limits for an object inside a vessel: distance between their centres, and half the object's diagonal, both relative
-to the vessel's radius."""
-
-SEEN_THROUGH = 0.4
-"""Least share of the pixels that see an object inside a vessel through its glass; over what is on a pane, there is
-none."""
+from hyaline_photos.fit.views import NearRays, Sightings
 
 AROUND = 0.9
 """Least share of the pixels around a drink's mask that show its vessel."""
@@ -41,36 +32,15 @@ WATER = 1.33
 """First guess of the index."""
 
 
-def find_filling(sightings: Sightings, known: tuple[Mesh, ...]) -> Sightings:
-    """Marks known objects that are inside unknown ones."""
-    filling = set()
-    for object_id in sightings.unknown:
-        rays = rays_near(sightings, object_id)
-        if not rays.hits.any():
-            continue
-        center, reach = find_center(rays)
-        for place, mesh in enumerate(known):
-            if not is_there(mesh):
-                continue
-            low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-            is_near = np.linalg.norm((low + high) / 2 - center) < NEAR_CENTER * reach
-            if is_near and np.linalg.norm(high - low) / 2 < WIDEST * reach:
-                behind = sightings.first[sightings.met == place + 1] == object_id
-                if behind.sum() > SEEN_THROUGH * len(behind):
-                    filling.add(place + 1)
-    return dataclasses.replace(sightings, filling=tuple(sorted(filling)))
-
-
 def find_holders(sightings: Sightings) -> dict[int, int]:
     """Possible drinks by object id, each with the id of the object around it.
 
     Of several things in one object, such as a drink and ice that sticks out of it, the drink is what most pixels show.
     """
     around = {}
-    hidden = np.isin(sightings.met, sightings.filling) & (sightings.first == 0)
     for object_id in sightings.unknown:
         seen = sightings.sees(object_id)
-        ring = np.asarray(ndimage.binary_dilation(seen, np.ones((1, 3, 3), bool))) & ~seen & ~hidden
+        ring = np.asarray(ndimage.binary_dilation(seen, np.ones((1, 3, 3), bool))) & ~seen
         around[object_id] = np.bincount(sightings.first[ring], minlength=256)
     holders = {}
     for vessel in sightings.unknown:
@@ -112,12 +82,12 @@ def with_drink(glass: Glass, sightings: Sightings, drink: int, vessel: int) -> R
     rays = _rays_to(sightings, drink, vessel).thinned(LEVEL_RAYS)
     radii, lowest = glass.outside[:, 0], float(glass.outside[:, 1].min())
     heights = np.linspace(lowest, glass.outside[-1, 1], LEVELS + 2)[1:-1]
-    at_rim = crossings(rays, glass.axis, glass.outside[-1:, 1], glass.section)[:, 0]
+    at_rim = crossings(rays, glass.axis, glass.outside[-1:, 1])[:, 0]
     enters = at_rim < radii[-1] - OPENING * radii.max()
     sees_drink = rays.hits[enters]
     if not sees_drink.any() or sees_drink.all():
         return None
-    rho = crossings(rays, glass.axis, heights, glass.section)[enters]
+    rho = crossings(rays, glass.axis, heights)[enters]
     outside = np.interp(heights, glass.outside[:, 1], radii)
     within = [rho < outside - wall * radii.max() for wall in WALLS]
     seen, false = (np.array([part[rows].mean(axis=0) for part in within]) for rows in (sees_drink, ~sees_drink))

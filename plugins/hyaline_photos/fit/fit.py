@@ -16,13 +16,14 @@ from typing import Literal, cast
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Int, UInt8
 from scipy import ndimage
 
 from datagen.builder.build import peel_dataset
 from datagen.builder.variants import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, find_num_layers, has_layers
 from datagen.data.geometries import read_meshes
+from datagen.data.images import to_8bit
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError, UsageError
@@ -33,7 +34,7 @@ from datagen.scene.folder import material_json, open_scene, with_materials
 from datagen.scene.materials import Diffuse
 from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
-from hyaline_photos.fit import drinks, pictures, room
+from hyaline_photos.fit import drinks, room
 from hyaline_photos.fit.boxes import Box
 from hyaline_photos.fit.fit_folder import FIT, FitFolder, refuse_losing
 from hyaline_photos.fit.found import (
@@ -42,7 +43,6 @@ from hyaline_photos.fit.found import (
     digest,
     from_state,
     in_words,
-    settled,
     summary,
     to_state,
     write_geometry,
@@ -50,7 +50,6 @@ from hyaline_photos.fit.found import (
 from hyaline_photos.fit.kinds import choose_outside, choose_shown
 from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import alternatives, count_searches, guess, guesses, in_even_views, refine
-from hyaline_photos.fit.shapes import Revolution
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
@@ -73,6 +72,14 @@ MATT = Diffuse(color=(0.5, 0.5, 0.5))
 
 UP = np.array([0.0, 0.0, 1.0])
 
+Image8 = UInt8[np.ndarray, "h w 3"]
+
+ENLARGED, SHOWN_VIEWS, MARGIN, GAP = 3, 4, 6, 2
+"""In pictures of stages: width of a pixel, views in a row, and pixels around an object and between pictures."""
+
+AMPLIFIED = 4
+"""Factor on differences in these pictures."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitChoices:
@@ -80,7 +87,6 @@ class FitChoices:
 
     unknown: tuple[str, ...] = ()
     """Names of the objects; none: all glass but thin panes."""
-    masks: Path | None = None
     mask_errors: int = 0
     """Rays at each height of an object that may miss it by mistake."""
     steps: int = 800
@@ -113,10 +119,10 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     unknown = find_unknown(dataset, scene, choices.unknown)
     meshes = read_meshes(dataset, TRUTH)
     is_exact = choices.mask_errors == 0
-    sightings = read_sightings(dataset, meshes, unknown, choices.masks, is_exact=is_exact)
+    sightings = read_sightings(dataset, meshes, unknown, is_exact=is_exact)
     shown = choose_shown(dataset, sightings, mask_errors=choices.mask_errors, must_be_all=bool(choices.unknown))
     if shown != unknown:
-        sightings = read_sightings(dataset, meshes, shown, choices.masks, is_exact=is_exact)
+        sightings = read_sightings(dataset, meshes, shown, is_exact=is_exact)
     known = known_meshes(meshes, sightings.unknown)
     if not any(map(is_there, known)):
         raise HyalineError(
@@ -133,7 +139,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
             choices=choices,
             scene=with_materials(scene, assumed),
             meshes=meshes,
-            sightings=drinks.find_filling(sightings, known),
+            sightings=sightings,
             folder=folder,
         )
         found = work.run()
@@ -182,7 +188,6 @@ class _Work:
         if "grid" not in skip:
             what = "grid: tells solid glass from vessels"
             found = self._stage("grid", what, found, lambda: self._scan(self._room(textures, found), found))
-        found = settled(found)
         if "search" not in skip:
             what = "search: one number after the other"
             found = self._stage("search", what, found, lambda: self._search("search", textures, found, range(ROUNDS)))
@@ -225,8 +230,8 @@ class _Work:
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
             found |= self._found_if_shown(object_id, sightings)
-            if object_id in found and isinstance(solid := found[object_id].glass.settled(), Box):
-                sightings = with_known(sightings, object_id, solid.mesh())
+            if object_id in found and isinstance(found[object_id].glass, Box):
+                sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
         done = set[int]()
         for inside, vessel in holders.items():
             if vessel in done:
@@ -243,7 +248,6 @@ class _Work:
                 found |= self._found_if_shown(object_id, sightings)
         if not found:
             raise HyalineError(f"{self.dataset.root}: masks show the shape of none of the unknown objects")
-        self._show_outsides(found)
         return dict(sorted(found.items()))
 
     def _found_if_shown(self, object_id: int, sightings: Sightings) -> Objects:
@@ -257,7 +261,7 @@ class _Work:
             return {}
 
     def _find_outside(self, object_id: int, sightings: Sightings) -> FoundGlass:
-        below = (*known_meshes(self.meshes, (*self.sightings.unknown, *self.sightings.filling)), *sightings.found)
+        below = (*known_meshes(self.meshes, self.sightings.unknown), *sightings.found)
         try:
             outside = choose_outside(
                 sightings,
@@ -272,10 +276,7 @@ class _Work:
         say(f"  {self._name(object_id)}: {outside.glass.kind}; {wrong}")
         if outside.unexplained > MOST_WRONG:
             say(f"  {self._name(object_id)}: its masks contradict the cameras; check the order of the masks")
-        glass = outside.glass
-        if isinstance(glass, Revolution):
-            glass = glass.around([self.meshes[place - 1] for place in self.sightings.filling])
-        return FoundGlass(glass=glass, unexplained=outside.unexplained)
+        return FoundGlass(glass=outside.glass, unexplained=outside.unexplained)
 
     def _scan(self, drawn: room.Room, found: Objects) -> Objects:
         found = dict(found)
@@ -356,44 +357,40 @@ class _Work:
     # Pictures
 
     def _show_room(self, drawn: room.Room) -> None:
-        height, width = self.dataset.config.resolution.shape
-        rows = []
-        for view in np.linspace(0, len(self.sightings.first) - 1, pictures.SHOWN_VIEWS).astype(int).tolist():
-            pixels = view * height * width + np.arange(height * width)
-            rows.append(pictures.compared(self._picture(view), drawn.draw(pixels).reshape(height, width, 3)))
-        self.folder.write_picture("room", pictures.sheet(rows))
-
-    def _show_outsides(self, found: Objects) -> None:
-        from datagen.trace.peel import Peeler
-
-        rows = []
-        for object_id, item in found.items():
-            seen, row = np.isin(self.sightings.first, item.ids(object_id)), []
-            peeler = Peeler((item.glass.mesh(),))
-            for view in pictures.choose_views(seen):
-                box = pictures.box_around(seen[view])
-                origin, directions = self.sightings.cameras[view].rays()
-                silhouette = pictures.silhouette_of(peeler, origin, directions[box])
-                silhouette &= self.sightings.is_open(object_id)[view][box]
-                row.append(pictures.outlined(self._picture(view)[box], seen[view][box], silhouette))
-            rows.append(row)
-        self.folder.write_picture("outside", pictures.sheet(rows))
+        whole = tuple(slice(0, side) for side in self.dataset.config.resolution.shape)
+        views = np.linspace(0, len(self.sightings.first) - 1, SHOWN_VIEWS).astype(int).tolist()
+        self.folder.write_picture("room", sheet([self._compared(drawn, view, whole) for view in views]))
 
     def _show_drawn(self, stage: str, drawn: room.Room, found: Objects) -> None:
-        height, width = self.dataset.config.resolution.shape
-        index = np.arange(len(self.sightings.first) * height * width).reshape(-1, height, width)
+        """A row for each object: some views that see it best."""
         rows = []
         for object_id, item in found.items():
             drawn.put(item.ids(object_id), item.glass)
         for object_id, item in found.items():
-            seen, row = np.isin(self.sightings.first, item.ids(object_id)), []
-            for view in pictures.choose_views(seen):
-                box = pictures.box_around(seen[view])
-                pixels = index[view][box]
-                colors = drawn.draw(pixels.ravel()).reshape(*pixels.shape, 3)
-                row += pictures.compared(self._picture(view)[box], colors)
-            rows.append(row)
-        self.folder.write_picture(stage, pictures.sheet(rows))
+            seen = np.isin(self.sightings.first, item.ids(object_id))
+            counts = seen.sum(axis=(1, 2))
+            large = np.flatnonzero(counts >= np.quantile(counts[counts > 0], 0.5))
+            some = large[np.linspace(0, len(large) - 1, min(SHOWN_VIEWS, len(large))).astype(int)].tolist()
+            near = [np.asarray(ndimage.binary_dilation(seen[view], iterations=MARGIN), np.uint8) for view in some]
+            boxes = [ndimage.find_objects(each)[0] for each in near]
+            rows.append([part for view, box in zip(some, boxes) for part in self._compared(drawn, view, box)])
+        self.folder.write_picture(stage, sheet(rows))
 
-    def _picture(self, view: int) -> pictures.Image8:
-        return self.dataset.view("train", view).image
+    def _compared(self, drawn: room.Room, view: int, box: tuple[slice, ...]) -> list[Image8]:
+        """A part of a view's picture, what was drawn of it, and their difference, amplified."""
+        shape = self.sightings.first.shape
+        pixels = np.arange(np.prod(shape)).reshape(shape)[view][box]
+        truth = self.dataset.view("train", view).image[box]
+        colors = drawn.draw(pixels.ravel()).reshape(*pixels.shape, 3)
+        difference = np.abs(colors - truth / np.float32(255)) * AMPLIFIED
+        return [truth, to_8bit(colors), to_8bit(np.clip(difference, 0, 1))]
+
+
+def sheet(rows: list[list[Image8]]) -> Image8:
+    """Pictures side by side, row by row, enlarged."""
+    height, width = (max(image.shape[axis] for row in rows for image in row) + GAP for axis in (0, 1))
+    canvas = np.full((len(rows) * height, max(map(len, rows)) * width, 3), 255, np.uint8)
+    for down, row in enumerate(rows):
+        for across, image in enumerate(row):
+            canvas[down * height :, across * width :][: image.shape[0], : image.shape[1]] = image
+    return canvas.repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1)

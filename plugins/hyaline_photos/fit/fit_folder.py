@@ -2,7 +2,7 @@
 
 FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
 FIT/STAGE.pt         what a stage found, with the digest of what it was found from
-FIT/STAGE.png        a picture of it
+FIT/STAGE.png        a picture of it, for stages that draw
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 FIT = FolderKind(what="fit", head="fit.json")
 
-FIT_VERSION = 2
+FIT_VERSION = 3
 
 STAGES = ("room", "outside", "grid", "search", "textures", "again")
 

@@ -1,12 +1,12 @@
 """Glass of any shape from masks: its visual hull, carved on a grid, then smoothed as far as the masks allow."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64, Int
 from scipy import ndimage, sparse
-from scipy.sparse import csgraph, linalg
+from scipy.sparse import linalg
 from scipy.spatial import KDTree
 
 from datagen.data.cameras import Camera
@@ -78,32 +78,8 @@ class HullShape(Glass):
         return self.surface
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Carved:
-    """The visual hull of one object, with stair steps."""
-
-    positions: Float64[np.ndarray, "vertex 3"]
-    faces: Int[np.ndarray, "face 3"]
-    rays: NearRays
-    up: Float[np.ndarray, "3"]
-    support: float | None
-
-    def smoothed(self, scales: Sequence[float] = SMOOTH) -> HullShape:
-        """The same without steps, not unwrapped yet: that takes longer, and most hulls are only tried.
-
-        Args:
-            scales: of bumps that may be smoothed away, in pixels, of which masks choose one.
-        """
-
-        def smoothed(some: NearRays, scale: float) -> Mesh:
-            moved = _smoothed(self.positions, self.faces, some, scale, up=self.up, support=self.support)
-            return _mesh(moved, self.faces)
-
-        return HullShape(surface=smoothed(self.rays, _scale_of_bumps(self.rays, smoothed, scales)))
-
-
-def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], support: float | None = None) -> Carved:
-    """Carves an object's visual hull.
+def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], support: float | None = None) -> HullShape:
+    """Carves an object's visual hull, and smooths its stair steps as far as left out views ask for.
 
     Args:
         support: height along `up` of the known surface below it; the hull ends there.
@@ -113,7 +89,11 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     """
     rays = rays_near(sightings, object_id)
     positions, faces = _carved(sightings, object_id, rays, up, support)
-    return Carved(positions=positions, faces=faces, rays=rays, up=up, support=support)
+
+    def smoothed(some: NearRays, scale: float) -> Mesh:
+        return _mesh(_smoothed(positions, faces, some, scale, up=up, support=support), faces)
+
+    return HullShape(surface=smoothed(rays, _scale_of_bumps(rays, smoothed)))
 
 
 def _mesh(positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mesh:
@@ -143,6 +123,7 @@ def _carved(
     sightings: Sightings, object_id: int, rays: NearRays, up: np.ndarray, support: float | None
 ) -> tuple[Float64[np.ndarray, "vertex 3"], Int[np.ndarray, "face 3"]]:
     """The hull's surface."""
+    import trimesh
     from skimage.measure import marching_cubes
 
     outlines = _outlines(sightings, object_id)
@@ -169,7 +150,12 @@ def _carved(
     fine[near] = depth_inside(points)
     fine[[0, -1]] = fine[:, [0, -1]] = fine[:, :, [0, -1]] = -step
     vertices, faces, _, _ = marching_cubes(fine, 0.0)
-    return _largest(low + vertices.astype(np.float64) * step, faces[:, ::-1].astype(np.int64))
+    # Parts beside the largest one are places that no view sees past.
+    parts = trimesh.Trimesh(low + vertices.astype(np.float64) * step, faces[:, ::-1], process=False).split(
+        only_watertight=False
+    )
+    largest = max(parts, key=lambda part: len(part.faces))
+    return np.asarray(largest.vertices, np.float64), np.asarray(largest.faces, np.int64)
 
 
 def _outlines(sightings: Sightings, object_id: int) -> list[_Outline]:
@@ -222,34 +208,19 @@ def _grid(low: np.ndarray, step: float, count: int) -> Float64[np.ndarray, "poin
     return low + step * np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _largest(
-    positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]
-) -> tuple[Float64[np.ndarray, "kept 3"], Int[np.ndarray, "kept_face 3"]]:
-    """The largest connected part: others are places that no view sees past."""
-    joined = sparse.coo_array(
-        (np.ones(2 * len(faces)), (faces[:, [0, 0]].ravel(), faces[:, [1, 2]].ravel())), shape=(len(positions),) * 2
-    )
-    _, part = csgraph.connected_components(joined, directed=False)
-    kept = part == np.bincount(part[faces[:, 0]]).argmax()
-    place = np.cumsum(kept) - 1
-    return positions[kept], place[faces[kept[faces[:, 0]]]]
-
-
 # Smoothing
 
 
-def _scale_of_bumps(rays: NearRays, smoothed: Callable[[NearRays, float], Mesh], scales: Sequence[float]) -> float:
-    """The first of some scales with which rays from most views predict the others better than with the next one."""
-    if len(scales) == 1:
-        return scales[0]
+def _scale_of_bumps(rays: NearRays, smoothed: Callable[[NearRays, float], Mesh]) -> float:
+    """The first of `SMOOTH` with which rays from most views predict the others better than with the next one."""
     is_left_out = np.unique(rays.view, return_inverse=True)[1] % LEFT_OUT == 0
     before = np.inf
-    for place, scale in enumerate(scales):
+    for place, scale in enumerate(SMOOTH):
         wrong = unexplained(smoothed(rays.only(~is_left_out), scale), rays.only(is_left_out))
         if not wrong <= before:  # Without rays at edges it is NaN.
-            return scales[max(place - 1, 0)]
+            return SMOOTH[max(place - 1, 0)]
         before = wrong
-    return scales[-1]
+    return SMOOTH[-1]
 
 
 def _smoothed(

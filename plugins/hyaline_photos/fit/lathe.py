@@ -6,7 +6,6 @@ import numpy as np
 from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
-from hyaline_photos.fit.section import Columns, Section
 
 SEGMENTS = 96
 """Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
@@ -43,12 +42,8 @@ def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2
     return np.stack([first, np.cross(direction, first)])
 
 
-def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Mesh:
-    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge.
-
-    Args:
-        section: by whose factors the outline's radii change around the axis; None: a circle.
-    """
+def revolved(axis: Axis, outline: Outline) -> Mesh:
+    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge."""
     edges = np.diff(outline, axis=0)
     normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -60,55 +55,26 @@ def revolved(axis: Axis, outline: Outline, section: Section | None = None) -> Me
     ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
     rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
     ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
-    around = _columns(section)
-    swept, turned = _swept(axis, rings, ring_normals, around)
+    u, v = perpendicular(axis.direction)
+    angles = (np.arange(SEGMENTS + 1) % SEGMENTS * (2 * np.pi / SEGMENTS))[:, None]  # The last repeats the first.
+    outward = np.cos(angles) * u + np.sin(angles) * v
+    swept, turned = (
+        values[:, :1, None] * outward + values[:, None, 1:] * axis.direction for values in (rings, ring_normals)
+    )
     index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
     low, high = index[0::2], index[1::2]
     lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
     upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
-    # At the axis a quadrangle is one triangle, but on the long sides of an oblong section.
-    is_long = np.diff(around.moved, axis=0).any(axis=1)
-    triangles = [lower[:1, is_long], lower[1:], upper[:-1], upper[-1:, is_long]]
-    faces = np.concatenate([each.reshape(-1, 3) for each in triangles])
+    # At the axis a quadrangle is one triangle.
+    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
     along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
     uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
     return Mesh(
-        vertices=swept.astype(np.float32),
+        vertices=(axis.point + swept).reshape(-1, 3).astype(np.float32),
         faces=faces.astype(np.int32),
-        normals=turned.astype(np.float32),
+        normals=turned.reshape(-1, 3).astype(np.float32),
         uv=uv.reshape(-1, 2).astype(np.float32),
     )
-
-
-def _columns(section: Section | None) -> Columns:
-    """Points around the axis; the last repeats the first, at u = 1."""
-    place = np.arange(SEGMENTS + 1) % SEGMENTS
-    if section is None:
-        ones = np.ones(SEGMENTS + 1)
-        angles, moved = place * (2 * np.pi / SEGMENTS), np.zeros((SEGMENTS + 1, 2))
-        return Columns(angles=angles, factors=ones, slopes=0 * ones, moved=moved)
-    return Columns(**{name: values[place] for name, values in vars(section.columns(SEGMENTS)).items()})
-
-
-def _swept(
-    axis: Axis, rings: Float64[np.ndarray, "ring 2"], normals: Float64[np.ndarray, "ring 2"], around: Columns
-) -> tuple[Float64[np.ndarray, "vertex 3"], Float64[np.ndarray, "vertex 3"]]:
-    """Vertices and normals, ring by ring.
-
-    Where r(s) f(a) sweeps around the axis, with (n_r, n_z) the outline's normal, the surface's normal is n_r outward,
-    -n_r f_a / f sideways and n_z f along the axis.
-    """
-    u, v = perpendicular(axis.direction)
-    cos, sin = np.cos(around.angles)[:, None], np.sin(around.angles)[:, None]
-    outward, sideways = cos * u + sin * v, cos * v - sin * u
-    radii = rings[:, :1] * around.factors
-    moved = around.moved[:, :1] * u + around.moved[:, 1:] * v
-    vertices = axis.point + radii[..., None] * outward + moved + rings[:, None, 1:] * axis.direction
-    n_r, n_z = normals[:, :1], normals[:, 1:]
-    aside, along = -n_r * around.slopes / around.factors, n_z * around.factors
-    turned = n_r[..., None] * outward + aside[..., None] * sideways + along[..., None] * axis.direction
-    turned /= np.maximum(np.linalg.norm(turned, axis=2, keepdims=True), 1e-12)
-    return vertices.reshape(-1, 3), turned.reshape(-1, 3)
 
 
 def spread(line: Outline, count: int) -> Outline:

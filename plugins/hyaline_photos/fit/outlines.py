@@ -65,7 +65,7 @@ def find_outside(hull: Hull, support: float | None) -> Revolution | None:
     side = np.interp(along, heights[kept], shown) + slope * np.maximum(along - high, 0)
     line = np.stack([np.maximum(side, 0.01 * size), along], axis=1)
     outside = spread(np.concatenate([[(0, bottom)], line]), OUTSIDE)
-    return Revolution(axis=hull.axis, outside=outside, section=hull.around)
+    return Revolution(axis=hull.axis, outside=outside)
 
 
 def find_solid(hull: Hull, support: float | None) -> Revolution | None:
@@ -111,9 +111,7 @@ def find_solid(hull: Hull, support: float | None) -> Revolution | None:
     else:
         pieces.append(np.linspace((0.0, high), side[-1], END, endpoint=False)[::-1])
     line = np.concatenate(pieces)
-    found = Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), section=hull.around, solid=line)
-    is_loose = support is None and hull.around is None
-    return found.having(dish=0.0) if is_loose and not closes_below and not closes_above else found
+    return Revolution(axis=hull.axis, outside=evenly(line, OUTSIDE), solid=line)
 
 
 def find_ball(hull: Hull) -> Revolution | None:

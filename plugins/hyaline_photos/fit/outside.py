@@ -4,8 +4,6 @@ A ray that misses an object bounds it: where the ray passes height z of the axis
 the ray's distance from the axis. The least bound of all rays is the visual hull of revolution, without voxels.
 """
 
-import dataclasses
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -14,8 +12,7 @@ from jaxtyping import Bool, Float, Float64, Int
 from scipy import optimize
 
 from datagen.disk.errors import HyalineError
-from hyaline_photos.fit.lathe import Axis, perpendicular
-from hyaline_photos.fit.section import LEAST_SHARPNESS, MOST_SHARPNESS, SHARP, Section
+from hyaline_photos.fit.lathe import Axis
 from hyaline_photos.fit.views import NearRays
 
 FINE = 501
@@ -27,9 +24,6 @@ WORTH_A_TILT = 0.003
 COARSE, COARSE_RAYS = 129, 20_000
 """Heights, and most rays, while the axis is searched."""
 
-SECTION_RAYS = 6000
-"""The same while a section is searched, at as many heights: with 65, a lying prism's axis was found 1 degree off."""
-
 REACH = 1.1
 """Half the length of axis on which an object is looked for, in parts of its radius."""
 
@@ -37,7 +31,7 @@ INSIDE_RAYS = 20_000
 """Most rays through a mask's inside."""
 
 RAYS_AT_ONCE = 16_384
-"""Rays that are looked at together at all heights, which takes 0.3 GB, and 0.8 GB about a polygon."""
+"""Rays that are looked at together at all heights, which takes 0.3 GB."""
 
 WRONG_RAYS = 0.003
 """Share of the rays that meet an object that need not be explained where masks may be wrong."""
@@ -74,8 +68,6 @@ class Hull:
     """Share of the mask's rays that miss the hull."""
     is_exact: bool
     """No mask is wrong: it is nowhere too narrow."""
-    around: Section | None = None
-    """None: a circle."""
 
 
 def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hull:
@@ -94,77 +86,24 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     edge = rays.at_edges().thinned(COARSE_RAYS)
     if (~edge.hits).sum() <= max(order, LEAST_BESIDE * len(edge.hits)) or not edge.hits.any():
         raise HyalineError("masks do not show its shape: hardly any ray passes beside it")
-    axis = Axis(point=center, direction=up)
-    coarse = np.linspace(-radius, radius, COARSE)
-
-    def at(x: np.ndarray) -> tuple[Axis, None]:
-        return axis.moved(x[2:], x[:2] * radius), None
-
-    stages = ((np.array([0.1, 0.1]), 60), (np.array([0.02, 0.02, 0.05, 0.05]), 150))
-    return _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
-
-
-def find_section(rays: NearRays, axis: Axis, section: Section, *, order: int) -> Hull:
-    """The hull about a polygon, which and whose axis are searched from a first guess as in `find_hull`."""
-    _, radius = find_center(rays)
-    edge = rays.at_edges().thinned(SECTION_RAYS)
-    coarse = np.linspace(-REACH * radius, REACH * radius, COARSE)
-
-    def at(x: np.ndarray) -> tuple[Axis, Section]:
-        sharpness = float(np.clip(section.sharpness * np.exp(x[3]), LEAST_SHARPNESS, MOST_SHARPNESS))
-        stretch = section.stretch * (1 + float(x[4]) if section.is_oblong else 1)
-        changed = Section(sides=section.sides, sharpness=sharpness, turn=section.turn + float(x[2]), stretch=stretch)
-        return axis.moved(x[-2:], x[:2] * radius), changed
-
-    # The sharpest polygon cannot become sharper.
-    upright, both = np.array([0.03, 0.03, 0.05, -0.25]), np.array([0.01, 0.01, 0.02, -0.1])
-    if section.is_oblong:
-        upright, both = np.append(upright, 0.03), np.append(both, 0.01)
-    stages = ((upright, 80), (np.concatenate([both, [0.03, 0.03]]), 160))
-    rounded = _searched(rays, edge, coarse, at, stages, radius=radius, order=order)
-    assert rounded.around is not None
-    sharp = dataclasses.replace(rounded.around, sharpness=SHARP)
-    hulls = [rounded, hull_about(rays, rounded.axis, rounded.heights, order=order, around=sharp)]
-    return min(hulls, key=lambda hull: hull.unexplained)
-
-
-def _searched(
-    rays: NearRays,
-    edge: NearRays,
-    coarse: Float64[np.ndarray, " height"],
-    at: Callable[[np.ndarray], tuple[Axis, Section | None]],
-    stages: Sequence[tuple[np.ndarray, int]],
-    *,
-    radius: float,
-    order: int,
-) -> Hull:
-    """The hull about the upright or the tilted axis that leaves the rays at edges the least lack.
-
-    Args:
-        at: axis and section by some numbers, zeros for the first guess.
-        stages: first steps of the numbers that are searched, and the most evaluations: upright, then all numbers.
-    """
-    x, hulls = np.zeros(len(stages[-1][0])), []
+    upright, coarse = Axis(point=center, direction=up), np.linspace(-radius, radius, COARSE)
     heights = np.linspace(-REACH * radius, REACH * radius, FINE)
-    for steps, most in stages:
-        rest = x[len(steps) :]
+    x, hulls = np.zeros(4), []
+    for steps, most in (([0.1, 0.1], 60), ([0.02, 0.02, 0.05, 0.05], 150)):
 
-        def lack(first: np.ndarray, rest: np.ndarray = rest) -> float:
-            axis, section = at(np.concatenate([first, rest]))
-            return _lack(edge, axis, coarse, section, order=order) / radius
+        def lack(first: np.ndarray) -> float:
+            shift, tilt = np.append(first, np.zeros(4 - len(first))).reshape(2, 2)
+            return _lack(edge, upright.moved(tilt, shift * radius), coarse, order=order) / radius
 
         simplex = x[: len(steps)] + np.concatenate([np.zeros((1, len(steps))), np.diag(steps)])
         options = {"xatol": 2e-4, "fatol": 1e-7, "maxfev": most, "initial_simplex": simplex}
         found = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
-        x = np.concatenate([found, rest])
-        axis, section = at(x)
-        hulls.append(hull_about(rays, axis, heights, order=order, around=section))
+        x = np.append(found, np.zeros(4 - len(found)))
+        hulls.append(hull_about(rays, upright.moved(x[2:], x[:2] * radius), heights, order=order))
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
 
-def hull_about(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int, around: Section | None = None
-) -> Hull:
+def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
     num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
     # What explains the edge of a mask mostly explains its inside: of many rays there, some stand for all.
@@ -174,12 +113,12 @@ def hull_about(
     parts = [rays.only(slice(at, at + RAYS_AT_ONCE)) for at in range(0, len(rays.hits), RAYS_AT_ONCE)]
     nearest = np.zeros((0, len(heights)))
     for part in parts:
-        nearest = np.concatenate([nearest, crossings(part, axis, heights, around)[~part.hits]])
+        nearest = np.concatenate([nearest, crossings(part, axis, heights)[~part.hits]])
         nearest = np.partition(nearest, order, axis=0)[: order + 1] if len(nearest) > order + 1 else nearest
     bounds = _bounds(nearest, heights, order=order)
-    hull_of = partial(Hull, axis=axis, heights=heights, bounds=bounds, is_exact=order == 0, around=around)
+    hull_of = partial(Hull, axis=axis, heights=heights, bounds=bounds, is_exact=order == 0)
     radii = np.where(np.isfinite(bounds), bounds, 0)
-    spans = [_span_inside(part, axis, heights, around, radii) for part in parts]
+    spans = [_span_inside(part, axis, heights, radii) for part in parts]
     explained, lowest, highest = (np.concatenate(each) for each in zip(*spans, strict=True))
     if not explained.any():
         none = np.zeros_like(radii)
@@ -198,11 +137,11 @@ def hull_about(
 
 
 def _span_inside(
-    rays: NearRays, axis: Axis, heights: np.ndarray, around: Section | None, radii: Float64[np.ndarray, " height"]
+    rays: NearRays, axis: Axis, heights: np.ndarray, radii: Float64[np.ndarray, " height"]
 ) -> tuple[Bool[np.ndarray, " hit"], Int[np.ndarray, " hit"], Int[np.ndarray, " hit"]]:
     """Which of the rays that meet the object are inside these radii somewhere, and their first and last place there."""
-    inside = crossings(rays, axis, heights, around)[rays.hits] <= radii
-    place, least = _closest(rays, axis, heights, around)
+    inside = crossings(rays, axis, heights)[rays.hits] <= radii
+    place, least = _closest(rays, axis, heights)
     inside[np.arange(len(inside)), place] |= least <= radii[place]
     return np.asarray(inside.any(axis=1)), inside.argmax(axis=1), len(heights) - 1 - inside[:, ::-1].argmax(axis=1)
 
@@ -223,14 +162,8 @@ def _end(
     return max(threads, default=first)
 
 
-def crossings(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Section | None = None
-) -> Float[np.ndarray, "ray height"]:
-    """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera.
-
-    Args:
-        around: distances are the radii of outlines about it, so that radii bound them as about a circle.
-    """
+def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
+    """Metres from the axis where each ray passes these heights; infinite behind `reach` or the camera."""
     along_o, across_o = along_and_across(rays.origins - axis.point, axis)
     along_d, across_d = along_and_across(rays.directions, axis)
     t = (heights - along_o[:, None]) / np.where(np.abs(along_d) < SLOW, SLOW, along_d)[:, None]
@@ -239,8 +172,6 @@ def crossings(
         np.einsum("rc,rc->r", x, y) for x, y in ((across_o, across_o), (across_o, across_d), (across_d, across_d))
     )
     rho = np.sqrt(np.maximum(aa[:, None] + t * (2 * ab[:, None] + t * bb[:, None]), 0))
-    if around is not None:
-        rho = around.outline_radii(*_places(across_o[:, None], across_d[:, None], t, axis))
     return np.where((t > 0) & (t < rays.reach[:, None]), rho, np.inf)
 
 
@@ -250,14 +181,6 @@ def along_and_across(
     """The component of vectors along an axis, and the rest."""
     along = vectors @ axis.direction
     return along, vectors - along[:, None] * axis.direction
-
-
-def _places(
-    origins: np.ndarray, directions: np.ndarray, t: np.ndarray, axis: Axis
-) -> tuple[Float64[np.ndarray, "*place"], Float64[np.ndarray, "*place"]]:
-    """Places along rays, by two coordinates across the axis."""
-    first, second = ((origins @ way) + t * (directions @ way) for way in perpendicular(axis.direction))
-    return first, second
 
 
 def _bounds(
@@ -274,7 +197,7 @@ def _bounds(
 
 
 def _closest(
-    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], around: Section | None = None
+    rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]
 ) -> tuple[Int[np.ndarray, " hit"], Float64[np.ndarray, " hit"]]:
     """Where rays that meet the object come closest to the axis: the place of the nearest height, and the distance.
 
@@ -282,29 +205,20 @@ def _closest(
     """
     along_o, across_o = along_and_across(rays.origins[rays.hits] - axis.point, axis)
     along_d, across_d = along_and_across(rays.directions[rays.hits], axis)
-    place, least = np.zeros(len(along_o), int), np.full(len(along_o), np.inf)
-    for middle in np.zeros((1, 2)) if around is None else around.middles():
-        towards = middle @ perpendicular(axis.direction) - across_o
-        t = np.einsum("rc,rc->r", towards, across_d)
-        t /= np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
-        height = along_o + t * along_d
-        at = np.rint((height - heights[0]) / (heights[1] - heights[0])).astype(int)
-        is_on = (at >= 0) & (at < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
-        if around is None:
-            rho = np.linalg.norm(across_o + t[:, None] * across_d, axis=1)
-        else:
-            rho = around.outline_radii(*_places(across_o, across_d, t, axis))
-        is_closer = is_on & (rho < least)
-        place, least = np.where(is_closer, at, place), np.where(is_closer, rho, least)
-    return place, least
+    t = -np.einsum("rc,rc->r", across_o, across_d)
+    t /= np.maximum(np.einsum("rc,rc->r", across_d, across_d), SLOW)
+    place = np.rint((along_o + t * along_d - heights[0]) / (heights[1] - heights[0])).astype(int)
+    is_on = (place >= 0) & (place < len(heights)) & (t > 0) & (t < rays.reach[rays.hits])
+    least = np.where(is_on, np.linalg.norm(across_o + t[:, None] * across_d, axis=1), np.inf)
+    return np.where(is_on, place, 0), least
 
 
-def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, section: Section | None = None, *, order: int) -> float:
+def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
     """Mean distance in metres by which rays that meet the object miss its hull."""
-    rho = crossings(rays, axis, heights, section)
+    rho = crossings(rays, axis, heights)
     radii = _bounds(rho[~rays.hits], heights, order=order)
     radii = np.where(np.isfinite(radii), radii, 0)
-    place, least = _closest(rays, axis, heights, section)
+    place, least = _closest(rays, axis, heights)
     gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)
     return float(np.minimum(gaps, FAR * heights[-1]).mean())
 

@@ -13,10 +13,8 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy import ndimage, sparse
 
-from hyaline_photos.fit.lathe import Axis, perpendicular
+from hyaline_photos.fit.lathe import Axis, Outline, perpendicular
 from hyaline_photos.fit.outside import Hull, along_and_across
-from hyaline_photos.fit.section import Section
-from hyaline_photos.fit.shapes import find_shelf
 from hyaline_photos.fit.silhouettes import closest, descend, misfit, pull
 from hyaline_photos.fit.views import NearRays
 
@@ -49,6 +47,12 @@ ENDS = 0.01
 THREAD = 1e-3
 """Radius in parts of the largest one, below which glass ends."""
 
+SHELF = np.tan(np.radians(40))
+"""Steepest rise of the upper side of a foot, beside a stem."""
+
+LEAST_SHELF = 0.15
+"""Least width of such a side, in parts of the largest radius."""
+
 LEAST_PLACES = 8
 """Fewer heights show no curvature."""
 
@@ -67,7 +71,6 @@ class _Profile:
     """A body about an axis, by its squared radii at evenly spaced heights."""
 
     axis: Axis
-    around: Section | None
     heights: Float64[np.ndarray, " height"]
     squares: Float64[np.ndarray, " height"]
     """Squared radii, in square metres."""
@@ -95,7 +98,7 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
     is_free = _is_free(heights, radii)
     if is_free.sum() < LEAST_PLACES:
         return hull
-    profile = _Profile(axis=hull.axis, around=hull.around, heights=heights, squares=radii**2)
+    profile = _Profile(axis=hull.axis, heights=heights, squares=radii**2)
     edge = rays.at_edges().thinned(RAYS)
     t = _closest(edge, profile)
     near = NEAR if hull.is_exact else NEAR_FOR_WRONG_MASKS
@@ -120,10 +123,26 @@ def _is_free(heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray,
     """Heights whose radii are fitted: not the ends, nor a foot beside a stem, whose upper side masks don't show."""
     end = ENDS * radii.max()
     is_free = (heights > heights[0] + end) & (heights < heights[-1] - end)
-    foot = find_shelf(np.stack([radii, heights], axis=1))
+    foot = _find_shelf(np.stack([radii, heights], axis=1))
     if foot is not None:
         is_free[: foot.stop] = False
     return is_free
+
+
+def _find_shelf(line: Outline) -> slice | None:
+    """The points of a foot from its edge to its stem, where it rises less steeply than a stem or a side;
+    None if it has no such foot.
+
+    Args:
+        line: radii and heights of a side, from the bottom up.
+    """
+    radii, heights = line.T
+    lower = heights < heights.min() + np.ptp(heights) / 2
+    stem = int(np.where(lower, radii + heights, np.inf).argmin())
+    edge = int((radii + heights)[: stem + 1].argmax())
+    width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
+    is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
+    return slice(edge, stem + 1) if is_shelf else None
 
 
 def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " height"], softness: float) -> _Profile:
@@ -197,7 +216,7 @@ def _closest(rays: NearRays, profile: _Profile) -> Float64[np.ndarray, " ray"]:
 def _at(rays: NearRays, t: Float64[np.ndarray, "ray *place"], profile: _Profile) -> _Places:
     """How far from the surface places along rays are."""
     t = t.reshape(len(t), -1)
-    axis, around, heights, squares = profile.axis, profile.around, profile.heights, profile.squares
+    axis, heights, squares = profile.axis, profile.heights, profile.squares
     step = heights[1] - heights[0]
     ways = np.stack([*perpendicular(axis.direction), axis.direction], axis=1)
     starts, directions = (rays.origins - axis.point) @ ways, rays.directions @ ways
@@ -206,10 +225,9 @@ def _at(rays: NearRays, t: Float64[np.ndarray, "ray *place"], profile: _Profile)
     place = np.clip(at.astype(int), 0, len(heights) - 2)
     share, rise = at - place, squares[place + 1] - squares[place]
     square = squares[place] + share * rise
-    far = x**2 + y**2 if around is None else around.outline_radii(x, y) ** 2
     steepness = np.sqrt(4 * np.maximum(square, 0) + (rise / step) ** 2 + 1e-12)
     is_on = (share >= 0) & (share <= 1)
-    distance = np.where(is_on, (far - square) / steepness, np.inf)
+    distance = np.where(is_on, (x**2 + y**2 - square) / steepness, np.inf)
     return _Places(distance, place, share, steepness)
 
 

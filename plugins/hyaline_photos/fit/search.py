@@ -34,11 +34,8 @@ SOFTNESS = 0.05
 
 WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
-CORNERS, PANE_CORNERS = (0.15, 0.5), (0.03,)
-"""The grid: parts of the largest radius, of the height, and of the floor's radius; of vessels made of panes."""
-
-DISHES = (0.0, 0.12, 0.24)
-"""First guesses for solids whose ends may be sunk."""
+CORNERS = (0.15, 0.5)
+"""The grid: parts of the largest radius, of the height, and of the floor's radius."""
 
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
@@ -74,8 +71,6 @@ NUMBERS: dict[str, Number] = {
     "floor": Number(low=1e-5, high=10.0, reach=0.25, least=0.06),
     "corner": Number(low=0.02, high=0.95, reach=0.6, least=0.2),
     "foot": Number(low=1e-6, high=1.0, reach=1.2, least=0.3),
-    "sag": Number(low=1.0, high=5.0, reach=0.5, least=0.15),
-    "dish": Number(low=0.0, high=0.9, reach=0.08, least=0.02, is_factor=False),
     "ior": Number(low=1.2, high=2.5, reach=0.08, least=0.06, is_factor=False, by_parabola=True),
     "taper": Number(low=0.4, high=2.5, reach=0.3, least=0.12),
     "roughness": Number(low=LEAST_ROUGHNESS, high=0.8, reach=0.5, least=0.25),
@@ -85,9 +80,7 @@ NUMBERS: dict[str, Number] = {
 """Search ranges, in search order. In metres: wall (above the floor), floor (the hollow's lowest point above the
 outside's), foot (reach of the rounding between bottom and side), level (of a drink above the outside's lowest point).
 Relative: taper (wall at the rim over that above the floor), corner (reach of the rounding between floor and wall, in
-parts of the floor's radius), dish (how far the flat ends of a solid are sunk, as spheres, in parts of their radius),
-sag (exponent of the heights of a foot's upper side, from its edge to the stem; masks don't show it where it is flatter
-than the lowest view)."""
+parts of the floor's radius)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,12 +174,9 @@ def _thickness(glass: Glass) -> float:
 def _cells(outside: Glass) -> list[Glass]:
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
-    dishes = [{"dish": dish} for dish in DISHES] if "dish" in outside.numbers else [{}]
-    solids = [outside.having(ior=ior, **dish) for ior in INDICES for dish in dishes]
-    grid = itertools.product(WALLS, FLOORS, PANE_CORNERS if outside.is_of_panes else CORNERS)
-    vessels: list[Glass] = [outside.hollowed(*cell) for cell in grid]
-    # A vessel with handles has other faces than a solid.
-    return vessels if outside.hollow else [*solids, *vessels]
+    solids: list[Glass] = [outside.having(ior=ior) for ior in INDICES]
+    vessels: list[Glass] = [outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS)]
+    return vessels if outside.hollow else [*solids, *vessels]  # What holds a drink is a vessel.
 
 
 def refine(
@@ -238,8 +228,7 @@ def find_number(
     how = NUMBERS[name]
     steps = reach * np.linspace(-1, 1, STEPS)
     now = glass.numbers[name]
-    high = getattr(glass, f"most_{name}", None) or how.high
-    values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, high)
+    values = np.clip(now * np.exp(steps) if how.is_factor else now + steps, how.low, how.high)
     losses = np.stack([misses(glass.having(**{name: float(value)})).mean(axis=1) for value in values])
     places = np.log(values) if how.is_factor else values
 

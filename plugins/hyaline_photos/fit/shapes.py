@@ -2,7 +2,7 @@
 be updated in place."""
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -11,8 +11,7 @@ from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
-from hyaline_photos.fit.lathe import Axis, Outline, evenly, lengths_of, perpendicular, point_at, revolved, spread
-from hyaline_photos.fit.section import SHARP, Section
+from hyaline_photos.fit.lathe import Axis, Outline, evenly, lengths_of, point_at, revolved, spread
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 """Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
@@ -29,23 +28,8 @@ DRINK_REACH = 0.3
 USUAL_WALL = 0.05
 """Thickness of a usual vessel's wall, in parts of the largest radius."""
 
-MOSTLY_INSIDE = 0.5
-"""Share of the vertices of a thing inside a vessel that lie within its outside; a straw stands out."""
-
-FOOT, PANE_FOOT = 0.04, 0.004
-"""First guess of a foot's rounding, in parts of the largest radius; of a vessel made of panes."""
-
-MOST_DISH = 0.48
-"""How far an end is sunk at most, in parts of the height."""
-
-SAG = 1.5
-"""First guess of a foot's sag."""
-
-SHELF = np.tan(np.radians(40))
-"""Steepest rise of the upper side of a foot, beside a stem."""
-
-LEAST_SHELF = 0.15
-"""Least width of such a side, in parts of the largest radius."""
+FOOT = 0.04
+"""First guess of a foot's rounding, in parts of the largest radius."""
 
 Body = tuple[Mesh, Material]
 
@@ -72,10 +56,6 @@ class Glass:
     def mesh(self) -> Mesh:
         """A closed mesh; vertex and face counts are independent of the parameters."""
         raise NotImplementedError
-
-    def settled(self) -> "Glass":
-        """The shape that it is with these numbers."""
-        return self
 
     def having(self, **numbers: float) -> Self:
         """The same with some other numbers."""
@@ -108,23 +88,10 @@ class Revolution(Glass):
     """From the axis at the bottom to the axis, or a vessel's rim, at the top."""
     solid: Outline | None = None
     """The same of solid glass, whose ends may be rounded; it ends on the axis. None: closed by a flat end."""
-    as_solid: Glass | None = None
-    """What it is if it is found solid; None: this."""
-    section: Section | None = None
-    """Around the axis, through the middle of whose sides the outline goes; None: a circle."""
-    most_floor: float | None = None
-    """Highest floor of its hollow, which things that are known to be in the hollow set; None: there are none."""
 
     @property
     def kind(self) -> str:
-        if self.section is not None:
-            return "oblong" if self.section.is_oblong else f"{self.section.sides}-sided"
         return "ball" if self.is_closed and self._is_spherical() else "revolution"
-
-    @property
-    def is_of_panes(self) -> bool:
-        """Its sides are flat, with sharp edges between them, as a tank's."""
-        return self.section is not None and self.section.sharpness == SHARP
 
     @property
     def height(self) -> float:
@@ -152,65 +119,34 @@ class Revolution(Glass):
             floor: in parts of the height.
         """
         radius = float(self.outside[:, 0].max())
-        height = floor * self.height if self.most_floor is None else min(floor * self.height, self.most_floor)
-        return dataclasses.replace(
-            self,
-            numbers={
-                **self.without("dish").numbers,
-                "wall": wall * radius,
-                "taper": 1.0,
-                "floor": height,
-                "corner": corner,
-                "foot": (PANE_FOOT if self.is_of_panes else FOOT) * radius,
-                **({} if find_shelf(self.outside) is None else {"sag": SAG}),
-            },
-        )
-
-    def settled(self) -> Glass:
-        if self.as_solid is None or self.hollow is not None:
-            return self
-        return dataclasses.replace(self.as_solid, numbers=self.without("dish").numbers, absorption=self.absorption)
-
-    def around(self, things: Sequence[Mesh]) -> "Revolution":
-        """The same outside, where the things that lie inside it leave no room for a higher floor."""
-        lowest, radius = float(self.outside[:, 1].min()), float(self.outside[:, 0].max())
-        floors = []
-        for mesh in things:
-            from_axis = mesh.vertices - self.axis.point
-            height = from_axis @ self.axis.direction
-            x, y = perpendicular(self.axis.direction) @ from_axis.T
-            distance = np.hypot(x, y) if self.section is None else self.section.outline_radii(x, y)
-            if (distance < np.interp(height, self.outside[:, 1], self.outside[:, 0])).mean() > MOSTLY_INSIDE:
-                floors.append(float(height.min()) - lowest + DRINK_REACH * USUAL_WALL * radius)
-        return dataclasses.replace(self, most_floor=min(floors)) if floors and min(floors) > 0 else self
+        return self.having(wall=wall * radius, taper=1.0, floor=floor * self.height, corner=corner, foot=FOOT * radius)
 
     def outline(self) -> Outline:
         """The whole section."""
         numbers = self.numbers
         if self.hollow is None:
             if self.solid is not None:
-                return _dished(self.solid, numbers["dish"]) if "dish" in numbers else self.solid
+                return self.solid
             if self.is_closed:
                 return evenly(self.outside, POINTS)
             top = np.linspace(self.outside[-1], (0.0, self.outside[-1, 1]), POINTS - OUTSIDE + 1)[1:]
             return np.concatenate([self.outside, top])
         wall, floor = self.hollow
         at_rim = wall * numbers["taper"]
-        outside = _sagged(self.outside, numbers["sag"]) if "sag" in numbers else self.outside
-        # The rim is a half circle, below which the outside ends; that of panes is flat.
-        side = _with_foot(outside if self.is_of_panes else _cut(outside, outside[-1, 1] - at_rim / 2), numbers["foot"])
-        inside = _hollow(side, wall, at_rim, floor, numbers["corner"], has_flat_rim=self.is_of_panes)
+        # The rim is a half circle, below which the outside ends.
+        side = _with_foot(_cut(self.outside, self.outside[-1, 1] - at_rim / 2), numbers["foot"])
+        inside = _hollow(side, wall, at_rim, floor, numbers["corner"])
         return np.concatenate([side, inside])
 
     def mesh(self) -> Mesh:
-        return revolved(self.axis, self.outline(), self.section)
+        return revolved(self.axis, self.outline())
 
     def bodies(self) -> tuple[Body, ...]:
         if "drink_ior" not in self.numbers:
             return super().bodies()
         # Where the drink reaches into the wall, its lower priority lets the glass win.
         drink = Dielectric(ior=self.numbers["drink_ior"], absorption=self.drink_absorption, priority=-1)
-        return (*super().bodies(), (revolved(self.axis, self.drink_outline(), self.section), drink))
+        return (*super().bodies(), (revolved(self.axis, self.drink_outline()), drink))
 
     def drink_outline(self) -> Outline:
         """The section of the drink; it extends slightly into floor and wall."""
@@ -231,23 +167,7 @@ class Revolution(Glass):
         return np.concatenate([line, [(0.0, surface)]])
 
 
-def _dished(solid: Outline, dish: float) -> Outline:
-    """The outline with its flat ends sunk."""
-    line = solid.copy()
-    for end, inward in ((0, 1), (-1, -1)):
-        is_end = np.abs(solid[:, 1] - solid[end, 1]) < 1e-9
-        radius = solid[is_end, 0].max()
-        # A sphere through the edge, which is `depth` below it on the axis.
-        depth = min(dish * radius, MOST_DISH * float(np.ptp(solid[:, 1])))
-        slope = 2 * depth / (radius**2 + depth**2)
-        sunk = (1 - np.sqrt(1 - np.minimum(slope * solid[is_end, 0], 1) ** 2)) / slope if slope > 0 else 0.0
-        line[is_end, 1] += inward * (depth - sunk)
-    return line
-
-
-def _hollow(
-    outside: Outline, wall: float, at_rim: float, floor: float, corner: float, *, has_flat_rim: bool
-) -> Outline:
+def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
     """The inside of a vessel from its rim down to the axis."""
     tangents = np.gradient(outside, axis=0)
     tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
@@ -270,42 +190,14 @@ def _hollow(
     up = np.array([-arm[1], arm[0]])
     up = up if up @ tangents[-1] > 0 else -up
     angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
-    rim = middle + np.cos(angles) * arm + (0 if has_flat_rim else np.sin(angles) * up)
+    rim = middle + np.cos(angles) * arm + np.sin(angles) * up
     side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
     return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
 
 
-def find_shelf(line: Outline) -> slice | None:
-    """The points of an outside's foot from its edge to its stem, where it rises less steeply than a stem or a side;
-    None if it has no such foot.
-
-    Args:
-        line: radii and heights of a side, from the bottom up, with or without the flat bottom.
-    """
-    flat = _flat(line)
-    radii, heights = line[flat:].T
-    lower = heights < heights.min() + np.ptp(heights) / 2
-    stem = int(np.where(lower, radii + heights, np.inf).argmin())
-    edge = int((radii + heights)[: stem + 1].argmax())
-    width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
-    is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
-    return slice(flat + edge, flat + stem + 1) if is_shelf else None
-
-
-def _sagged(outside: Outline, sag: float) -> Outline:
-    """The outline with a lower upper side of its foot."""
-    shelf = find_shelf(outside)
-    if shelf is None:
-        return outside
-    line = outside.copy()
-    low, high = line[shelf, 1][[0, -1]]
-    line[shelf, 1] = low + (high - low) * ((line[shelf, 1] - low) / (high - low)) ** sag
-    return line
-
-
 def _with_foot(line: Outline, reach: float) -> Outline:
     """The line, the corner between its flat bottom and its side rounded by an arc; the point count is unchanged."""
-    side = line[_flat(line) :]
+    side = line[int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0]) - 1 :]  # Beside the flat bottom.
     way = lengths_of(side)
     reach = min(reach, 0.9 * float(side[0, 0]), 0.5 * float(way[-1]))
     if reach <= 0:
@@ -313,11 +205,6 @@ def _with_foot(line: Outline, reach: float) -> Outline:
     start = np.array([side[0, 0] - reach, line[0, 1]])
     arc = _arc(start, side[0], point_at(side, reach))
     return spread(np.concatenate([line[:1], start[None], arc, side[way > reach]]), len(line))
-
-
-def _flat(line: Outline) -> int:
-    """Where the flat bottom of an outline ends, and its side begins."""
-    return int(np.flatnonzero(line[:, 1] > line[0, 1] + 1e-6)[0]) - 1
 
 
 def _with_corner(line: Outline, end: Float64[np.ndarray, "2"], *, reach: float) -> Outline:

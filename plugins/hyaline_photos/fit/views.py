@@ -3,7 +3,6 @@
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int, UInt8
@@ -11,9 +10,7 @@ from scipy import ndimage
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset, View, has_layers
-from datagen.data.images import mask_pixels, open_png, refuse_inverted
 from datagen.data.meshes import Mesh, is_there, no_mesh
-from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
@@ -38,12 +35,8 @@ class Sightings:
     """The straight ray meets an unknown object somewhere, perhaps behind other glass."""
     depth: Float32[np.ndarray, "view h w"]
     """Metres along the ray to the first surface of known shape; infinite where there is none."""
-    met: UInt8[np.ndarray, "view h w"]
-    """Id of the object which that surface belongs to; 0 where there is none."""
     unknown: tuple[int, ...]
     """Ids of the objects of unknown shape."""
-    filling: tuple[int, ...] = ()
-    """Ids of known objects inside unknown ones, such as a straw in a glass."""
     found: tuple[Mesh, ...] = ()
     """Objects whose shapes were unknown and are found (`with_known`)."""
 
@@ -56,10 +49,8 @@ class Sightings:
         return self.first == object_id
 
     def is_open(self, object_id: int) -> Bool[np.ndarray, "view h w"]:
-        """True where nothing hides this object: the ray first meets neither another unknown object nor a known one
-        inside an unknown one."""
-        others = [other for other in self.unknown if other != object_id]
-        return ~(np.isin(self.first, others) | ((self.first == 0) & np.isin(self.met, self.filling)))
+        """True where no other unknown object hides this one."""
+        return ~np.isin(self.first, [other for other in self.unknown if other != object_id])
 
 
 def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tuple[int, ...]:
@@ -82,15 +73,13 @@ def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tupl
 
 
 def read_sightings(
-    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], masks: Path | None, *, is_exact: bool
+    dataset: Dataset, meshes: tuple[Mesh, ...], unknown: tuple[int, ...], *, is_exact: bool
 ) -> Sightings:
     """Reads the masks of the training views, and traces the known surfaces.
 
     Args:
         meshes: of all objects; those of unknown ones are not looked at.
         is_exact: masks and known surfaces are; otherwise depths are `doubted`.
-        masks: a folder with NAME/0000.png for each unknown object and training view, white where the object is seen.
-            None: masks are those that the dataset has.
     """
     use_mitsuba()
     from datagen.trace.peel import Peeler
@@ -98,36 +87,24 @@ def read_sightings(
     cameras = dataset.cameras("train")
     known = known_meshes(meshes, unknown)
     peeler = Peeler(known) if any(map(is_there, known)) else None
-    known_ids = np.array([place + 1 for place, mesh in enumerate(known) if is_there(mesh)] + [0], np.uint8)
-    first, touched, depth, met = [], [], [], []
+    first, touched, depth = [], [], []
     for view in dataset.views("train"):
-        seen, anywhere = (
-            _read_masks(dataset, view, unknown) if masks is None else _read_pngs(dataset, view, unknown, masks)
-        )
+        seen, anywhere = _read_masks(dataset, view, unknown)
         first.append(seen)
         touched.append(anywhere)
         origin, directions = cameras[view.index].rays()
         flat = directions.reshape(-1, 3)
         if peeler is None:
             depth.append(np.full(directions.shape[:2], np.inf, np.float32))
-            met.append(np.zeros(directions.shape[:2], np.uint8))
             continue
         hits = peeler.trace(origin, flat, 1)
         depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
-        met.append(known_ids[hits.shape[0]].reshape(directions.shape[:2]))
     depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
-    if masks is not None:
-        for object_id in unknown:
-            folder = masks / dataset.objects[object_id - 1].name
-            refuse_inverted(seen == object_id, where=str(folder))
-            if not (seen == object_id).any():
-                _refuse_dim(folder, len(seen))
     return Sightings(
         cameras=cameras,
         first=seen,
         touched=np.stack(touched),
         depth=depths if is_exact else doubted(depths, seen),
-        met=np.stack(met),
         unknown=unknown,
     )
 
@@ -147,7 +124,6 @@ def with_known(sightings: Sightings, object_id: int, mesh: Mesh) -> Sightings:
         sightings,
         first=np.where(seen, 0, sightings.first).astype(np.uint8),
         depth=depth,
-        met=np.where(seen, object_id, sightings.met).astype(np.uint8),
         unknown=tuple(each for each in sightings.unknown if each != object_id),
         found=(*sightings.found, mesh),
     )
@@ -197,35 +173,9 @@ def _read_masks(dataset: Dataset, view: View, unknown: tuple[int, ...]) -> tuple
     if len(unknown) == 1 and (mask := view.imported_mask) is not None:
         return np.where(mask, unknown[0], 0).astype(np.uint8), np.asarray(mask)
     raise HyalineError(
-        f"{dataset.root}: its pictures have no masks of single objects; give them with --masks FOLDER, as "
-        f"FOLDER/{dataset.objects[unknown[0] - 1].name}/{view_name(0)}.png"
+        f"{dataset.root}: its pictures have no masks of single objects; expected a dataset of `datagen build`, or "
+        "of `datagen capture` with a mask for each object"
     )
-
-
-def _read_pngs(dataset: Dataset, view: View, unknown: tuple[int, ...], masks: Path) -> tuple[np.ndarray, np.ndarray]:
-    """`first` and `touched` of a view, from PNG files."""
-    shape = dataset.config.resolution.shape
-    seen = np.zeros(shape, np.uint8)
-    for object_id in unknown:
-        path = masks / dataset.objects[object_id - 1].name / f"{view_name(view.index)}.png"
-        if not path.is_file():
-            raise HyalineError(f"{path}: the file is missing; expected masks of all glass, or of --unknown alone")
-        mask = mask_pixels(open_png(path, size=dataset.config.resolution))
-        if bool((seen[mask] > 0).any()):
-            other = dataset.objects[int(seen[mask].max()) - 1].name
-            raise HyalineError(f"{path}: overlaps the mask of {other}; expected the object that is seen first")
-        seen[mask] = object_id
-    return seen, seen > 0
-
-
-def _refuse_dim(folder: Path, views: int) -> None:
-    """Raises a HyalineError if masks that show nothing have marks that are too dark, such as 1 for an object."""
-    pictures = (open_png(folder / f"{view_name(view)}.png").convert("RGB") for view in range(views))
-    brightest = max(int(np.asarray(picture).max()) for picture in pictures)
-    if 0 < brightest <= 127:
-        raise HyalineError(
-            f"{folder}: its masks are black everywhere; the brightest pixel is {brightest}, expected 255 on the object"
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -69,7 +69,7 @@ def test_the_report_has_a_page_of_each_fit(root: Path, capsys: pytest.CaptureFix
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 1}, "fit.json: format version 1; this program reads 2"),
+        ({"version": 1}, "fit.json: format version 1; this program reads 3"),
         ({"objects": [{"name": "pane"}]}, r"objects\[0\]: key 'kind' is missing"),
         ({"objects": 3}, "objects: is 3; expected a list"),
     ],

@@ -46,13 +46,6 @@ def test_an_upright_box_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong
     assert box.unexplained < 0.003 + 2 * wrong
 
 
-def test_a_pane_thinner_than_a_pixel_that_leans_is_found_with_its_thickness() -> None:
-    turn, sizes = rotation((1, 0.2, 0), 20) @ rotation((0, 0, 1), 40), (0.05, 0.002, 0.04)
-    box = found(block((0, 0, 0.055), sizes, turn), support=None)
-    assert 2 * box.half_sizes.min() == pytest.approx(0.004, abs=0.0004)
-    assert worst_corner(box, (0, 0, 0.055), sizes, turn) < 0.001
-
-
 @pytest.mark.parametrize(
     "most_rays",
     [pytest.param(20_000, marks=pytest.mark.full), pytest.param(2000, id="of which only some are used")],

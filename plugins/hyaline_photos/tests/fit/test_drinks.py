@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from support.silhouettes import views_around
 
-from datagen.data.meshes import Mesh, check_mesh, no_mesh, open_edges, signed_volume
+from datagen.data.meshes import Mesh, check_mesh, open_edges, signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
-from datagen.scene.modelling import moved, rounded_box
-from hyaline_photos.fit.drinks import find_filling, find_holders, merged, with_drink
+from datagen.scene.modelling import moved
+from hyaline_photos.fit.drinks import find_holders, merged, with_drink
 from hyaline_photos.fit.lathe import Axis, evenly, revolved
 from hyaline_photos.fit.shapes import OUTSIDE, Revolution
 from hyaline_photos.fit.views import Sightings
@@ -38,7 +38,7 @@ def seen(*meshes: Mesh, unknown: tuple[int, ...]) -> Sightings:
 
     cameras, peeler = views_around(views=40, size=64), Peeler(meshes)
     known = Peeler(tuple(mesh for place, mesh in enumerate(meshes) if place + 1 not in unknown) or meshes)
-    first, met, depth = [], [], []
+    first, depth = [], []
     for view in range(len(cameras)):
         origin, directions = cameras[view].rays()
         hits = peeler.trace(origin, directions.reshape(-1, 3), 1)
@@ -46,14 +46,12 @@ def seen(*meshes: Mesh, unknown: tuple[int, ...]) -> Sightings:
         behind = known.trace(origin, directions.reshape(-1, 3), 1)
         is_known = (behind.shape[0] >= 0) & (len(unknown) < len(meshes))
         first.append(np.where(np.isin(ids, unknown), ids, 0))
-        met.append(np.where(is_known, len(meshes), 0).reshape(ids.shape))
         depth.append(np.where(is_known, behind.t[0], np.inf).reshape(ids.shape))
     return Sightings(
         cameras=cameras,
         first=np.stack(first).astype(np.uint8),
         touched=np.stack(first) > 0,
         depth=np.stack(depth).astype(np.float32),
-        met=np.stack(met).astype(np.uint8),
         unknown=unknown,
     )
 
@@ -111,25 +109,3 @@ def test_a_ball_beside_a_vessel_and_what_lies_in_a_solid_are_no_drinks() -> None
 def ball_outline() -> np.ndarray:
     angles = np.linspace(-np.pi / 2, np.pi / 2, OUTSIDE)
     return np.stack([0.03 * np.cos(angles).round(9), 0.03 + 0.03 * np.sin(angles)], axis=1)
-
-
-def test_a_known_straw_says_nothing_of_the_outside_of_its_vessel() -> None:
-    (vessel, _), _ = FULL.bodies()
-    straw = revolved(AXIS, np.array([(0, 0.02), (0.004, 0.02), (0.004, 0.12), (0, 0.12)]))
-    sightings = seen(vessel, straw, unknown=(VESSEL,))
-    empty = type(straw)(vertices=straw.vertices[:0], faces=straw.faces[:0], normals=straw.normals[:0], uv=straw.uv[:0])
-    found = find_filling(sightings, (empty, straw))
-    assert found.filling == (2,)
-    sees_straw = (sightings.first == 0) & (sightings.met == 2)
-    assert sees_straw.sum() > 100
-    assert not found.is_open(VESSEL)[sees_straw].any()
-    assert found.is_open(VESSEL)[~sees_straw].all()
-    table = dataclasses.replace(straw, vertices=straw.vertices * np.float32([100, 100, 1]))
-    assert find_filling(sightings, (empty, table)).filling == ()
-
-
-def test_what_is_on_a_pane_is_not_inside_it() -> None:
-    pane = moved(rounded_box((0.2, 0.2, 0.01), bevel=0.001), (0, 0, 0.005))
-    book = moved(rounded_box((0.06, 0.04, 0.03), bevel=0.001), (0.02, 0, 0.026))
-    sightings = seen(pane, book, unknown=(VESSEL,))
-    assert find_filling(sightings, (no_mesh(), book)).filling == ()

@@ -7,21 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from scipy import ndimage
 from support.builds import tree
 from support.commands import call
 from support.traced_dataset import BALL, glass_scene, write_traced_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
-from datagen.data.paths import geometry_root
-from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Dielectric, Diffuse
-from hyaline_photos.fit.found import FoundGlass, from_state, write_geometry
+from hyaline_photos.fit.found import FoundGlass, write_geometry
 from hyaline_photos.fit.hull import HullShape
-from model.run.checkpoint import load_state
 
 FIT = "--unknown ball --steps 2 --skip grid --skip again"
 
@@ -63,7 +59,7 @@ def test_its_record_and_pictures_say_what_was_found(fitted: Path) -> None:
     ior = item["numbers"]["ior"]
     assert ior["low"] < ior["value"] < ior["high"]
     assert item["unexplained"] < 0.05
-    for name in ("room", "outside", "search"):
+    for name in ("room", "search"):
         assert np.asarray(Image.open(fitted / f"{name}.png")).std() > 10
 
 
@@ -118,59 +114,6 @@ def test_a_fit_of_other_glass_does_not_replace_what_was_found(dataset: Dataset, 
     assert fitted.is_dir() and not (tmp_path / "b").exists() and tree(dataset.root / "proxies") == before
 
 
-def test_unless_told_it_fits_all_glass_that_pictures_show_but_thin_panes(dataset: Dataset, tmp_path: Path) -> None:
-    masks = tmp_path / "masks"
-    for name, seen in (("ball", True), ("slab", False)):
-        (masks / name).mkdir(parents=True)
-        for view in dataset.views("train"):
-            mask = np.full(dataset.config.resolution.shape, seen) & (view.object_ids()[0] == 2)
-            Image.fromarray(mask).save(masks / name / f"{view.index:04d}.png")
-    skipped = "--steps 2 --skip grid --skip search --skip again --name fitted-all"
-    answer = call(f"model fit {dataset.root} {skipped} --masks {masks} --out {tmp_path / 'fit'}")
-    assert answer.status == 0, answer.err
-    assert "taken as known, because pictures do not show their outside: slab" in answer.err + answer.out
-    assert load_sealed(tmp_path / "fit" / "fit.json")["unknown"] == ["ball"]
-    alone = call(f"model fit {dataset.root} {skipped}-b --unknown slab --masks {masks} --out {tmp_path / 'alone'}")
-    assert alone.status == 1 and "nothing to fit: pictures do not show the outside of slab" in alone.error
-    assert not (tmp_path / "alone").exists() and not geometry_root(dataset.root, "fitted-all-b").exists()
-
-
-def test_glass_seen_through_other_glass_alone_is_taken_as_known(tmp_path: Path) -> None:
-    dataset = write_traced_dataset(tmp_path / "glasses", resolution=36)
-    for name in ("ball", "slab"):
-        (tmp_path / "masks" / name).mkdir(parents=True)
-        for view in dataset.views("train"):
-            sees_ball = view.object_ids()[0] == 2
-            # Seen through the ball, which is no vessel, so this is no drink; and no ray passes beside it.
-            within = ndimage.binary_erosion(sees_ball, np.ones((3, 3)), iterations=2)
-            mask = within if name == "slab" else sees_ball & ~within
-            Image.fromarray(mask).save(tmp_path / "masks" / name / f"{view.index:04d}.png")
-    skipped = f"--steps 2 --skip grid --skip search --skip again --masks {tmp_path / 'masks'}"
-    answer = call(f"model fit {dataset.root} {skipped} --out {tmp_path / 'fit'}")
-    assert answer.status == 0, answer.err
-    assert "taken as known: slab: masks do not show its shape" in answer.err
-    assert [item["name"] for item in load_sealed(tmp_path / "fit" / "fit.json")["objects"]] == ["ball"]
-    assert read_assignment(dataset, "fitted") == ("truth", "fitted", "truth", "truth", "truth")
-
-
-def test_what_masks_do_not_show_is_refused_by_name_and_left_out_otherwise(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def hidden(*_: object, **__: object) -> None:
-        raise HyalineError("masks do not show its shape")
-
-    monkeypatch.setattr("hyaline_photos.fit.fit.choose_outside", hidden)
-    rest = f"--steps 2 --skip grid --skip search --skip again --name fitted-none --out {tmp_path / 'fit'} --overwrite"
-    named = call(f"model fit {dataset.root} --unknown ball {rest}")
-    assert named.status == 1 and "ball: masks do not show its shape" in named.error
-    monkeypatch.setattr("hyaline_photos.fit.drinks.find_holders", lambda sightings: {3: 2})
-    all_glass = call(f"model fit {dataset.root} {rest}")
-    assert all_glass.status == 1 and "masks show the shape of none of the unknown objects" in all_glass.error
-    assert not geometry_root(dataset.root, "fitted-none").exists()
-    for name in ("ball", "slab"):
-        assert all_glass.err.count(f"taken as known: {name}: masks do not show its shape") == 1
-
-
 def test_asked_again_it_keeps_what_was_found_and_other_wishes_are_refused(dataset: Dataset, fitted: Path) -> None:
     before = geometry_key(dataset, "fitted")
     times = {path.name: path.stat().st_mtime_ns for path in fitted.glob("*.pt")}
@@ -220,16 +163,6 @@ def test_layers_of_a_fit_follow_those_of_the_dataset(dataset: Dataset, fitted: P
     assert open_dataset(copy).layer_store("fitted").head.num_layers == 4
 
 
-def test_masks_that_are_too_dark_are_named(dataset: Dataset, tmp_path: Path) -> None:
-    masks = tmp_path / "masks" / "ball"
-    masks.mkdir(parents=True)
-    for view in dataset.views("train"):
-        Image.fromarray((view.object_ids()[0] == 2).astype(np.uint8)).save(masks / f"{view.index:04d}.png")
-    answer = call(f"model fit {dataset.root} --unknown ball --masks {tmp_path / 'masks'} --out {tmp_path / 'fit'}")
-    assert answer.status == 1
-    assert f"{masks}: its masks are black everywhere; the brightest pixel is 1, expected 255" in answer.error
-
-
 @pytest.mark.parametrize(
     ("names", "why"),
     [
@@ -256,7 +189,6 @@ def test_scenes_without_glass_to_fit_or_without_anything_around_it_are_refused(
         ("--unknown bal", "no object 'bal'"),
         ("--unknown floor", "is opaque"),
         ("--name box", "--name"),
-        ("--masks nowhere", "nowhere/ball/0000.png: the file is missing; expected masks of all glass, or of --unknown"),
         ("--steps 0", "--steps"),
         ("--seed -1", "--seed: is -1"),
     ],
@@ -266,23 +198,6 @@ def test_what_cannot_be_fitted_is_one_line(dataset: Dataset, tmp_path: Path, fla
     answer = call(f"model fit {dataset.root} {unknown} {flags} --out {tmp_path / 'fit'}")
     assert answer.status != 0
     assert why in answer.error
-
-
-def test_masks_of_files_give_the_outside_that_layers_give(dataset: Dataset, fitted: Path, tmp_path: Path) -> None:
-    masks = tmp_path / "masks" / "ball"
-    masks.mkdir(parents=True)
-    for view in dataset.views("train"):
-        seen = (view.object_ids()[0] == 2).astype(np.uint8) * 255
-        Image.fromarray(seen).save(masks / f"{view.index:04d}.png")
-    words = f"{FIT} --name fitted-png --masks {tmp_path / 'masks'} --mask-errors 0 --skip search"
-    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'fit'}")
-    assert answer.status == 0, answer.err
-    first, second = (from_state(load_state(place / "outside.pt")["2"]).glass for place in (fitted, tmp_path / "fit"))
-    assert np.array_equal(first.outline(), second.outline())
-    for path in masks.iterdir():
-        Image.fromarray(255 - np.asarray(Image.open(path))).save(path)
-    answer = call(f"model fit {dataset.root} {words} --out {tmp_path / 'inverted'}")
-    assert answer.status == 1 and f"{masks}: its masks show" in answer.error and "invert them" in answer.error
 
 
 def test_faces_that_a_search_flattened_are_left_out(dataset: Dataset) -> None:

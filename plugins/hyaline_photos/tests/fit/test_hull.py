@@ -12,7 +12,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.atlas import coverage
 from datagen.scene.modelling import rounded_box
 from hyaline_photos.fit import hull
-from hyaline_photos.fit.hull import SMOOTH, HullShape, carve
+from hyaline_photos.fit.hull import HullShape, carve
 from hyaline_photos.fit.silhouettes import unexplained
 from hyaline_photos.fit.views import rays_near
 
@@ -25,10 +25,11 @@ def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
     use_mitsuba()
     monkeypatch.setattr(hull, "FACES", 3000)
     monkeypatch.setattr(hull, "COARSE", 24)
+    monkeypatch.setattr(hull, "SMOOTH", (0.7,))
 
 
 def found(meets: Meets) -> HullShape:
-    return carve(sightings_of(meets), 1, UP, 0.0).smoothed(SMOOTH[:1])
+    return carve(sightings_of(meets), 1, UP, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_plac
     wrong: float, mean: float, most: float
 ) -> None:
     masks = sightings_of(ball((0, 0, 0.05), 0.04), wrong=wrong)
-    shape = carve(masks, 1, UP, 0.0).smoothed(SMOOTH[:1])
+    shape = carve(masks, 1, UP, 0.0)
     away = np.abs(np.linalg.norm(shape.surface.vertices - [0, 0, 0.05], axis=1) - 0.04)
     assert away.mean() < mean  # A pixel is 6 mm wide.
     assert np.quantile(away, 0.99) < most
@@ -48,10 +49,15 @@ def test_a_ball_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_plac
 @pytest.mark.parametrize(
     ("meets", "scale"), [(ball((0, 0, 0.05), 0.04), 1.5), (block((0, 0, 0.05), (0.04, 0.03, 0.04), np.eye(3)), 0.7)]
 )
-def test_a_round_body_is_smoothed_further_than_edges_allow(meets: Meets, scale: float) -> None:
-    carved = carve(sightings_of(meets, views=20, size=48), 1, UP, None)
-    expected = carved.smoothed([scale]).surface.vertices
-    assert np.array_equal(carved.smoothed((0.7, 1.5)).surface.vertices, expected)
+def test_a_round_body_is_smoothed_further_than_edges_allow(
+    meets: Meets, scale: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    masks = sightings_of(meets, views=20, size=48)
+    shapes = []
+    for scales in ((0.7, 1.5), (scale,)):
+        monkeypatch.setattr(hull, "SMOOTH", scales)
+        shapes.append(carve(masks, 1, UP).surface.vertices)
+    assert np.array_equal(*shapes)
 
 
 def test_a_handle_is_found_on_its_side_in_a_closed_mesh_with_texels_of_its_own_everywhere() -> None:
@@ -70,7 +76,7 @@ def test_a_place_that_another_object_hides_stays() -> None:
     behind = seen.first.copy()
     # In a third of the views, something unknown covers the ball's right half.
     behind[::3, :, 32:] = 2
-    shape = carve(dataclasses.replace(seen, first=behind, unknown=(1, 2)), 1, UP, 0.0).smoothed(SMOOTH[:1])
+    shape = carve(dataclasses.replace(seen, first=behind, unknown=(1, 2)), 1, UP, 0.0)
     away = np.abs(np.linalg.norm(shape.surface.vertices - [0, 0, 0.05], axis=1) - 0.04)
     assert away.mean() < 0.0006
 

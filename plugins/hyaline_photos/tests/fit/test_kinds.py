@@ -4,15 +4,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.silhouettes import Meets, ball, block, sightings_of, traced
+from support.silhouettes import Meets, ball, block, cylinder, sightings_of, traced
 
 from datagen.data.meshes import signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.modelling import cylinder, lathe, moved, rotation, turned
+from datagen.scene.modelling import cylinder as a_cylinder
+from datagen.scene.modelling import moved, rotation, turned
 from hyaline_photos.fit.found import from_state, to_state
 from hyaline_photos.fit.kinds import choose_outside
-from hyaline_photos.fit.shapes import Revolution
-from hyaline_random.solids import soft_square
 
 use_mitsuba()
 pytestmark = pytest.mark.usefixtures("coarse_hulls")
@@ -23,23 +22,18 @@ def on_the_table(point: np.ndarray, reach: float) -> float | None:
     return 0.0 if abs(point[2]) < reach else None
 
 
-SQUARE = lathe([(0, 0.001), (0.03, 0.001), (0.034, 0.09), (0, 0.09)], around=soft_square(5.0))
-LYING = moved(turned(turned(cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35), (0.02, 0, 0.031))
+LYING = moved(turned(turned(a_cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 35), (0.02, 0, 0.031))
 
 
 @pytest.mark.parametrize(
     ("meets", "kind"),
     [
         (ball((0.0, 0.01, 0.05), 0.04), "ball"),
-        # The quick run finds the same box below, though a part of it is hidden.
-        pytest.param(
-            block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), rotation((0, 0, 1), 20.0)), "oblong", marks=pytest.mark.full
-        ),
+        (cylinder(0.03, 0.001, 0.09), "revolution"),
         pytest.param(block((0.0, 0.0, 0.004), (0.04, 0.03, 0.003), np.eye(3)), "box", marks=pytest.mark.full),
-        pytest.param(traced(turned(SQUARE, (0, 0, 1), 25)), "4-sided", marks=pytest.mark.full),
-        pytest.param(traced(LYING), "revolution", marks=pytest.mark.full),
+        pytest.param(traced(LYING), "hull", marks=pytest.mark.full),
     ],
-    ids=["ball", "box", "slab", "square", "lying cylinder"],
+    ids=["ball", "cylinder", "slab", "lying cylinder"],
 )
 def test_the_kind_is_the_one_whose_silhouettes_fit(meets: Meets, kind: str) -> None:
     sightings = sightings_of(meets, views=20, size=48)
@@ -59,11 +53,5 @@ def test_a_known_thing_that_is_placed_in_front_of_what_the_masks_show_does_not_c
     sightings = dataclasses.replace(sightings, depth=np.where(is_hidden, np.float32(0.5), sightings.depth))
     outside = choose_outside(sightings, 1, UP, mask_errors=2, stands_on=on_the_table)
     assert outside.unexplained < 0.03
-    # Masks don't tell whether it is open.
-    tank = outside.glass
-    assert isinstance(tank, Revolution)
-    assert (tank.kind, tank.settled().kind) == ("oblong", "box")
-    assert tank.hollowed(0.1, 0.1, 0.1).settled().kind == "oblong"
-    assert signed_volume(tank.mesh()) == pytest.approx(signed_volume(tank.settled().mesh()), rel=0.01)
-    again = from_state(to_state(tank.having(ior=1.6))).settled()
-    assert (again.kind, again.numbers) == ("box", {"ior": 1.6})
+    assert outside.glass.kind == "box"
+    assert signed_volume(outside.glass.mesh()) == pytest.approx(0.08 * 0.04 * 0.06, rel=0.03)

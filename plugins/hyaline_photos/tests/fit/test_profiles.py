@@ -8,7 +8,6 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from hyaline_photos.fit.lathe import Axis, Outline, revolved
 from hyaline_photos.fit.outside import Hull, hull_about
 from hyaline_photos.fit.profiles import between_rays
-from hyaline_photos.fit.section import SHARP, Section
 from hyaline_photos.fit.views import NearRays, rays_near
 
 use_mitsuba()
@@ -17,13 +16,13 @@ OFF = np.array([0.0005, -0.0003, 0.0])
 """By how much the hull's axis is wrong, in metres; a pixel is 6 mm wide."""
 
 
-def seen(line: Outline, section: Section | None = None, *, wrong: float = 0.0) -> tuple[NearRays, Hull]:
+def seen(line: Outline, *, wrong: float = 0.0) -> tuple[NearRays, Hull]:
     """The rays around what an outline sweeps about the z axis, and its hull about an axis close by."""
-    mesh = revolved(Axis(point=np.zeros(3), direction=UP), line, section)
+    mesh = revolved(Axis(point=np.zeros(3), direction=UP), line)
     rays = rays_near(sightings_of(traced(mesh), wrong=wrong), 1)
-    axis = Axis(point=np.zeros(3) if section else OFF, direction=UP)
+    axis = Axis(point=OFF, direction=UP)
     heights = np.linspace(-0.01, 0.12, 301)
-    return rays, hull_about(rays, axis, heights, order=2 if wrong else 0, around=section)
+    return rays, hull_about(rays, axis, heights, order=2 if wrong else 0)
 
 
 def errors(hull: Hull, line: Outline) -> tuple[float, float]:
@@ -63,11 +62,6 @@ def test_wrong_masks_do_not_tear_the_radii_away() -> None:
     radius_off, slope_off = errors(between_rays(hull, rays), CONE)
     assert radius_off < 0.0005
     assert slope_off < 1
-
-
-def test_sides_about_a_polygon_become_straight_too() -> None:
-    rays, hull = seen(CONE, Section(sides=6, sharpness=SHARP, turn=0.2))
-    assert errors(between_rays(hull, rays), CONE)[1] < 0.5 < errors(hull, CONE)[1]
 
 
 def test_a_foot_whose_upper_side_masks_do_not_show_stays_as_it_is() -> None:

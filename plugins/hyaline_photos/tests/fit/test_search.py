@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
-from hyaline_photos.fit.intervals import intervals
+from hyaline_photos.fit.found import intervals
 from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import INDEX_HELD, alternatives, count_searches, guess, in_even_views, refine, scan
 from hyaline_photos.fit.shapes import Revolution
@@ -38,23 +38,6 @@ def test_a_solid_of_high_index_is_not_taken_for_a_vessel() -> None:
 
     best, _ = alternatives(list(scan(OUTSIDE_OF, misses)))
     assert "wall" not in best.glass.numbers and best.glass.numbers["ior"] in (1.75, 1.8)
-
-
-def test_a_solid_whose_ends_are_sunk_is_not_taken_for_frosted_glass_of_a_low_index() -> None:
-    lens = OUTSIDE_OF.having(dish=0.0)
-
-    def misses(glass: Revolution) -> np.ndarray:
-        frost = 0.0 if "roughness" not in glass.numbers else 0.3
-        off = 1.0 if "dish" not in glass.numbers else abs(glass.numbers["dish"] - 0.2) + abs(glass.numbers["ior"] - 1.5)
-        return np.full((PIXELS, 3), off + frost)
-
-    cells, found = guess(lens, misses, IS_EVEN, label="glass")
-    assert isinstance(found, Revolution)
-    assert found.numbers == {"dish": 0.24, "ior": 1.5}
-    for number in range(3):
-        *_, (found, _, _) = refine(found, misses, IS_EVEN, number=number)
-    assert found.numbers["dish"] == pytest.approx(0.2, abs=0.01)
-    assert all("dish" not in cell.glass.numbers for cell in cells if "wall" in cell.glass.numbers)
 
 
 def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
@@ -167,13 +150,3 @@ def test_both_halves_of_the_views_have_pixels_whichever_views_see_an_object(view
     assert is_even.sum() == PIXELS / 2
     if len(views) > 1:
         assert not set(view[is_even]) & set(view[~is_even])
-
-
-def test_a_floor_stays_below_what_stands_on_it() -> None:
-    most = 0.8 * TRUTH.numbers["floor"]
-    glass = dataclasses.replace(OUTSIDE_OF, most_floor=most).hollowed(0.07, 0.05, 0.45)
-    for number in range(6):
-        for found, _, _ in refine(glass, misses_of(TRUTH), IS_EVEN, number=number):
-            assert found.numbers["floor"] <= most
-            glass = found
-    assert glass.numbers["floor"] > 0.85 * most

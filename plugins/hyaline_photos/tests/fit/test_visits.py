@@ -11,8 +11,7 @@ from support.traced_dataset import write_traced_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.scene.folder import open_scene
-from hyaline_photos.fit.room import COARSE, load_pixels
-from hyaline_photos.fit.visits import ENOUGH, SKY_LEVEL, STEEPNESS, Visits, count_visits
+from hyaline_photos.fit.room import COARSE, ENOUGH, SKY_LEVEL, STEEPNESS, Visits, count_visits, load_pixels
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import Ends, LightPathBatch, Sky
 from model.nets.learned_sky import LearnedSky

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from hyaline_photos.fit.intervals import FLOOR_ERROR, WALL_ERROR, WELL, intervals
+from hyaline_photos.fit.found import FLOOR_ERROR, WALL_ERROR, WELL, intervals
 from hyaline_photos.fit.materials import WORTH_IT, Found
 
 SURE = Found(value=10.0, even=10.0, odd=10.0, before=10.0)
