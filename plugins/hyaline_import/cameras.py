@@ -4,6 +4,7 @@ Source: COLMAP's documentation of its output format, and the list of its camera 
 """
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
         found = next((given / name for name in NAMES if (given / name).is_file()), None)
         if found is None:
             raise HyalineError(
-                f"{given}: holds no cameras; expected {' or '.join(NAMES)}, or cameras.txt and images.txt of COLMAP"
+                f"{given}: holds no cameras; expected {' or '.join(NAMES)}, or cameras.bin and images.bin of COLMAP"
             )
         given = found
     if given.suffix.lower() != ".json" or not given.is_file():
@@ -85,15 +86,18 @@ def listed_cameras(
 # COLMAP
 
 MODELS = {
-    "SIMPLE_PINHOLE": (1, 3),
-    "PINHOLE": (2, 4),
-    "SIMPLE_RADIAL": (1, 4),
-    "RADIAL": (1, 5),
-    "OPENCV": (2, 8),
-    "FULL_OPENCV": (2, 12),
+    "SIMPLE_PINHOLE": (0, 1, 3),
+    "PINHOLE": (1, 2, 4),
+    "SIMPLE_RADIAL": (2, 1, 4),
+    "RADIAL": (3, 1, 5),
+    "OPENCV": (4, 2, 8),
+    "FULL_OPENCV": (6, 2, 12),
 }
-"""A camera model's focal lengths, and all its numbers: then come the middle, and distortion. The others are of lenses
-that see wider than a plane shows."""
+"""COLMAP's number of a camera model, its focal lengths, and all its numbers: then come the middle, and distortion. The
+others are of lenses that see wider than a plane shows."""
+CAMERA, IMAGE, POINT = struct.Struct("<IiQQ"), struct.Struct("<I7dI"), 24
+TRACED = struct.Struct("<Q3d3BdQ")
+"""A point: number, place, colour, error, and how many images show it."""
 FOLDERS = ("", "sparse/0", "sparse", "colmap/sparse/0")
 """Where reconstructions lie in the folders of a capture."""
 
@@ -110,15 +114,15 @@ class ColmapCamera:
     @property
     def focals(self) -> int:
         """How many of the values are focal lengths."""
-        return MODELS[self.model][0]
+        return MODELS[self.model][1]
+
+
+Image = tuple[str, int, tuple[float, ...]]
+"""Name, camera, and pose: a quaternion (w, x, y, z) and a translation, from the world to the camera."""
 
 
 def has_colmap(root: Path) -> bool:
-    """True where a folder holds a reconstruction.
-
-    Raises:
-        HyalineError: it is binary.
-    """
+    """True where a folder holds a reconstruction."""
     return _place(root) is not None
 
 
@@ -129,12 +133,13 @@ def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
 
 def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray, "4 4"], str]]:
     """By the names of the pictures, in order: camera, world_from_camera, and where it is read from."""
-    folder = _place(root)
-    assert folder is not None, "called only if has_colmap is true"
-    paths = [find_file(folder, f"{name}.txt", where=str(folder)) for name in ("cameras", "images")]
+    found = _place(root)
+    assert found is not None, "called only if has_colmap is true"
+    folder, ending = found
+    paths = [find_file(folder, f"{name}.{ending}", where=str(folder)) for name in ("cameras", "images")]
     try:
-        lenses, images = _read_text(*paths)
-    except (ValueError, IndexError) as error:
+        lenses, images = (_read_binary if ending == "bin" else _read_text)(*paths)
+    except (struct.error, ValueError, IndexError) as error:
         raise HyalineError(f"{folder}: its cameras or images are damaged ({error}); export them again") from None
     if not 1 <= len(images) <= MAX_VIEWS:
         raise HyalineError(f"{paths[1]}: has {len(images):,} images; expected 1 to {MAX_VIEWS:,}")
@@ -155,26 +160,31 @@ def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray,
 
 def colmap_points(root: Path) -> Float[np.ndarray, "point 3"]:
     """The points of a reconstruction; none without its file."""
-    folder = _place(root)
-    assert folder is not None, "called only if has_colmap is true"
-    path = folder / "points3D.txt"
+    found = _place(root)
+    assert found is not None, "called only if has_colmap is true"
+    path = found[0] / f"points3D.{found[1]}"
+    if not path.is_file():
+        return np.zeros((0, 3))
     try:
-        rows = [words[1:4] for words in map(str.split, _lines(path)) if words] if path.is_file() else []
-        return np.array(rows, np.float64).reshape(-1, 3)
-    except ValueError as error:
+        if found[1] == "txt":
+            points = [[float(word) for word in words[1:4]] for words in map(str.split, _lines(path)) if words]
+        else:
+            points, data, at = [], read_foreign(path), 8
+            for _ in range(struct.unpack_from("<Q", data)[0]):
+                _, *place, _, _, _, _, seen = TRACED.unpack_from(data, at)
+                points.append(place)
+                at += TRACED.size + 8 * seen
+        return np.array(points, np.float64).reshape(-1, 3)
+    except (struct.error, ValueError) as error:
         raise HyalineError(f"{path}: is cut off or damaged ({error}); export it again") from None
 
 
-def _place(root: Path) -> Path | None:
-    """The folder of a reconstruction in text."""
-    for folder in (root / folder for folder in FOLDERS):
-        if all((folder / f"{name}.txt").is_file() for name in ("cameras", "images")):
-            return folder
-        if (folder / "images.bin").is_file():
-            raise HyalineError(
-                f"{folder}: is a binary model of COLMAP; write it as text: "
-                f"`colmap model_converter --input_path {folder} --output_path {folder} --output_type TXT`"
-            )
+def _place(root: Path) -> tuple[Path, str] | None:
+    """The folder of a reconstruction, and the ending of its files."""
+    for folder in FOLDERS:
+        for ending in ("bin", "txt"):
+            if all((root / folder / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
+                return root / folder, ending
     return None
 
 
@@ -200,17 +210,39 @@ def _world_from_camera(pose: Float[np.ndarray, "7"], *, where: str) -> Float[np.
     return matrix
 
 
-def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[tuple[str, int, list[float]]]]:
-    """Lenses by number; name, camera and camera_from_world of each image: quaternion (w, x, y, z) and translation."""
+def _read_binary(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[Image]]:
+    lenses, listed = {}, []
+    data, at = read_foreign(cameras), 8
+    names = {number: name for name, (number, _, _) in MODELS.items()}
+    for _ in range(_count(data)):
+        camera, number, width, height = CAMERA.unpack_from(data, at)
+        model = _known(names.get(number, str(number)), where=str(cameras))
+        values = struct.unpack_from(f"<{MODELS[model][2]}d", data, at + CAMERA.size)
+        lenses[camera] = ColmapCamera(width=width, height=height, model=model, values=values)
+        at += CAMERA.size + 8 * len(values)
+    data, at = read_foreign(images), 8
+    for _ in range(_count(data)):
+        _, *pose, camera = IMAGE.unpack_from(data, at)
+        end = data.index(b"\0", at + IMAGE.size)
+        listed.append((data[at + IMAGE.size : end].decode(errors="replace"), camera, tuple(pose)))
+        at = end + 9 + POINT * struct.unpack_from("<Q", data, end + 1)[0]
+        if at > len(data):
+            raise ValueError("its points are cut off")
+    return lenses, listed
+
+
+def _count(data: bytes) -> int:
+    (count,) = struct.unpack_from("<Q", data)
+    if count > MAX_VIEWS:
+        raise ValueError(f"{count:,} entries; expected at most {MAX_VIEWS:,}")
+    return count
+
+
+def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], list[Image]]:
     lenses, listed = {}, []
     for camera, model, width, height, *words in filter(None, map(str.split, _lines(cameras))):
-        if model not in MODELS:
-            raise HyalineError(
-                f"{cameras}: has a camera of model {shown(model)}; expected one of {', '.join(MODELS)}; undistort the "
-                "pictures first (`colmap image_undistorter`)"
-            )
         values = tuple(map(float, words))
-        if len(values) != MODELS[model][1]:
+        if len(values) != MODELS[_known(model, where=str(cameras))][2]:
             raise ValueError(f"{len(values)} numbers of a {model}")
         lenses[int(camera)] = ColmapCamera(width=int(width), height=int(height), model=model, values=values)
     lines = _lines(images)
@@ -218,7 +250,7 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
     first = lines[::2] if all(map(_lists_points, lines[1::2])) else [line for line in lines if not _lists_points(line)]
     for line in filter(str.strip, first):
         *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
-        listed.append((name.rstrip(), int(numbers[8]), [*map(float, numbers[1:8])]))
+        listed.append((name.rstrip(), int(numbers[8]), tuple(map(float, numbers[1:8]))))
     return lenses, listed
 
 
@@ -231,3 +263,12 @@ def _lines(path: Path) -> list[str]:
     """All lines except comments; empty ones are kept."""
     text = read_foreign(path).decode(errors="replace")
     return [line for line in text.splitlines() if not line.startswith("#")]
+
+
+def _known(model: str, *, where: str) -> str:
+    if model not in MODELS:
+        raise HyalineError(
+            f"{where}: has a camera of model {shown(model)}; expected one of {', '.join(MODELS)}; undistort the "
+            "pictures first (`colmap image_undistorter`)"
+        )
+    return model

@@ -2,11 +2,13 @@
 
 import json
 import math
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.gltf import BOX
+from support.theirs import write_binary_model
 from support.traced_dataset import write_traced_dataset
 
 from datagen.data.cameras import look_at
@@ -23,20 +25,33 @@ from hyaline_import.importing import import_scene
 from hyaline_import.remarks import Remarks
 
 
-def test_colmaps_cameras_are_those_that_were_exported_and_a_binary_model_says_how_to_convert_it(tmp_path: Path) -> None:
-    write_traced_dataset(tmp_path / "ours", resolution=16)
-    dataset = open_dataset(tmp_path / "ours")
-    theirs = tmp_path / "theirs"
-    export_dataset(dataset, "colmap", theirs, num_points=20, flow=False)
+@pytest.fixture(scope="module")
+def colmap(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, float]:
+    """A folder of COLMAP's, and the cameras and the angle that it holds."""
+    root = tmp_path_factory.mktemp("colmap")
+    write_traced_dataset(root / "ours", resolution=16)
+    dataset = open_dataset(root / "ours")
+    export_dataset(dataset, "colmap", root / "theirs", num_points=20, flow=False)
+    write_binary_model(root / "theirs/sparse/0")
     splits = ("extrapolating", "interpolating", "train")  # As the names of the pictures are sorted.
     poses = np.concatenate([dataset.cameras(split).world_from_camera for split in splits])
+    return root / "theirs", poses, dataset.cameras("train").fov_x
+
+
+@pytest.mark.parametrize("left_out", ["bin", "txt"])
+def test_colmaps_cameras_are_read_from_text_and_from_binary_files(
+    colmap: tuple[Path, np.ndarray, float], tmp_path: Path, left_out: str
+) -> None:
+    theirs, poses, fov_x = colmap
+    ending = {"bin": "txt", "txt": "bin"}[left_out]
+    for name in ("cameras", "images"):
+        source = next(theirs.rglob(f"{name}.{ending}"))
+        (tmp_path / source.name).write_bytes(source.read_bytes())
     remarks = Remarks()
-    found = read_camera_file(theirs, remarks)
+    found = read_camera_file(tmp_path, remarks)
     assert np.abs(np.stack([camera.world_from_camera for camera in found]) - poses).max() < 1e-6
-    assert found[0].fov_x == pytest.approx(dataset.cameras("train").fov_x, rel=1e-9) and remarks.lines == []
-    (tmp_path / "images.bin").write_bytes(b"")
-    with pytest.raises(HyalineError, match=r"is a binary model of COLMAP; .*`colmap model_converter"):
-        read_camera_file(tmp_path, Remarks())
+    assert found[0].fov_x == pytest.approx(fov_x, rel=1e-9) and remarks.lines == []
+    assert len(read_camera_file(theirs, Remarks())) == len(poses), "it is found where captures keep it, too"
 
 
 CAMERA = "1 PINHOLE 100 80 120 120 50 40\n"
@@ -86,6 +101,15 @@ def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> N
     assert (camera.width, camera.height) == (100, 80)
 
 
+@pytest.mark.parametrize(("model", "is_said"), [("EQUIRECTANGULAR", True), ("FISHEYE624", True), ("opencv", False)])
+def test_panoramas_and_fisheyes_are_said_to_be_drawn_as_pinholes(tmp_path: Path, model: str, is_said: bool) -> None:
+    frame = {"transform_matrix": np.eye(4).tolist(), "camera_model": model}
+    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": [frame]}))
+    remarks = Remarks()
+    read_camera_file(tmp_path / "transforms.json", remarks)
+    assert [line.what for line in remarks.lines] == ["have a distorted lens; drawn as pinholes"] * is_said
+
+
 def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_path: Path) -> None:
     (tmp_path / "box.ply").write_bytes(write_ply(BOX))
     frames = [{"transform_matrix": look_at((2.0, place, 1.5), (0.0, 0.0, 0.0)).tolist()} for place in range(4)]
@@ -98,6 +122,20 @@ def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_p
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "cx": 1e6, "frames": frames}))
     with pytest.raises(HyalineError, match=r"frames.0.: camera: its principal point is 1e\+06, 14"):
         import_scene(tmp_path / "box.ply", choices)
+
+
+def test_a_binary_file_that_is_cut_anywhere_or_promises_too_much_is_refused(
+    colmap: tuple[Path, np.ndarray, float], tmp_path: Path
+) -> None:
+    whole = {name: next(colmap[0].rglob(f"{name}.bin")).read_bytes() for name in ("cameras", "images")}
+    for name, data in whole.items():
+        spoilt = [data[:length] for length in (0, 3, 8, 20, 60, len(data) - 1)]
+        spoilt += [struct.pack("<Q", count) for count in (1 << 63, 10_001)]
+        for changed in spoilt:
+            for other, content in {**whole, name: changed}.items():
+                (tmp_path / f"{other}.bin").write_bytes(content)
+            with pytest.raises(HyalineError, match=r"are damaged|has 0 images"):
+                read_camera_file(tmp_path, Remarks())
 
 
 def test_cameras_beside_a_model_move_with_it(tmp_path: Path) -> None:
