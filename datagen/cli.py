@@ -17,7 +17,7 @@ from datagen.disk.errors import UsageError
 from datagen.scene.import_choices import ImportChoices
 from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
-from datagen.terminal.plugins import commands_of
+from datagen.terminal.plugins import absent_commands, commands_of
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -43,6 +43,7 @@ def commands() -> CommandGroup:
     return group(
         "Path-traced datasets of transparent objects, with peeled layers.",
         by_name | commands_of("datagen"),
+        absent_commands("datagen"),
     )
 
 

@@ -14,7 +14,7 @@ from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
-from datagen.terminal.plugins import commands_of
+from datagen.terminal.plugins import absent_commands, commands_of
 from model.settings.run_flags import RUNS, Device
 from model.settings.runtime import choose_device, wait_briefly
 
@@ -42,6 +42,7 @@ def commands() -> CommandGroup:
     return group(
         "Train neural renderers on datasets of transparent objects, and render with them.",
         by_name | commands_of("model"),
+        absent_commands("model"),
     )
 
 

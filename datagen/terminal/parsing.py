@@ -15,7 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from datagen.disk.errors import HyalineError, UsageError
@@ -44,6 +44,8 @@ class CommandGroup:
     """Finds a command by its name, and the words that follow."""
     word: str = "command"
     """What its names are called in messages."""
+    absent: Mapping[str, str] = field(default_factory=dict)
+    """Plug-ins that are not here, by the names that they would add."""
 
 
 class Later(NamedTuple):
@@ -52,7 +54,9 @@ class Later(NamedTuple):
     load: Callable[[], Command]
 
 
-def group(about: str, commands: Mapping[str, Command | CommandGroup | Later]) -> CommandGroup:
+def group(
+    about: str, commands: Mapping[str, Command | CommandGroup | Later], absent: Mapping[str, str] | None = None
+) -> CommandGroup:
     """The commands of a program."""
 
     def find(name: str) -> Command | CommandGroup:
@@ -69,6 +73,7 @@ def group(about: str, commands: Mapping[str, Command | CommandGroup | Later]) ->
         names=lambda: list(commands),
         line=line,
         choose=lambda name, _: find(name),
+        absent=absent or {},
     )
 
 
@@ -102,6 +107,8 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
             print(_list_commands(program, command))
             sys.exit(0 if words else 2)
         name, *words = words
+        if name in command.absent:
+            raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
         choose(f"{program} {command.word}", name, command.names())
         program, command = f"{program} {name}", command.choose(name, words)
     given = collect(program, command, words)

@@ -486,7 +486,6 @@ def in_kilometres(root: Path) -> None:
         (stored_on_its_side, "is stored turned or mirrored (EXIF orientation 6)"),
         (lambda root: edit(root, camera_model="OPENCV_FISHEYE"), "not a pinhole camera ('OPENCV_FISHEYE')"),
         (lambda root: edit(root, is_fisheye=True, k1=0.05), "not a pinhole camera (is_fisheye)"),
-        (lambda root: edit(root, camera_model="FULL_OPENCV", k4=0.1), "not a pinhole camera (k4)"),
         (in_kilometres, "ball is 0.19 mm large by its masks and cameras"),
         (lambda root: edit(root, fl_x=50.0, w=SIDE, h=2 * SIDE), "its camera is for pictures of 48 x 96 pixels"),
     ],
