@@ -8,7 +8,7 @@ from datagen.disk.errors import HyalineError
 DISTRIBUTION = "hyaline-glass"
 """What pip calls it; the package index has another project by the name of `hyaline`."""
 
-VERSION = "0.2.0"
+VERSION = "0.3.0"
 
 _GENERATE = ("mitsuba", "drjit", "trimesh", "xatlas", "numba", "manifold3d")
 PARTS = {
