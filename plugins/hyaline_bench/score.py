@@ -92,6 +92,8 @@ class Scored:
     scored_by: str
     """Version of the code that scored it."""
     scenes: dict[str, SceneResult]
+    truths: str = ""
+    """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
 
     @property
     def code(self) -> str:
@@ -131,11 +133,9 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
     if not runs:
         raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
     parts = {scene: _parts(run, protocol) for scene, run in runs.items()}
-    pictures = [
-        dump_json([run.dataset.seal, split, *prediction_digests(run, split)])
-        for of_scene in parts.values()
-        for run, split, _ in of_scene
-    ]
+    asked = [part for of_scene in parts.values() for part in of_scene]
+    pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
+    arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
     first = next(iter(runs.values()))
     every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
     return Scored(
@@ -148,14 +148,14 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
         submission=sha256(b"".join(pictures)),
         scored_by=code_version(),
         scenes={scene: _score_scene(run, parts[scene]) for scene, run in every},
+        truths=sha256(b"".join(array.tobytes() for array in arrays)),
     )
 
 
 def read_scored(path: Path) -> Scored:
     """A scored submission from its file."""
     content = load_sealed(path)
-    for key in ("failures", "truths"):  # Files of earlier versions have them.
-        content.pop(key, None)
+    content.pop("failures", None)  # Files of earlier versions have pictures of the worst views.
     return from_json(Scored, cast(Json, content), where=str(path))
 
 
