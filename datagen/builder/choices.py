@@ -4,14 +4,15 @@ import dataclasses
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution, square
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.machine.launch import LaunchChoices
-from datagen.scene.description import Scene
-from datagen.scene.rig import with_listed_shape, with_listed_views
 from datagen.terminal.command import choose
+
+if TYPE_CHECKING:
+    from datagen.scene.description import Scene
 
 PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
 
@@ -168,8 +169,10 @@ def _given(split: SplitConfig, **values: int | None) -> SplitConfig:
     return dataclasses.replace(split, **{name: value for name, value in values.items() if value is not None})
 
 
-def fit_to_scene(config: DatasetConfig, scene: Scene, size: SizeChoices) -> DatasetConfig:
+def fit_to_scene(config: DatasetConfig, scene: "Scene", size: SizeChoices) -> DatasetConfig:
     """The configuration with the scene's name; what `size` leaves open is as in the scene, if it lists its cameras."""
+    from datagen.scene.rig import with_listed_shape, with_listed_views
+
     config = dataclasses.replace(config, scene=scene.name)
     if size.resolution is None:
         config = with_listed_shape(config, scene.cameras)

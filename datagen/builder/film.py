@@ -87,8 +87,12 @@ def write_film(out: Path, pictures: Iterable[Picture], fps: float) -> None:
     A file gets its name when it is complete. WebP loops for ever. PNGs are written as they are drawn.
     """
     if out.suffix == "":
-        for number, picture in enumerate(pictures):
-            commit(out / f"{view_name(number)}.png", png_bytes(picture))
+        number = 0
+        for number, picture in enumerate(pictures, start=1):
+            commit(out / f"{view_name(number - 1)}.png", png_bytes(picture))
+        while (left := out / f"{view_name(number)}.png").exists():  # Of a longer film.
+            left.unlink()
+            number += 1
     elif out.suffix == MOVIE:
         commit(out, _mp4_bytes(iter(pictures), fps))
     else:

@@ -1,12 +1,10 @@
 """Tests what Python makes: scenes of meshes from anywhere, datasets, proxies, runs and reports of them."""
 
 import shutil
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -226,26 +224,3 @@ def test_all_of_it_shows_itself(dataset: hy.Dataset, run: hy.Run) -> None:
     for shown in (scene_of(ball()), dataset, dataset.view("train", 0), run):
         picture = np.asarray(hy.show(shown))
         assert picture.shape[0] >= 256 and len(np.unique(picture.reshape(-1, 3), axis=0)) > 20
-
-
-def test_workers_do_not_run_the_callers_script_again(tmp_path: Path) -> None:
-    code = (
-        "import operator\nfrom datagen.machine.processes import in_workers\nprint('once')\n"
-        "print(list(in_workers(operator.add, [1, 2, 3], 2, operator.add, (1,))))\n"
-    )
-    (tmp_path / "script.py").write_text(code)
-    answer = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, check=True)
-    assert answer.stdout == "once\n[None, None, None]\n"
-
-
-def test_a_notebook_shows_a_progress_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[str] = []
-    ipython, display = ModuleType("IPython"), ModuleType("IPython.display")
-    ipython.__dict__["get_ipython"] = lambda: SimpleNamespace(kernel=None)
-    display.__dict__["HTML"] = str
-    display.__dict__["display"] = lambda text, display_id: shown.append(text) or SimpleNamespace(update=shown.append)
-    monkeypatch.setitem(sys.modules, "IPython", ipython)
-    monkeypatch.setitem(sys.modules, "IPython.display", display)
-    assert list(track(range(3), label="peel <b>", total=4, done=1)) == [0, 1, 2]
-    assert shown[0].startswith('<progress value="1" max="4"></progress> peel &lt;b&gt; 1/4')
-    assert shown[-1].startswith('<progress value="4" max="4"></progress>')

@@ -134,7 +134,7 @@ def test_proxies_of_another_dataset_are_refused() -> None:
     call("proxies make --kind box")
     write_synthetic_dataset(Path("data/two"), resolution=8, train_views=2)
     (ONE / "proxies").rename("data/two/proxies")
-    assert "made for another dataset" in call("proxies make two --kind box").err
+    assert "of another dataset" in call("proxies make two --kind box").err
     assert call("proxies make two --kind box --overwrite").status == 0
 
 

@@ -125,7 +125,7 @@ def test_near_far_and_box_keep_every_surface(dataset: Dataset, exports: dict[str
                 assert ((position > low) & (position < high)).all()
     seen = np.concatenate(depths)
     # Pictures show more than the rays through the centres of their pixels, and hidden surfaces count, too.
-    assert 0 < meta["near"] < seen.min() < meta["near"] * 1.02 and meta["far"] / 1.06 < seen.max() < meta["far"]
+    assert 0 < meta["near"] < seen.min() < meta["near"] * 1.15 and meta["far"] / 1.15 < seen.max() < meta["far"]
     assert {(item.near, item.far) for item in map(dataset.cameras, dataset.splits)} == {(meta["near"], meta["far"])}
 
 

@@ -53,7 +53,7 @@ TAKEN = (
 
 STRANGERS = (
     "download.partial", "notes.tmp", "0000.png.tmp", "0000.json.12ab34cd.tmp", "points3d.ply", "thesis.tex",
-    "0001.json", "9999.png", "weights.pt.bak", "cache.json", "index.md", ".hidden", "predictions/train/0000.png",
+    "9999.png", "weights.pt.bak", "cache.json", "index.md", ".hidden", "predictions/train/0000.png",
     "0000.0123456789abcdef.hyaline-tmp.zip", "mine/run.json", "mine/layers.json", "x9/predictions/train/0000.png",
 )  # fmt: skip
 """Foreign files that are put into each folder."""

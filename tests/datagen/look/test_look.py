@@ -42,7 +42,9 @@ def test_the_page_shows_every_split_every_object_and_all_that_is_stored(whole: t
     assert "Cameras from above" in labels
     assert {"pane", "floor"} <= {cell.text for cell in page.all("th")}
     assert any(cell.text.startswith("ThinDielectric(ior=1.5") for cell in page.all("td"))
-    assert not page.all("img") and "`" not in "".join(item.text for item in page.all("main"))
+    assert all(item.attributes["src"].startswith("data:") for item in page.all("img")) and "`" not in "".join(
+        item.text for item in page.all("main")
+    )
     order = [item.attributes.get("id") for item in page.elements if item.name == "section"]
     places = [order.index(name) for name in ("pictures", "light-paths", "cameras", "stored", "objects", "facts")]
     assert places == sorted(places) and places[0] == 0

@@ -57,7 +57,7 @@ def test_a_dataset_with_a_slip_in_its_name_is_asked_about(tmp_path: Path) -> Non
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
         ("datagen build --views nan", 2, "datagen build: Error parsing --views: "),
         ("datagen build --ceiling x", 2, "datagen build: Error parsing --ceiling: "),
-        ("datagen build --shard 5/4", 1, "shard: is 5/4; expected a part from 1/4 to 4/4"),
+        ("datagen build --shard 5/4", 1, "shard: is '5/4'; expected the part and the number of parts, such as 2/4"),
         ("datagen build --workers 0", 1, "workers: is 0; expected 1 to 1024"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),

@@ -160,7 +160,7 @@ def test_the_command_trains_skips_refuses_and_renders_again(dataset: Dataset, tm
         (("--geometry", "truht"), "no geometry 'truht'; did you mean 'truth'"),
         (
             ("--geometry", "nope"),
-            "no geometry 'nope'; did you mean 'noise'? Choose from blocks, ",
+            "no geometry 'nope'; choose from box, ",
         ),
         (("--geometry", "box"), "no box proxies; make them with `proxies make`"),
         (("--hidden", "9"), "hidden: is 9 with 3 blocks; expected a multiple of 8"),
