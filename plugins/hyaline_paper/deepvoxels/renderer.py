@@ -20,12 +20,8 @@ from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
-from model.batches.view_batches import ViewBatch, Views, load_views, views_of
-from model.losses.pixel_losses import PatchTerms
-from model.methods.protocol import Inputs
-from model.methods.renderer import ParameterGroup, Renderer
-from model.nets.voxel_grid import VoxelGrid, fit_cube, lift, sample_frustum
-from model.nets.voxel_nets import (
+from hyaline_paper.deepvoxels.voxel_grid import VoxelGrid, fit_cube, lift, sample_frustum
+from hyaline_paper.deepvoxels.voxel_nets import (
     Critic,
     Integration,
     Occlusion,
@@ -35,6 +31,10 @@ from model.nets.voxel_nets import (
     feature_extractor,
     rendering_network,
 )
+from model.batches.view_batches import ViewBatch, Views, load_views, views_of
+from model.losses.pixel_losses import PatchTerms
+from model.methods.protocol import Inputs
+from model.methods.renderer import ParameterGroup, Renderer
 from model.settings.optimisation import Optimisation
 
 BORDER = 5

@@ -23,9 +23,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.rig import make_cameras
 from hyaline_paper.deepvoxels.config import DeepVoxelsConfig
 from hyaline_paper.deepvoxels.renderer import DeepVoxels, adversarial_loss, build, grid_coordinates, load
-from model.batches.view_batches import Views, load_views
-from model.methods.table import open_inputs
-from model.nets.voxel_grid import (
+from hyaline_paper.deepvoxels.voxel_grid import (
     VoxelGrid,
     fit_cube,
     frustum_points,
@@ -33,7 +31,9 @@ from model.nets.voxel_grid import (
     near_plane,
     sample_frustum,
 )
-from model.nets.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
+from hyaline_paper.deepvoxels.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
+from model.batches.view_batches import Views, load_views
+from model.methods.table import open_inputs
 from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
