@@ -28,7 +28,7 @@ class LightPathConfig(MethodConfig):
     """Ours: neural textures where light paths through the glass end, composited by physics."""
 
     room: ClassVar[str] = "model.methods.light_path.method"
-    page: ClassVar[str] = "model.methods.light_path.page"
+    page: ClassVar[str] = "model.methods.light_path.method"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
     draws_cameras: ClassVar[bool] = True
     has_radiance: ClassVar[bool] = True

@@ -49,8 +49,8 @@ from datagen.trace import branches, surface_hits, surface_tables
 from hyaline_web.page import scene
 from hyaline_web.page.export import fill, scene_page
 from hyaline_web.page.walls import find_wall
+from model.methods.light_path import method as page_of_light_path
 from model.methods.light_path import net, pixels
-from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.page import package_text
 from model.nets import pixel_mlp
