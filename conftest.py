@@ -28,7 +28,7 @@ check_annotations()  # Before anything imports one of the packages.
 from support.synthetic import write_synthetic_dataset  # noqa: E402
 
 from datagen.data.dataset import Dataset  # noqa: E402
-from model.settings.runtime import wait_briefly  # noqa: E402
+from model.runtime import wait_briefly  # noqa: E402
 
 wait_briefly()  # Before anything imports torch.
 

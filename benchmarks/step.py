@@ -33,7 +33,7 @@ from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels
 from model.methods.paper.renderer import PaperRenderer
 from model.run.optimizer import make_optimizer
-from model.settings.runtime import keep_freed_memory, start_numba_threads, use_few_threads
+from model.runtime import keep_freed_memory, start_numba_threads, use_few_threads
 
 GATE_STEP, GATE_TEXTURES = 5.0, 10.0
 

@@ -26,7 +26,7 @@ from datagen.terminal.command import choose, say_all
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of
 from hyaline.scenes import Hemisphere, Scene
-from model.settings.flags import with_settings
+from model.settings import with_settings
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler

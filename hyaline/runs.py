@@ -25,8 +25,7 @@ from hyaline.datasets import open_dataset
 from model.methods.protocol import Inputs, MethodConfig
 from model.run import run_folder
 from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_metrics, read_run
-from model.settings.flags import with_settings
-from model.settings.run_flags import RUNS, Device, RunFlags
+from model.settings import RUNS, Device, RunFlags, with_settings
 
 if TYPE_CHECKING:
     from model.batches.rays import PixelSource
@@ -118,13 +117,13 @@ class Run:
     @cached_property
     def _renderer(self) -> "Renderer":
         from model.run.predict import load_renderer
-        from model.settings.runtime import choose_device
+        from model.runtime import choose_device
 
         return load_renderer(self.folder, self.config, self.dataset).to(choose_device(self.device))
 
     def _pixels(self, camera: Camera) -> "PixelSource":
         from model.run.predict import check_draws_cameras
-        from model.settings.runtime import choose_device
+        from model.runtime import choose_device
 
         check_draws_cameras(self.folder, self.config)
         return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
@@ -192,7 +191,7 @@ def train(
     )
     config, _ = configure(method, asked)
     from model.run.complete import complete_run  # Not before: it imports torch.
-    from model.settings.runtime import choose_device, leaving_settings
+    from model.runtime import choose_device, leaving_settings
 
     place = RUNS / dataset.name / folder_name(method, asked) if out is None else Path(out)
     try:

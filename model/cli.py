@@ -15,8 +15,8 @@ from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
-from model.settings.run_flags import RUNS, Device
-from model.settings.runtime import choose_device, wait_briefly
+from model.runtime import choose_device, wait_briefly
+from model.settings import RUNS, Device
 
 if TYPE_CHECKING:
     from model.run.train_flags import Asked

@@ -12,7 +12,7 @@ from datagen.data.config import Split
 from model.batches.view_batches import ViewBatch, Views, load_views
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation
 
 
 class NearestView(Renderer[Views]):

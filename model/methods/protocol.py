@@ -1,7 +1,7 @@
 """The protocol of methods: a configuration record, which builds a renderer and loads the pixels that it learns from.
 
 A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
-model/settings/flags.py); its methods make everything else. Importing it must not import torch, so that `--help` answers
+model/settings.py); its methods make everything else. Importing it must not import torch, so that `--help` answers
 at once. docs/adding-a-method.md shows how to write one.
 """
 
@@ -11,8 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, Self
 
 from datagen.data.config import Split
-from model.settings.flags import check_limits
-from model.settings.optimisation import Optimisation, PixelOptimisation
+from model.settings import Optimisation, PixelOptimisation, check_limits
 
 if TYPE_CHECKING:
     import datagen.scene.description

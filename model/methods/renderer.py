@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from model.batches.rays import PixelSource
 from model.losses.pixel_losses import PatchTerms, pixel_loss
 from model.nets.texture import NeuralTextures
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation
 
 SourceT = TypeVar("SourceT", bound=PixelSource)
 

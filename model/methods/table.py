@@ -20,9 +20,9 @@ BUILT_IN = {
     "paper": "model.methods.paper.config:PaperConfig",
     "paper-best": "model.methods.paper.config:PaperBestConfig",
     "mlp-first": "model.methods.paper.config:MlpFirstConfig",
-    "dnr": "model.methods.dnr.config:DnrConfig",
-    "dnr-layers": "model.methods.dnr.config:DnrLayersConfig",
-    "dnr-authors": "model.methods.dnr.config:DnrAuthorsConfig",
+    "dnr": "model.methods.paper.config:DnrConfig",
+    "dnr-layers": "model.methods.paper.config:DnrLayersConfig",
+    "dnr-authors": "model.methods.paper.config:DnrAuthorsConfig",
     "light-path": "model.methods.light_path.config:LightPathConfig",
 }
 """The record of each method. A new one is a folder and a line here."""

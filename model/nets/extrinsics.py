@@ -12,7 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.disk.errors import HyalineError
 from model.nets.texture import object_layout, sample
-from model.settings.network_parts import Extrinsics
+from model.settings import Extrinsics
 
 
 def bake_position_table(dataset: Dataset, geometry: str, size: int) -> Float32[Tensor, "texel 3"]:

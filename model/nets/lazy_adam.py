@@ -21,7 +21,7 @@ from torch import Tensor
 from datagen.disk.errors import HyalineError
 from datagen.machine.compiled import compiled
 from model.nets.texels import AHEAD, fetch, taps
-from model.settings.state import State
+from model.state import State
 
 BETA2, EPSILON = 0.999, 1e-8
 

@@ -17,7 +17,7 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 
 from model.nets.lazy_adam import check_states
-from model.settings.state import State
+from model.state import State
 
 MOMENTUM = 0.95
 COEFFICIENTS = (3.4445, -4.7750, 2.0315)

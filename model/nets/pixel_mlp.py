@@ -8,7 +8,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_linear_bn_weights
 
-from model.settings.network_parts import Norm, check_width
+from model.settings import Norm, check_width
 
 LEAKY_SLOPE = 0.2
 

@@ -18,7 +18,7 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from datagen.machine.compiled import compiled
-from model.settings.runtime import start_numba_threads
+from model.runtime import start_numba_threads
 
 start_numba_threads()
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
-from model.settings.state import State
+from model.state import State
 
 CHECKPOINT_VERSION = 1
 

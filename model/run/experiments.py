@@ -28,7 +28,7 @@ from datagen.disk.records import read_regular, shown
 from datagen.terminal.command import choose
 from model.methods.table import METHODS
 from model.run.train_flags import folder_name, parse_train
-from model.settings.run_flags import RUNS
+from model.settings import RUNS
 
 EXPERIMENTS = Path(__file__).parents[1] / "experiments"
 

@@ -12,7 +12,7 @@ from model.methods.renderer import ParameterGroup
 from model.nets.lazy_adam import LazyAdam, check_states
 from model.nets.muon import Muon, matrices_of
 from model.nets.texture import NeuralTextures
-from model.settings.optimisation import OptimizerKind
+from model.settings import OptimizerKind
 
 
 class Optimizer(torch.optim.Adam):

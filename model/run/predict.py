@@ -46,7 +46,7 @@ from model.run.run_folder import (
     read_prediction_hashes,
     write_prediction_hashes,
 )
-from model.settings.runtime import keep_freed_memory
+from model.runtime import keep_freed_memory
 
 
 def predict_pixels(

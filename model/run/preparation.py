@@ -12,9 +12,8 @@ from datagen.disk.errors import HyalineError
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.run.run_folder import RUN_VERSION, RunRecord, TrainConfig, describe_knowledge
-from model.settings.losses import LEAST_PATCH
-from model.settings.optimisation import PixelOptimisation
-from model.settings.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
+from model.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
+from model.settings import LEAST_PATCH, PixelOptimisation
 
 
 def check_losses(config: TrainConfig, resolution: Resolution) -> None:

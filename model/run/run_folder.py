@@ -41,9 +41,7 @@ from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import METHODS, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
-from model.settings.flags import AMOUNT, COUNT, SEED, unflagged
-from model.settings.optimisation import PixelOptimisation
-from model.settings.run_flags import RUNS
+from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
 
 RUN_VERSION = 5
 

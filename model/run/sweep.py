@@ -20,7 +20,7 @@ from datagen.machine.launch import LaunchChoices, own_command, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import say, tell
 from model.run.experiments import Experiment
-from model.settings.run_flags import RUNS
+from model.settings import RUNS
 
 MODULES = {"hyaline-bench": "hyaline_bench"}
 """Packages of programs that are called differently."""

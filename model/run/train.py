@@ -20,8 +20,7 @@ from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
-from model.losses.inpaint import Inpainter
-from model.losses.patch_losses import Losses
+from model.losses.patch_losses import Inpainter, Losses
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
@@ -38,8 +37,8 @@ from model.run.preparation import (
     prepare_processor,
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings.optimisation import decay
-from model.settings.state import State
+from model.settings import decay
+from model.state import State
 
 CHECKPOINT_EVERY_S = 60.0
 """Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""

@@ -14,10 +14,7 @@ from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
 from model.methods.protocol import MethodConfig
 from model.methods.table import METHODS, about, open_inputs
-from model.settings.flags import suffixes
-from model.settings.losses import LossConfig
-from model.settings.optimisation import Optimisation
-from model.settings.run_flags import RUNS, RunFlags
+from model.settings import RUNS, LossConfig, Optimisation, RunFlags, suffixes
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset

@@ -9,7 +9,7 @@ from datagen.data.paths import DATA_ROOT, FITTED, find_dataset
 from datagen.disk.errors import UsageError
 from datagen.terminal.command import next_command, say_all, tell
 from hyaline_photos.capture.choices import CaptureChoices
-from model.settings.run_flags import RUNS
+from model.settings import RUNS
 
 
 def capture(

@@ -7,7 +7,7 @@ from typing import Literal
 
 from datagen.disk.errors import UsageError
 from datagen.terminal.command import say, tell
-from model.settings.run_flags import Device
+from model.settings import Device
 
 
 def export(

@@ -7,10 +7,16 @@ from typing import ClassVar, Self
 from datagen.data.paths import TRUTH, follows_light
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import SHARE, choice, unflagged
-from model.settings.losses import LossConfig
-from model.settings.network_parts import check_samples, check_texels
-from model.settings.optimisation import PixelOptimisation, check_rate
+from model.settings import (
+    SHARE,
+    LossConfig,
+    PixelOptimisation,
+    check_rate,
+    check_samples,
+    check_texels,
+    choice,
+    unflagged,
+)
 
 MAX_SURFACES = 255
 """Surface ids are bytes, and 0 means empty."""
@@ -28,7 +34,7 @@ class LightPathConfig(MethodConfig):
     """Ours: neural textures where light paths through the glass end, composited by physics."""
 
     room: ClassVar[str] = "model.methods.light_path.method"
-    page: ClassVar[str] = "model.methods.light_path.page"
+    page: ClassVar[str] = "model.methods.light_path.method"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
     draws_cameras: ClassVar[bool] = True
     has_radiance: ClassVar[bool] = True

@@ -22,7 +22,7 @@ from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.pixel_mlp import LEAKY_SLOPE
 from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation
 
 RELIEF_DEPTH = 0.01
 """Metres of depth for a texel's 1 in a learned relief: at the textures' learning rate a step moves it by 0.4 mm."""

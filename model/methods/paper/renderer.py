@@ -13,17 +13,16 @@ from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from model.batches.layers import trace_cameras
+from model.batches.layers import load_pixels, peel_cameras, trace_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, load_views_of, srgb_curve
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.pixel_mlp import PixelMlp, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
-from model.settings.network_parts import EXTRINSIC_CHANNELS, Extrinsics
+from model.settings import EXTRINSIC_CHANNELS, Extrinsics
 
 if TYPE_CHECKING:
     from datagen.scene.description import Scene
@@ -142,13 +141,15 @@ def load(
     config: PaperConfig, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool
 ) -> PixelSource[RayBatch]:
     if not config.traces_layers:
-        return load_stored(inputs, split, views, with_images=with_images)
+        return load_pixels(
+            inputs.dataset, inputs.geometry, split, views, with_images=with_images, max_layers=inputs.num_layers
+        )
     return load_views_of(partial(load_cameras, config, inputs), inputs.dataset, split, views, with_images=with_images)
 
 
 def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:
     if not config.traces_layers:
-        return peel_as_stored(inputs, cameras)
+        return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras)
     return trace_cameras(
         inputs.dataset,
         inputs.geometry,

@@ -5,9 +5,7 @@ from typing import ClassVar
 
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import choice, unflagged
-from model.settings.network_parts import Extrinsics, check_texels
-from model.settings.optimisation import PixelOptimisation
+from model.settings import Extrinsics, PixelOptimisation, check_texels, choice, unflagged
 
 LEAST_WIDTH = 4
 """Halving the channels stops here."""

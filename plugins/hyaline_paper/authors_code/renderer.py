@@ -19,12 +19,12 @@ from torch.nn import functional
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from hyaline_paper.authors_code.config import LEAST_WIDTH, AuthorsConfig
+from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
 from model.losses.pixel_losses import PatchTerms
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
@@ -166,8 +166,10 @@ def load(
     *,
     with_images: bool,
 ) -> PixelSource[RayBatch]:
-    return load_stored(inputs, split, views, with_images=with_images)
+    return load_pixels(
+        inputs.dataset, inputs.geometry, split, views, with_images=with_images, max_layers=inputs.num_layers
+    )
 
 
 def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
-    return peel_as_stored(inputs, cameras)
+    return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras)

@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
-from model.settings.flags import unflagged
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation, unflagged
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -35,7 +35,7 @@ from model.batches.view_batches import ViewBatch, Views, load_views, views_of
 from model.losses.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation
 
 BORDER = 5
 """Pixels at each edge of a picture that the loss leaves out, because they are drawn from half-empty feature maps. The

@@ -27,8 +27,7 @@ from model.methods.light_path.config import default_light_path
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
 from model.run.train_flags import Asked, flags_asked
-from model.settings.losses import LossConfig
-from model.settings.run_flags import RunFlags
+from model.settings import LossConfig, RunFlags
 
 PAPER = TrainConfig(method="paper", geometry="truth", net=PaperConfig(width=80, texture_size=64))
 BEST = dataclasses.replace(

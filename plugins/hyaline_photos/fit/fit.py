@@ -53,8 +53,8 @@ from hyaline_photos.fit.search import alternatives, count_searches, guess, guess
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
 from model.run.checkpoint import fingerprint
-from model.settings.flags import SEED
-from model.settings.state import State
+from model.settings import SEED
+from model.state import State
 
 Skipped = Literal["grid", "search", "again"]
 Room = Literal["known", "matt"]

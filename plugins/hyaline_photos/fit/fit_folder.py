@@ -24,7 +24,7 @@ from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, 
 from datagen.terminal.command import say
 
 if TYPE_CHECKING:
-    from model.settings.state import State
+    from model.state import State
 
 FIT = FolderKind(what="fit", head="fit.json")
 

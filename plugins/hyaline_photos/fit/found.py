@@ -21,7 +21,7 @@ from hyaline_photos.fit.materials import ABSORPTIONS, STEPS, TINT_REACH, WORTH_I
 from hyaline_photos.fit.search import LAST, NUMBERS, reach_of
 from hyaline_photos.fit.shapes import Glass, Revolution
 from model.run.checkpoint import fingerprint
-from model.settings.state import State
+from model.state import State
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

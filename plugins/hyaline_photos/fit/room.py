@@ -30,8 +30,8 @@ from model.nets.filling import add_visits, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.texture import TextureLayout, bilinear_taps
 from model.run.optimizer import make_optimizer
-from model.settings.optimisation import decay
-from model.settings.state import State
+from model.settings import decay
+from model.state import State
 
 BATCH = 1024
 """Training pixels per step; rays and branches are those of `light-path`."""

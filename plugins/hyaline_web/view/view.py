@@ -21,8 +21,8 @@ from hyaline_web.view.schedule import Job, Pose, Schedule
 from hyaline_web.view.server import HOST, Server, serving
 from hyaline_web.view.stage import Panel, Stage
 from model.run.run_folder import RUN, open_trained
-from model.settings.run_flags import RUNS, Device
-from model.settings.runtime import choose_device
+from model.runtime import choose_device
+from model.settings import RUNS, Device
 
 TRAINING_SHARE = 0.09
 """Share of one core that this process takes while a run trains, for any number of browsers: it slows training by less

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,25 +20,26 @@ from datagen.disk.storage import sha256_file
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.batches.layers import load_pixels
 from model.batches.rays import RayBatch, take_colors
-from model.losses.inpaint import Inpainter, count_visits, patches_around
 from model.losses.patch_losses import (
     IMAGENET_MEAN,
     IMAGENET_STD,
     Adversary,
+    Inpainter,
     Losses,
     PatchDiscriminator,
     PerceptualLoss,
+    count_visits,
     find_vgg,
+    patches_around,
     vgg_layers,
 )
 from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
-from model.methods.dnr.config import DnrConfig
-from model.methods.paper.config import PaperConfig
+from model.methods.paper.config import DnrConfig, PaperConfig
 from model.methods.renderer import Renderer
 from model.run.preparation import check_losses
 from model.run.run_folder import TrainConfig, check_same_run, read_run
 from model.run.train import train
-from model.settings.losses import LossConfig
+from model.settings import LossConfig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -53,19 +55,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 
 # The perceptual loss.
-
-
-def test_the_vggs_have_their_published_sizes_and_layers() -> None:
-    with torch.device("meta"):
-        nets = {"vgg16": vgg_layers("vgg16"), "vgg19": vgg_layers("vgg19")}
-    counts = {kind: sum(parameter.numel() for parameter in net.parameters()) for kind, net in nets.items()}
-    assert counts == {"vgg16": 14_714_688, "vgg19": 20_024_384}
-    places = {
-        kind: [index for index, layer in enumerate(net) if isinstance(layer, torch.nn.Conv2d)]
-        for kind, net in nets.items()
-    }
-    assert places["vgg16"] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
-    assert places["vgg19"] == [0, 2, 5, 7, 10, 12, 14, 16, 19, 21, 23, 25, 28, 30, 32, 34]
 
 
 def test_its_first_layers_equal_scipy() -> None:
@@ -85,10 +74,12 @@ def test_its_first_layers_equal_scipy() -> None:
 
 
 def test_it_compares_after_the_last_activation_of_three_stages() -> None:
-    for kind, places in (("vgg16", [3, 8, 15]), ("vgg19", [3, 8, 17])):
+    convolutions = {"vgg16": [0, 2, 5, 7, 10, 12, 14], "vgg19": [0, 2, 5, 7, 10, 12, 14, 16]}  # As torchvision counts.
+    for kind, places in convolutions.items():
         loss = PerceptualLoss(kind, "random")  # pyright: ignore[reportArgumentType]
-        assert loss.compared == places
-        assert not any(parameter.requires_grad for parameter in loss.parameters())
+        layers = list(loss.features)
+        assert [place for place, layer in enumerate(layers) if isinstance(layer, torch.nn.Conv2d)] == places
+        assert isinstance(layers[-1], torch.nn.ReLU) and not any(value.requires_grad for value in loss.parameters())
     generator = torch.Generator().manual_seed(0)
     truth = torch.rand(2, 32, 32, 3, generator=generator)
     assert float(loss(truth, truth)) == 0
@@ -103,7 +94,7 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     place = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
     with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights; put torchvision's"):
         find_vgg(LossConfig(vgg_weights="auto"))
-    trained = vgg_layers("vgg16", stages=3)
+    trained = vgg_layers("vgg16")
     state = {f"features.{name}": value for name, value in trained.state_dict().items()}
     place.parent.mkdir(parents=True)
     torch.save({**state, "classifier.0.weight": "whatever"}, place)
@@ -113,10 +104,10 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     assert source.vgg_sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
     loss = PerceptualLoss("vgg16", str(place))
     assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
-    with pytest.raises(HyalineError, match=r"features.14.weight is \[256, 256, 3, 3\]|features.16.weight is missing"):
+    with pytest.raises(HyalineError, match="not the weights of these layers"):
         PerceptualLoss("vgg19", str(place))
     place.write_bytes(b"no weights")
-    with pytest.raises(HyalineError, match="torch cannot read it"):
+    with pytest.raises(HyalineError, match="not the weights of these layers"):
         PerceptualLoss("vgg16", str(place))
     assert LossConfig(vgg="vgg19", vgg_weights="random").describe() == "VGG19 of random weights (a stand-in)"
 
@@ -208,17 +199,21 @@ def test_a_run_with_all_losses_resumes_to_the_bit(
         check_same_run(tmp_path / "parts", dataclasses.replace(config, loss=LossConfig()), **seals)
 
 
-def test_impossible_losses_are_refused() -> None:
-    with pytest.raises(HyalineError, match="inpaint: needs the discriminator's judgement; give --adversarial"):
-        LossConfig(inpaint=True)
-    with pytest.raises(HyalineError, match="perceptual: there is no network to compare with; give --vgg-weights"):
-        LossConfig(perceptual=0.1)
-    with pytest.raises(HyalineError, match="patch: is 16; expected at least 32"):
-        LossConfig(patch=16)
-    with pytest.raises(HyalineError, match="patch: has no effect without --vgg-weights or --adversarial"):
-        LossConfig(patch=32)
+@pytest.mark.parametrize(
+    ("terms", "error"),
+    [
+        ({"inpaint": True}, "inpaint: needs the discriminator"),
+        ({"perceptual": 0.1}, "perceptual: there is no network"),
+        ({"patch": 16}, "patch: is 16; expected at least 32"),
+        ({"patch": 32}, "patch: has no effect without"),
+        ({"softness": -1}, "softness: is -1; expected at least 0"),
+    ],
+)
+def test_impossible_losses_are_refused(terms: dict[str, Any], error: str) -> None:
+    with pytest.raises(HyalineError, match=error):
+        LossConfig(**terms)
     small = dataclasses.replace(SMALL, method="dnr", net=DnrConfig(crop=16), loss=LossConfig(adversarial=0.01))
-    with pytest.raises(HyalineError, match="adversarial: patches are 16 pixels wide; the discriminator needs at least"):
+    with pytest.raises(HyalineError, match="adversarial: patches are 16 pixels wide"):
         check_losses(small, square(32))
 
 
@@ -239,19 +234,11 @@ def test_visits_are_where_gradients_arrive(dataset: Dataset) -> None:
 
 
 def test_patches_lie_around_their_pixels_inside_their_views() -> None:
-    pixel = torch.tensor([0, 2 * 1024 + 16 * 32 + 20, 3 * 1024 - 1])
-    index = patches_around(pixel, 9, square(32))
-    assert index.shape == (3, 9, 9)
-    assert [int(part.min()) for part in index] == [0, 2 * 1024 + 12 * 32 + 16, 2 * 1024 + 23 * 32 + 23]
-    assert all(place in part for place, part in zip(pixel, index))
-    assert torch.equal(index[0, :, 0], 32 * torch.arange(9))
-
-
-def test_patches_stay_inside_oblong_views() -> None:
     pixel = torch.tensor([0, 24 * 16 - 1, 24 * 16 + 8 * 24 + 12])  # Two corners of one view, the middle of the next.
     index = patches_around(pixel, 5, Resolution(width=24, height=16))
     assert [int(part.min()) for part in index] == [0, 11 * 24 + 19, 24 * 16 + 6 * 24 + 10]
     assert [int(part.max()) for part in index] == [4 * 24 + 4, 24 * 16 - 1, 24 * 16 + 10 * 24 + 14]
+    assert all(place in part for place, part in zip(pixel, index))
 
 
 def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
@@ -337,8 +324,3 @@ def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset,
     slope = np.sign(missed) if not softness else missed / np.hypot(missed, softness)
     assert renderer.color.grad is not None
     np.testing.assert_allclose(renderer.color.grad.numpy(), slope.mean(axis=0) / 3, rtol=1e-4, atol=1e-7)
-
-
-def test_a_softness_below_zero_is_refused() -> None:
-    with pytest.raises(HyalineError, match="softness: is -1; expected at least 0"):
-        LossConfig(softness=-1)

@@ -11,7 +11,7 @@ from datagen.terminal.parsing import flag_words, flags_of
 from model.cli import main
 from model.methods.table import BUILT_IN, METHODS
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
-from model.settings.run_flags import RunFlags
+from model.settings import RunFlags
 
 
 @pytest.mark.parametrize(

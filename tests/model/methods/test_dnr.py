@@ -17,10 +17,9 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.layers import load_pixels
 from model.batches.rays import draw_patches
-from model.methods.dnr import renderer as dnr
-from model.methods.dnr.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig
-from model.methods.dnr.renderer import DnrRenderer, UNet
-from model.methods.paper.config import MlpFirstConfig
+from model.methods.paper import dnr
+from model.methods.paper.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig, MlpFirstConfig
+from model.methods.paper.dnr import DnrRenderer, UNet
 from model.methods.protocol import Inputs
 from model.methods.table import open_inputs
 from model.nets.extrinsics import spherical_harmonics

@@ -19,8 +19,7 @@ from model.methods.paper.renderer import PaperRenderer
 from model.nets.texture import TexturePyramid
 from model.run.run_folder import is_finished, read_run
 from model.run.train_flags import configure, folder_name, parse_train
-from model.settings.losses import LossConfig
-from model.settings.optimisation import PixelOptimisation
+from model.settings import LossConfig, PixelOptimisation
 
 
 def test_the_published_preset_is_the_paper_and_the_default(dataset: Dataset) -> None:

@@ -11,7 +11,7 @@ from datagen.disk.errors import HyalineError
 from model.methods.renderer import ParameterGroup
 from model.nets.muon import MOMENTUM, Muon, matrices_of, orthogonalized
 from model.run.optimizer import Optimizer, make_optimizer
-from model.settings.optimisation import Optimisation
+from model.settings import Optimisation
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -19,7 +19,7 @@ from model.methods.table import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
 from model.nets.texture import TexturePyramid
-from model.settings.network_parts import EXTRINSIC_CHANNELS
+from model.settings import EXTRINSIC_CHANNELS
 
 
 @pytest.mark.parametrize(

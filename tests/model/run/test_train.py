@@ -22,7 +22,7 @@ from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import render_predictions
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
-from model.settings.optimisation import decay
+from model.settings import decay
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -12,9 +12,8 @@ import hyaline
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from hyaline_web.view.live_run import LiveRun, MovedOn
-from model.methods.dnr.config import DnrConfig
 from model.methods.light_path.config import LightPathConfig
-from model.methods.paper.config import PaperConfig
+from model.methods.paper.config import DnrConfig, PaperConfig
 from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
 from model.run.train import train

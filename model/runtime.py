@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, get_args
 
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import choose
-from model.settings.run_flags import Device
+from model.settings import Device
 
 if TYPE_CHECKING:
     import torch

@@ -12,16 +12,16 @@ from torch.nn import functional
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
+from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
 from model.losses.pixel_losses import PatchTerms
-from model.methods.dnr.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
+from model.methods.paper.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.methods.stored_pixels import load_stored, peel_as_stored
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import TexturePyramid, object_layout
-from model.settings.network_parts import UNetNorm
+from model.settings import UNetNorm
 
 
 class DnrRenderer(Renderer[PixelSource[RayBatch]]):
@@ -183,8 +183,16 @@ def load(
     *,
     with_images: bool,
 ) -> PixelSource[RayBatch]:
-    return load_stored(inputs, split, views, with_images=with_images, whole_views=True)
+    return load_pixels(
+        inputs.dataset,
+        inputs.geometry,
+        split,
+        views,
+        with_images=with_images,
+        max_layers=inputs.num_layers,
+        whole_views=True,
+    )
 
 
 def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
-    return peel_as_stored(inputs, cameras, whole_views=True)
+    return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras, whole_views=True)
