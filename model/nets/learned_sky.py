@@ -4,11 +4,11 @@ import itertools
 import math
 
 import torch
-from jaxtyping import Float32, Int, Int32
+from jaxtyping import Float32, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.nets.texture import FINER_COUNTS, constant_on, level_scales, sum_texels
+from model.nets.texture import FINER_COUNTS, constant_on, level_scales, sum_texels, taps_around
 
 LOBE_RATE = 2.5
 """Learning rate of the lobes relative to the maps: they are few numbers, each constrained by many rays."""
@@ -128,16 +128,21 @@ def _angles(direction: Float32[Tensor, "exit 3"]) -> tuple[Float32[Tensor, " exi
     return torch.atan2(y, x) / torch.pi, 2 * torch.acos(z.clamp(-1, 1)) / torch.pi - 1
 
 
+def _wrapped(texels: Float32[Tensor, "3 tex_h tex_w"]) -> Float32[Tensor, "3 tex_h further"]:
+    """A map that goes once around, whose ends get a column from the other end."""
+    width = texels.shape[2]
+    return texels.index_select(2, constant_on((width - 1, *range(width), 0), torch.int32, texels.device))
+
+
 def _look_up_map(
     texels: Float32[Tensor, "3 tex_h tex_w"], azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"]
 ) -> Float32[Tensor, "exit 3"]:
-    """Bilinear look-ups in a map that goes once around; both angles run from -1 to 1."""
+    """Bilinear look-ups in a map; both angles run from -1 to 1."""
     width = texels.shape[2]
-    # Wrap around: each end gets a column from the other end.
-    columns = constant_on((width - 1, *range(width), 0), torch.int32, texels.device)
-    padded = texels.index_select(2, columns)[None]
     place = torch.stack([azimuth * (width / (width + 2)), polar], dim=-1)
-    found = functional.grid_sample(padded, place[None, None], padding_mode="border", align_corners=False)
+    found = functional.grid_sample(
+        _wrapped(texels)[None], place[None, None], padding_mode="border", align_corners=False
+    )
     return found.squeeze((0, 2)).T
 
 
@@ -152,31 +157,18 @@ def _sum_of_maps(
     On a GPU, each operation is a launch, and `grid_sample` has gradients that differ from run to run; on a CPU this
     takes four times as long.
     """
-    texels, weights = _bilinear_taps(azimuth, polar, tuple((each.shape[1], each.shape[2]) for each in maps))
-    repeated = tuple(scale for scale in scales for _ in range(4))
-    table = torch.cat([each.flatten(1) for each in maps], dim=1).T.contiguous()
-    return sum_texels(table, texels, weights * constant_on(repeated, torch.float32, azimuth.device))
-
-
-def _bilinear_taps(
-    azimuth: Float32[Tensor, " exit"], polar: Float32[Tensor, " exit"], sizes: tuple[tuple[int, int], ...]
-) -> tuple[Int32[Tensor, "exit tap"], Float32[Tensor, "exit tap"]]:
-    """The four texels around each direction in each map, and their weights, which sum to 1 in each.
-
-    Texels count row by row, and on through the maps.
-    """
-    firsts = itertools.accumulate((height * width for height, width in sizes[:-1]), initial=0)
-    heights, widths = zip(*sizes, strict=True)
-    first, width, last = (
-        constant_on(tuple(values), torch.int32, azimuth.device)[:, None]
-        for values in (firsts, widths, (height - 1 for height in heights))
+    device, wrapped = azimuth.device, [_wrapped(texels) for texels in maps]
+    heights, widths = zip(*(texels.shape[1:] for texels in wrapped), strict=True)
+    lasts = tuple(side - 1 for side in widths + heights)
+    firsts = itertools.accumulate((height * width for height, width in zip(heights[:-1], widths)), initial=0)
+    first, stride = (constant_on(tuple(values), torch.int32, device) for values in (firsts, widths))
+    last = constant_on(lasts, torch.int32, device).view(2, 1, -1)
+    half = constant_on(
+        tuple((side - 2) / 2 for side in widths) + tuple(side / 2 for side in heights), torch.float32, device
     )
-    half = constant_on(tuple(side / 2 for side in heights + widths), torch.float32, azimuth.device).view(2, 1, -1)
-    # Both angles at once: on a GPU, each operation is a launch.
-    place = torch.addcmul(half - 0.5, torch.stack([polar, azimuth])[..., None], half)
-    low = place.floor()
-    rows, columns = torch.stack([low, low + 1], dim=-1).int()
-    rows = torch.minimum(rows.clamp_min(0), last)
-    texels = (first + rows * width)[..., :, None] + (columns % width)[..., None, :]
-    down, across = torch.stack([1 - (place - low), place - low], dim=-1)
-    return texels.flatten(1), (down[..., :, None] * across[..., None, :]).flatten(1)
+    half = half.view(2, 1, -1)
+    middle = last / 2
+    texels, weights = taps_around(middle + half * torch.stack([azimuth, polar])[..., None], first, last, stride)
+    table = torch.cat([texels.flatten(1) for texels in wrapped], dim=1).T.contiguous()
+    repeated = tuple(scale for scale in scales for _ in range(4))
+    return sum_texels(table, texels, weights * constant_on(repeated, torch.float32, device))

@@ -47,7 +47,7 @@ class Muon:
         gradients = [cast(Tensor, matrix.grad) for matrix in self._matrices]
         torch._foreach_lerp_(self._momentum, gradients, 1 - MOMENTUM)
         ahead = torch._foreach_lerp(gradients, self._momentum, MOMENTUM)  # Nesterov's
-        moves = orthogonalized(ahead)
+        moves = [orthogonalized(matrix) for matrix in ahead]
         torch._foreach_mul_(moves, [-rate * RMS * math.sqrt(max(move.shape)) for move in moves])
         torch._foreach_add_(self._matrices, moves)
 
@@ -64,30 +64,14 @@ class Muon:
             momentum.copy_(cast(Tensor, found))
 
 
-def orthogonalized(matrices: Sequence[Float32[Tensor, "_ _"]]) -> list[Float32[Tensor, "_ _"]]:
-    """Matrices with the same singular vectors and singular values between about 0.7 and 1.2; those below a thousandth
-    of a matrix's largest stay smaller.
-
-    On a GPU, where each operation is a launch, all are padded to one size.
-    """
-    wide = [matrix if matrix.shape[0] <= matrix.shape[1] else matrix.T for matrix in matrices]
-    if wide[0].is_cuda:
-        together = wide[0].new_zeros(
-            len(wide), *(max(sides) for sides in zip(*(each.shape for each in wide), strict=True))
-        )
-        for place, matrix in zip(together, wide, strict=True):
-            place[: matrix.shape[0], : matrix.shape[1]] = matrix
-        found = [place[: each.shape[0], : each.shape[1]] for place, each in zip(_iterated(together), wide, strict=True)]
-    else:
-        found = [_iterated(matrix[None])[0] for matrix in wide]
-    return [each if each.shape == matrix.shape else each.T for each, matrix in zip(found, matrices, strict=True)]
-
-
-def _iterated(matrices: Float32[Tensor, "matrix row column"]) -> Float32[Tensor, "matrix row column"]:
-    """Newton and Schulz's iteration with Jordan's coefficients, for matrices of at most as many rows as columns."""
+def orthogonalized(matrix: Float32[Tensor, "row column"]) -> Float32[Tensor, "row column"]:
+    """A matrix with the same singular vectors and singular values between about 0.7 and 1.2; those below a thousandth
+    of its largest stay smaller. By Newton and Schulz's iteration with Jordan's coefficients."""
+    if matrix.shape[0] > matrix.shape[1]:
+        return orthogonalized(matrix.T).T
     a, b, c = COEFFICIENTS
-    found = matrices / (torch.linalg.vector_norm(matrices, dim=(1, 2), keepdim=True) + 1e-7)
+    found = matrix[None] / (torch.linalg.vector_norm(matrix[None], dim=(1, 2), keepdim=True) + 1e-7)
     for _ in range(ITERATIONS):
         gram = torch.bmm(found, found.mT)
         found = torch.baddbmm(found, torch.baddbmm(gram, gram, gram, beta=b, alpha=c), found, beta=a)
-    return found
+    return found[0]

@@ -28,9 +28,6 @@ BLOCK = 1024
 AHEAD = 16
 """Slots by which texels are prefetched."""
 
-STRIPE = 6
-"""Stripes of 2^6 texels in turn belong to each thread while the gradient is summed."""
-
 
 @numba.njit
 def taps(uv, places, slot, place):
@@ -129,6 +126,7 @@ def add_look_ups(
                 result[slot, c] += w0 * table[r0, c] + w1 * table[r1, c] + w2 * table[r2, c] + w3 * table[r3, c]
 
 
+@compiled(boundscheck=False)
 def add_gradient(
     gradient: Float32[np.ndarray, "texel c"],
     upstream: Float32[np.ndarray, "slot c"],
@@ -136,29 +134,8 @@ def add_gradient(
     object_id: UInt8[np.ndarray, " slot"],
     places: Int32[np.ndarray, "3 object"],
     scale: np.float32,
-    parts: int,
 ) -> None:
-    """Adds the gradient of `add_look_ups` with respect to its table.
-
-    Args:
-        parts: threads that share the work; each texel's sum is taken in slot order, so it has the same bits for any
-            number of them.
-    """
-    if parts == 1:
-        _add_gradient(gradient, upstream, uv, object_id, places, scale)
-    else:
-        _add_stripes(gradient, upstream, uv, object_id, places, scale, parts)
-
-
-@compiled(boundscheck=False)
-def _add_gradient(
-    gradient: Float32[np.ndarray, "texel c"],
-    upstream: Float32[np.ndarray, "slot c"],
-    uv: Float32[np.ndarray, "slot 2"],
-    object_id: UInt8[np.ndarray, " slot"],
-    places: Int32[np.ndarray, "3 object"],
-    scale: np.float32,
-) -> None:
+    """Adds the gradient of `add_look_ups` with respect to its table, in slot order: sums repeat bit by bit."""
     num_slots, channels = upstream.shape
     for block in range((num_slots + BLOCK - 1) // BLOCK):
         slots, rows, weights, count = _list_hits(block, uv, object_id, places)
@@ -167,38 +144,6 @@ def _add_gradient(
             slot = slots[hit]
             for tap in range(4):
                 row, share = rows[hit, tap], weights[hit, tap] * scale
-                for c in range(channels):
-                    gradient[row, c] += share * upstream[slot, c]
-
-
-@compiled(parallel=True, boundscheck=False)
-def _add_stripes(
-    gradient: Float32[np.ndarray, "texel c"],
-    upstream: Float32[np.ndarray, "slot c"],
-    uv: Float32[np.ndarray, "slot 2"],
-    object_id: UInt8[np.ndarray, " slot"],
-    places: Int32[np.ndarray, "3 object"],
-    scale: np.float32,
-    parts: int,
-) -> None:
-    """Each part reads all slots and adds to its own stripes of texels, so no locks are needed."""
-    num_slots, channels = upstream.shape
-    for part in numba.prange(parts):
-        # The texels of its stripes in a block of slots.
-        texels, shares = np.empty((4 * BLOCK, 2), np.int32), np.empty(4 * BLOCK, np.float32)
-        for block in range((num_slots + BLOCK - 1) // BLOCK):
-            slots, rows, weights, count = _list_hits(block, uv, object_id, places)
-            own = 0
-            for hit in range(count):
-                for tap in range(4):
-                    if (rows[hit, tap] >> STRIPE) % parts == part:
-                        texels[own, 0], texels[own, 1] = rows[hit, tap], slots[hit]
-                        shares[own] = weights[hit, tap] * scale
-                        own += 1
-            for place in range(own):
-                if place + 4 * AHEAD < own:
-                    fetch(gradient, texels[place + 4 * AHEAD, 0])
-                row, slot, share = texels[place, 0], texels[place, 1], shares[place]
                 for c in range(channels):
                     gradient[row, c] += share * upstream[slot, c]
 

@@ -53,9 +53,22 @@ def bilinear_taps(
     `grid_sample(align_corners=False, padding_mode="border")`.
     """
     base, size, stride = places_on(layouts, uv.device)[:, object_id.int() - 1]
-    last = size - 1
-    # Columns and rows of all layouts at once: on a GPU, each operation is a launch.
-    place = torch.stack([uv[:, 0], 1 - uv[:, 1]])[..., None] * size - 0.5
+    return taps_around(torch.stack([uv[:, 0], 1 - uv[:, 1]])[..., None] * size - 0.5, base, size - 1, stride)
+
+
+def taps_around(
+    place: Float32[Tensor, "2 hit table"],
+    base: Int32[Tensor, "*#b"],
+    last: Int32[Tensor, "*#c"],
+    stride: Int32[Tensor, "*#b"],
+) -> tuple[Int32[Tensor, "hit tap"], Float32[Tensor, "hit tap"]]:
+    """`bilinear_taps` of columns and rows, counted in texels from the centre of each table's first one.
+
+    Args:
+        last: columns and rows of the last texels.
+
+    All tables are looked up at once: on a GPU, each operation is a launch.
+    """
     place = torch.minimum(place.clamp_min(0), last)
     corner = place.int()
     further = place - corner
@@ -155,7 +168,7 @@ class _CompiledSample(torch.autograd.Function):
         ]
         uv_gradient = torch.zeros(uv.shape) if ctx.needs_input_grad[0] else None  # pyright: ignore[reportAttributeAccessIssue]
         for table, gradient, (places, scale) in zip(tables, gradients, ctx.levels, strict=True):  # pyright: ignore[reportAttributeAccessIssue]
-            add_gradient(gradient.numpy(), above, *slots, places, scale, torch.get_num_threads())
+            add_gradient(gradient.numpy(), above, *slots, places, scale)
             if uv_gradient is not None:
                 texels = table.detach().contiguous().numpy()
                 add_uv_gradient(uv_gradient.numpy(), above, texels, *slots, places, scale)

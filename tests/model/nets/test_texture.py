@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from torch import Tensor
 from torch.nn import functional
 
-from model.nets.texels import add_gradient
 from model.nets.texture import TextureLayout, level_scales, object_layout, sample, sample_by_bags
 
 
@@ -161,21 +160,6 @@ def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int)
     assert own_uv.grad is not None and plain_uv.grad is not None
     assert own_uv.grad.abs().max() > 1
     torch.testing.assert_close(own_uv.grad, plain_uv.grad, atol=1e-3, rtol=1e-4)
-
-
-def test_the_gradient_has_the_same_bits_for_any_number_of_threads() -> None:
-    generator = np.random.default_rng(0)
-    layout = object_layout((40, 25))
-    places = np.array([layout.bases, layout.sizes, layout.strides], np.int32)
-    uv = generator.random((5000, 2), np.float32)
-    object_id = generator.integers(0, 3, 5000).astype(np.uint8)
-    upstream = generator.standard_normal((5000, 8), np.float32)
-    gradients = []
-    for parts in (1, 2, 3, 7):
-        gradient = np.zeros((layout.num_texels, 8), np.float32)
-        add_gradient(gradient, upstream, uv, object_id, places, np.float32(0.5), parts)
-        gradients.append(gradient)
-    assert all((gradient == gradients[0]).all() for gradient in gradients) and gradients[0].any()
 
 
 def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
