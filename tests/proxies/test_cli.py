@@ -1,8 +1,6 @@
 """Tests of the command `proxies`: what it writes, keeps, makes anew and refuses."""
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -123,26 +121,12 @@ def test_errors_are_one_line_with_the_way_out(arguments: str, code: int, message
     assert message in answer.err
 
 
-def test_a_half_built_dataset_is_one_line() -> None:
-    (ONE / "scene/meshes/floor.ply").unlink()
-    answer = call("proxies make one")
-    assert answer.status == 1 and "floor.ply: the file is missing" in answer.err
-    assert not (ONE / "proxies/ellipsoid/proxies.json").exists()
-
-
 def test_proxies_of_another_dataset_are_refused() -> None:
     call("proxies make --kind box")
     write_synthetic_dataset(Path("data/two"), resolution=8, train_views=2)
     (ONE / "proxies").rename("data/two/proxies")
     assert "of another dataset" in call("proxies make two --kind box").err
     assert call("proxies make two --kind box --overwrite").status == 0
-
-
-def test_help_and_fitting_import_neither_renderer_nor_network() -> None:
-    heavy = {"scipy", "trimesh", "pymeshlab", "mitsuba", "torch", "model", "eval"}
-    for module in ("proxies.cli", "proxies.make"):
-        code = f"import sys, {module}; sys.exit(str({heavy} & set(sys.modules) or ''))"
-        assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.strip() == ""
 
 
 def test_a_variant_shares_the_proxies_of_its_dataset() -> None:

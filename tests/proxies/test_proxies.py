@@ -22,7 +22,7 @@ from datagen.data.meshes import (
 from datagen.data.paths import ProxyKind
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings
-from proxies.meshing import measure, solid
+from proxies.meshing import measure
 from proxies.meshing.solid import Solid, make_solid, outside_by
 
 KINDS = list(FITTERS)
@@ -227,18 +227,6 @@ CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
 """Of the kinds that lay out their own atlas; xatlas unwraps the others."""
 
 
-def test_charts_of_a_box_keep_two_texels_apart_at_256() -> None:
-    proxy = fit("box", make_solid(shapes(0)[1]), padding=1e-5)
-    charts = np.split(proxy.uv * 256, np.flatnonzero(np.any(np.diff(proxy.normals, axis=0) != 0, axis=1)) + 1)
-    assert len(charts) == 6
-    for index, one in enumerate(charts):
-        assert one.min() >= 1
-        assert one.max() <= 255
-        for other in charts[:index]:
-            gaps = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-            assert gaps.max() > 2
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_ray_that_hits_the_object_hits_its_proxy_first(kind: ProxyKind) -> None:
     rng = np.random.default_rng(3)
@@ -279,16 +267,6 @@ def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
             [side for mesh in meshes for side in (mesh.vertices[:, axis].min(), mesh.vertices[:, axis].max())]
         )
         assert np.diff(sides).min() > 1e-6  # A step is 3e-6 here, and float32 resolves 1e-7.
-
-
-def test_thickening_leaves_solid_points_alone_and_gives_flat_ones_a_millimetre() -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(10, 3))
-    assert solid.thickened(points) is points
-    floor = solid.thickened(np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
-    assert np.ptp(floor, axis=0) == pytest.approx([2, 2, 1e-3])
-    small = solid.thickened(np.array([[0, 0, 0], [1e-2, 0, 0], [0, 1e-2, 0]]))
-    assert np.ptp(small, axis=0)[2] == pytest.approx(1e-5)
 
 
 def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:

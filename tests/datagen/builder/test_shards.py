@@ -2,6 +2,7 @@
 
 import dataclasses
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,6 @@ from support.commands import run
 from support.synthetic import synthetic_scene
 
 from datagen.builder.build import open_or_start
-from datagen.builder.choices import parse_shard
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.geometries import geometry_hash
@@ -56,14 +56,14 @@ def run_at_once(lines: list[list[str]]) -> list[str]:
 
 
 @pytest.mark.slow
-def test_parts_made_at_once_are_the_whole_byte_for_byte(scene_folder: Path, tmp_path: Path) -> None:
+def test_parts_made_at_once_are_the_whole_byte_for_byte(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     whole, out = tmp_path / "whole", tmp_path / "parts"
-    build_whole(scene_folder, whole)
+    shutil.copytree(built, whole)
     run(f"datagen add {whole} {ALL}")
     said = run_at_once([command(scene_folder, out, "--shard", part) for part in ("1/2", "2/2")])
     add = [sys.executable, "-m", "datagen", "add", str(out), *ALL.split()]
     run_at_once([[*add, "--shard", part] for part in ("1/2", "2/2")])
-    assert tree(out) == tree(tmp_path / "whole")
+    assert tree(out) == tree(whole)
     assert verify_dataset(out).problems == []
     assert any("and with it the dataset\nnoise ceiling train: " in text for text in said)
 
@@ -133,27 +133,3 @@ def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
         pass
     with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
         pass
-
-
-@pytest.mark.parametrize("text", ["0/3", "4/3", "3", "1/0", "-1/2", "a/b", "1/2/3", "", "½/2"])
-def test_a_part_that_cannot_be_is_refused(text: str) -> None:
-    with pytest.raises(HyalineError, match=r"^shard: is .*; expected"):
-        parse_shard(text)
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (("--launcher", "local", "--shard", "1/2"), "--launcher: builds all parts; leave out --shard"),
-        (("--shard", "1/2", "--overwrite"), "--overwrite: cannot be combined with --shard; delete"),
-        (("--launcher", "local"), 'submitit, which is not installed; `pip install "hyaline-glass[cluster]"` brings it'),
-    ],
-)
-def test_flags_that_do_not_go_together_are_one_line(
-    scene_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
-) -> None:
-    monkeypatch.setitem(sys.modules, "submitit", None)
-    answer = build(scene_folder, tmp_path / "out", *words)
-    assert answer.status == (1 if "pip install" in message else 2)
-    assert message in answer.err and answer.err.count("error: ") == 1
-    assert not list(tmp_path.iterdir())

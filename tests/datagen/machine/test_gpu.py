@@ -67,11 +67,3 @@ def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch
     assert hardware.cuda_problem() == "no OptiX"
     assert hardware.cuda_problem(again=True) == "no OptiX"
     assert tried.read_text() == "once once once once "
-
-
-def test_without_a_home_directory_the_gpu_is_tried_in_each_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("HOME", raising=False)
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
-    monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX')")
-    assert hardware.cuda_problem() == "no OptiX"

@@ -13,7 +13,7 @@ from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.materials.optics import Event, Optics, Plugin, Surface, TexturePlugin
+from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture, SolidTexture
 
@@ -21,7 +21,7 @@ use_mitsuba()
 
 from datagen.render.mitsuba_scene import load_scene_mitsuba  # noqa: E402
 from datagen.trace.light_path import LightPathTracer  # noqa: E402
-from datagen.trace.surface_tables import EVENTS, Limits  # noqa: E402
+from datagen.trace.surface_tables import Limits  # noqa: E402
 
 SAMPLES: dict[type[Material], Material] = {
     Dielectric: Dielectric(ior=1.4, absorption=(1.0, 2.0, 3.0), tint=(0.9, 0.7, 0.2), priority=-2, dispersion=0.3),
@@ -43,11 +43,6 @@ FURNACE = SoftEnvironment(zenith=(1, 1, 1), horizon=(1, 1, 1), ground=(1, 1, 1))
 def material(request: pytest.FixtureRequest) -> Material:
     """Each material that is listed; one without a sample fails."""
     return SAMPLES[request.param]
-
-
-def test_every_event_is_known_to_the_tracer_by_a_number_of_its_own() -> None:
-    assert set(EVENTS) == set(typing.get_args(Event))
-    assert len(set(EVENTS.values())) == len(EVENTS)
 
 
 def test_a_material_is_read_as_it_was_written(material: Material) -> None:

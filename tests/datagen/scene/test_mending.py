@@ -54,16 +54,6 @@ def scene_folder(folder: Path, mesh: Mesh | bytes, material: object = GREY) -> P
     return folder
 
 
-def with_faces(mesh: Mesh, *more: tuple[int, int, int]) -> Mesh:
-    return dataclasses.replace(mesh, faces=np.concatenate([mesh.faces, np.array(more, np.int32)]))
-
-
-def with_normals(mesh: Mesh, count: int, factor: float) -> Mesh:
-    normals = mesh.normals.copy()
-    normals[:count] *= factor
-    return dataclasses.replace(mesh, normals=normals)
-
-
 def with_other_uv(mesh: Mesh, change: object) -> Mesh:
     return dataclasses.replace(mesh, uv=change(mesh.uv).astype(np.float32))
 

@@ -197,12 +197,6 @@ def test_checker_and_stripes_repeat_after_scale_and_swap_after_half(pattern: str
     np.testing.assert_allclose(here + there, np.broadcast_to(np.add(RED, BLUE), here.shape), atol=1e-6)
 
 
-def test_stripes_run_across_their_axis_only() -> None:
-    texture = SolidTexture(pattern="stripes", colors=(RED, BLUE), scale=0.25, axis="z")
-    flat = points() * [1, 1, 0]
-    assert np.ptp(evaluate_texture(texture, flat), axis=0).max() == 0
-
-
 def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
     p = points() * 5
     for noise in (value_noise, lambda q: fractal_noise(q, octaves=4)):

@@ -6,7 +6,6 @@ import pytest
 from support.meshes import chart_map
 
 from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume
-from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
 from datagen.scene.builtin import SCENES, make_scene
 from datagen.scene.description import Scene
@@ -90,8 +89,3 @@ def test_saving_and_loading_gives_the_same_scene(scene: Scene, tmp_path: Path) -
         assert (before.name, before.material) == (after.name, after.material)
         for array in dataclasses.fields(Mesh):
             np.testing.assert_array_equal(getattr(before.mesh, array.name), getattr(after.mesh, array.name))
-
-
-def test_an_unknown_scene_is_answered_with_the_nearest() -> None:
-    with pytest.raises(HyalineError, match="did you mean 'vitrine'"):
-        make_scene("vitrin")

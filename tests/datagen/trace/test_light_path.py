@@ -374,18 +374,6 @@ def test_rays_may_all_end_on_surfaces_or_all_leave(down: float, ends: int, exits
     assert found.exit_throughput.tolist() == [[1, 1, 1]] * exits
 
 
-@pytest.mark.parametrize("offset", [0, 1, 5, 16])
-def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: int) -> None:
-    tracer = LightPathTracer((wide(0.0),), (GREY,))
-    memory = np.zeros(offset + 3 * 50, np.float32)
-    for shift in (0, offset):
-        directions = memory[shift : shift + 150].reshape(50, 3)
-        directions[:] = (0, 0, -1)
-        paths = tracer.trace(np.ones((50, 3), np.float32), directions)
-        assert (paths.object_id[0, 0] == 1).all()
-    assert tracer._trace.n_recordings == 1
-
-
 def test_a_changed_tracer_traces_as_a_fresh_one_does() -> None:
     def slab(thickness: float) -> Mesh:
         return mesh_of(trimesh.creation.box((3, 3, thickness)))
