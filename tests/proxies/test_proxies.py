@@ -101,7 +101,7 @@ def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, di
         assert signed_volume(proxy) >= own.hull_volume * (1 - 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_box_of_a_turned_box_has_its_volume_and_its_sides(seed: int) -> None:
     rng = np.random.default_rng(seed)
     half = np.sort(rng.uniform(0.1, 1, 3))[::-1]
@@ -120,7 +120,7 @@ def test_a_tetrahedron_gets_the_box_that_no_face_of_it_lies_flush_with() -> None
     assert np.prod(2 * box.smallest_box(own).half) == pytest.approx(8, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_ellipsoid_of_an_ellipsoids_points_has_its_radii_and_centre(seed: int) -> None:
     rng = np.random.default_rng(seed)
     radii, center, turn = np.sort(rng.uniform(0.05, 2, 3)), rng.normal(size=3), random_rotation(rng)
@@ -132,7 +132,7 @@ def test_the_ellipsoid_of_an_ellipsoids_points_has_its_radii_and_centre(seed: in
     np.testing.assert_allclose(found.center, center, atol=2e-3)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_ellipsoid_meets_johns_condition(seed: int) -> None:
     """Source: John 1948: weights on contact points, of zero mean and with the identity as scatter, prove optimality."""
     rng = np.random.default_rng(seed)
@@ -192,7 +192,7 @@ def test_the_rounded_hull_of_a_box_is_a_fifth_larger_and_the_hull_of_a_ball_a_th
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("piece", range(5))
+@pytest.mark.parametrize("piece", [0, 3, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
 def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, piece: int) -> None:
     proxy = wrap_of(piece)[1] if kind == "wrap" else fit(kind, make_solid(shapes(0)[piece]), padding=1e-5)
     corners = proxy.uv[proxy.faces].astype(np.float64)
@@ -307,7 +307,7 @@ def wrap_of(piece: int) -> tuple[Mesh, Mesh]:
     return truth, fit("wrap", own, padding=paddings((own,))[0])
 
 
-@pytest.mark.parametrize("piece", range(6))
+@pytest.mark.parametrize("piece", [0, 3, 5, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
 def test_wraps_are_closed_outward_and_enclose_all_of_the_surface(piece: int) -> None:
     truth, proxy = wrap_of(piece)
     check_mesh(proxy, where="wrap")
@@ -326,7 +326,7 @@ def test_a_wrap_leaves_the_hollow_of_a_cup_open() -> None:
     assert signed_volume(truth) < signed_volume(proxy) < 0.6 * make_solid(truth).hull_volume
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_crossed_faces_are_those_that_a_loop_finds(seed: int) -> None:
     """Oracle: an edge crosses a face where the tetrahedra it spans with the face's sides have volumes of one sign."""
     rng = np.random.default_rng(seed)

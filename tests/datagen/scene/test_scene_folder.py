@@ -85,14 +85,6 @@ def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, ch
         load_scene(tmp_path)
 
 
-def test_more_objects_than_ids_are_refused() -> None:
-    scene = synthetic_scene()
-    floor = scene.objects[1]
-    many = tuple(SceneObject(name=f"o{i}", mesh=floor.mesh, material=floor.material) for i in range(256))
-    with pytest.raises(HyalineError, match="256 objects; expected 1 to 255"):
-        check_scene(dataclasses.replace(scene, objects=many))
-
-
 def glass_scene(*glass: tuple[Mesh, Dielectric]) -> Scene:
     objects = tuple(SceneObject(name=f"g{i}", mesh=mesh, material=material) for i, (mesh, material) in enumerate(glass))
     return dataclasses.replace(synthetic_scene(), objects=objects)
