@@ -87,12 +87,6 @@ def test_a_run_says_what_it_is_and_is_found_from_elsewhere(home: Path, monkeypat
     assert hyaline.list_runs(home / "runs") == sorted(f"glass_table/{name}" for name in METHODS)
 
 
-def test_a_u_net_draws_pictures_that_are_not_square() -> None:
-    run = hyaline.open_run("glass_table/dnr")
-    camera = run.dataset.view("interpolating", 0).camera
-    assert run.render(dataclasses.replace(camera, width=48, height=20)).shape == (20, 48, 3)
-
-
 def refusal(name: str, camera: hyaline.Camera) -> str:
     with pytest.raises(hyaline.HyalineError) as caught:
         hyaline.open_run(name).render(camera)

@@ -125,17 +125,6 @@ def _peel(dataset: Dataset, num_layers: int, *, overwrite: bool) -> None:
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)
 
 
-def test_peeling_equals_the_closed_formula_on_the_whole_dataset(tmp_path: Path) -> None:
-    dataset = write_synthetic_dataset(tmp_path, resolution=16, train_views=2)
-    expected = [dataset.view("train", view).layers() for view in range(2)]
-    _peel(dataset, 4, overwrite=True)
-    for view, layers in enumerate(expected):
-        peeled = dataset.view("train", view).layers()
-        assert np.array_equal(peeled.object_id, layers.object_id)
-        assert np.abs(peeled.uv.astype(int) - layers.uv).max() <= 1
-        assert np.abs(peeled.depth - layers.depth).max() < 1e-4
-
-
 def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> None:
     from datagen.disk.storage import one_writer
 

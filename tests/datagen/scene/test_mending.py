@@ -58,8 +58,6 @@ def with_other_uv(mesh: Mesh, change: object) -> Mesh:
     return dataclasses.replace(mesh, uv=change(mesh.uv).astype(np.float32))
 
 
-A, B, C = BALL.faces[0].tolist()
-
 MENDED: dict[str, tuple[Mesh, object, str]] = {
     "uv that are all 0": (
         with_other_uv(BALL, np.zeros_like),
@@ -100,14 +98,9 @@ def test_what_can_be_mended_is_and_a_line_names_the_object(
 
 
 REFUSED: dict[str, tuple[Mesh, object, str]] = {
-    "slivers": (
-        dataclasses.replace(BALL, faces=np.tile(np.int32([[A, A, B]]), (4, 1))),
-        GREY,
-        r"object thing: face 0 has no area",
-    ),
     "a corner that is no number": (
         dataclasses.replace(
-            BALL, vertices=np.where(np.arange(len(BALL.vertices))[:, None] == A, np.nan, BALL.vertices)
+            BALL, vertices=np.where(np.arange(len(BALL.vertices))[:, None] == 7, np.nan, BALL.vertices)
         ),
         GREY,
         r"thing.ply: has positions that are not three finite numbers",
