@@ -14,17 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes
-from datagen.data.variants import ANGLES, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import code_version
 from eval.page.report import make_report
-from eval.score.runs import Record, list_run_folders
+from eval.score.runs import Record
 from eval.tables.grids import CEILING
 from eval.tables.pages import results_page
 from model.run.run_folder import RunRecord
@@ -227,14 +225,6 @@ def test_the_report_knows_every_key_that_training_writes() -> None:
     assert {item.name for item in dataclasses.fields(RunRecord)} == {item.name for item in dataclasses.fields(Record)}
 
 
-def test_the_folder_of_one_run_is_refused(copy: Path) -> None:
-    run = copy / "runs" / "synthetic" / "grey"
-    shutil.copytree(run / "predictions", variant_root(run, ANGLES) / "predictions")
-    answer = call(f"report {run}")
-    assert answer.status == 1 and "is a run; name a folder of runs" in answer.error
-    assert "skipped" not in answer.err
-
-
 def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(copy / "runs" / "synthetic" / "grey", copy / "runs" / "again" / "perfect")
     record = copy / "runs" / "again" / "perfect" / "run.json"
@@ -244,14 +234,6 @@ def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixtu
     assert list(rows) == ["again/perfect", "foreign_nerf", "grey", "synthetic/perfect", CEILING]
     assert rows["again/perfect"]["psnr_db_interpolating"] == rows["grey"]["psnr_db_interpolating"]
     assert rows["synthetic/perfect"]["psnr_db_interpolating"] == "inf"
-
-
-def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:
-    runs = copy / "runs"
-    (runs / "synthetic" / "latest").symlink_to("grey")
-    (runs / "report" / "inner").mkdir(parents=True)
-    names = [path.name for path in list_run_folders(runs, besides=runs / "report")]
-    assert names == ["foreign_nerf", "grey", "perfect", "unfinished"]
 
 
 # The command

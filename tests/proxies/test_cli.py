@@ -57,15 +57,6 @@ def test_a_second_run_keeps_the_files_and_overwrite_makes_the_same_bytes(peeled:
     assert [item["overwrite"] for item in peeled] == [False, False, True]
 
 
-def test_a_damaged_mesh_is_made_again() -> None:
-    call("proxies make --kind box")
-    path = ONE / "proxies/box/meshes/floor.ply"
-    good = path.read_bytes()
-    path.write_bytes(good[:-20] + b" " + good[-19:])
-    assert "making them again" in call("proxies make --kind box").err
-    assert path.read_bytes() == good
-
-
 def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(peeled: list[dict[str, Any]]) -> None:
     dataset = open_dataset(ONE)
     mixture = "proxies make --assign *=hull --assign pa*=ellipsoid --assign floor=box"

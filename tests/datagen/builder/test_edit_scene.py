@@ -22,7 +22,7 @@ from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.contact import TOLERANCE, touching_share
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
+from datagen.scene.edits import edit_scene, edits_name, moved_mesh, parse_edit
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
 from datagen.scene.textures import SolidTexture, evaluate_texture
@@ -55,20 +55,6 @@ def table(*, gap: float = 0.001) -> Scene:
 
 
 # The scene
-
-
-@pytest.mark.parametrize(
-    ("text", "edit", "name"),
-    [
-        ("remove:ball", Edit(verb="remove", objects=("ball",)), "remove-ball"),
-        ("move:a_b:0.10,-2,0", Edit(verb="move", objects=("a_b",), offset=(0.1, -2.0, 0.0)), "move-a_b-0.1,-2,0"),
-        ("swap:a:b", Edit(verb="swap", objects=("a", "b")), "swap-a-b"),
-    ],
-)
-def test_an_edit_is_read_and_written_in_one_way(text: str, edit: Edit, name: str) -> None:
-    assert parse_edit(text) == edit
-    assert parse_edit(describe_edit(edit)) == edit
-    assert edits_name((edit, parse_edit("glass:c"))) == f"{name}+glass-c"
 
 
 def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None:

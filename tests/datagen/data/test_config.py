@@ -5,15 +5,9 @@ from pathlib import Path
 import pytest
 from support.synthetic import write_synthetic_dataset
 
-from datagen.data.config import MAX_SIDE, SPLITS, Resolution, parse_resolution, square
+from datagen.data.config import MAX_SIDE, SPLITS, Resolution, parse_resolution
 from datagen.data.dataset import open_dataset
 from datagen.disk.errors import HyalineError
-
-
-@pytest.mark.parametrize("resolution", [square(256), Resolution(width=320, height=240), Resolution(width=1, height=9)])
-def test_what_is_printed_is_read_back(resolution: Resolution) -> None:
-    assert parse_resolution(str(resolution)) == resolution
-    assert parse_resolution(str(resolution).replace(" ", "")) == resolution
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.cli import main
 from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, refuse_taken, remove_files
+from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, remove_files
 from datagen.disk.storage import commit_sealed, load_sealed, seal_bytes, sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
@@ -84,12 +84,6 @@ def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="images: is a symbolic link"):
         remove_files(root, ["images/train/0000.png"])
     assert {path: sha256(data) for path, data in tree(other).items()} == before
-
-
-def test_a_new_file_takes_no_place_that_is_taken(tmp_path: Path) -> None:
-    put(tmp_path, "images/0001.png", "images/0002.png")
-    with pytest.raises(HyalineError, match=r"images/0002\.png: is in the way"):
-        refuse_taken(tmp_path, DATASET, ["images/0001.png", "images/0002.png"], ["images/0001.png"])
 
 
 def test_overwrite_replaces_files_and_nothing_else(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.data.images import png_bytes
 from eval.page.report import make_report
-from eval.page.run_page import ranked_views, read_training
+from eval.page.run_page import ranked_views
 from eval.score.scores import SplitScores
 
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
@@ -97,12 +97,3 @@ def test_the_worst_the_median_and_the_best_view_come_first() -> None:
     ranked = ranked_views(SplitScores(images={"psnr_db": values}))
     assert ranked == [(1, "worst"), (4, "median"), (2, "best"), (3, ""), (0, ""), (5, "")]
     assert [rank for _, rank in ranked_views(SplitScores(images={"psnr_db": (5.0,)}))] == ["worst"]
-
-
-def test_training_curves_are_thinned_and_other_lines_passed_over(tmp_path: Path) -> None:
-    lines = [json.dumps({"step": step, "loss": 0.5, "note": "text"}) for step in range(1000)]
-    (tmp_path / "metrics.jsonl").write_text("\n".join([*lines, '{"loss": 1}']))
-    curves = read_training(tmp_path)
-    assert list(curves) == ["loss"] and len(curves["loss"]) == 334
-    shutil.rmtree(tmp_path)
-    assert read_training(tmp_path) == {}
