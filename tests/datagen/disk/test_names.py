@@ -23,11 +23,6 @@ def test_what_is_no_plain_name_is_refused(text: str) -> None:
         check_name(text, where="scene name")
 
 
-@pytest.mark.parametrize("text", ["glass_table", "remove-ball+move-mug-0.1,0,0", "noise-0.01", "x2"])
-def test_the_names_of_folders_are_plain(text: str) -> None:
-    assert check_name(text, where="edit") == text == file_name(text)
-
-
 @pytest.mark.parametrize("text", ["../x", "/x", "a//b", "a/./b", "a/../../b", "", "a\nb", "a\\b"])
 def test_a_path_that_could_lead_elsewhere_is_refused(text: str) -> None:
     with pytest.raises(HyalineError, match="expected a file inside the folder"):

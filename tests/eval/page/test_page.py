@@ -2,7 +2,6 @@
 
 import json
 import math
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -70,20 +69,6 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     )  # All are shown.
     pictures = [svg for svg in page.all("svg") if "picture" in (svg.attributes.get("class") or "")]
     assert pictures and all(svg.attributes["aria-label"] and svg.attributes["role"] == "img" for svg in pictures)
-
-
-def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(root: Path, tmp_path: Path) -> None:
-    shutil.copytree(root, tmp_path / "copy")
-    path = tmp_path / "copy" / "runs" / "synthetic" / "plain" / "run.json"
-    record = json.loads(path.read_text()) | {"method": "paper", "flags": {"steps": "9", "seed": "3", "zero-layer": ""}}
-    path.write_text(json.dumps(record))
-    codes = [code.text for code in read_page(write_page(tmp_path / "copy", tmp_path / "out")).all("code")]
-    assert "model train paper data/synthetic --steps 9 --seed 3 --zero-layer" in codes
-    foreign = {key: value for key, value in record.items() if key != "flags"}
-    path.write_text(json.dumps(foreign))
-    written = read_page(write_page(tmp_path / "copy", tmp_path / "out"))
-    assert not any("model train paper data" in code.text for code in written.all("code"))
-    assert any("does not record the command" in paragraph.text for paragraph in written.all("p"))
 
 
 def test_the_same_runs_give_the_same_page(root: Path, tmp_path: Path) -> None:
