@@ -14,17 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.commands import call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes
-from datagen.data.variants import ANGLES, variant_root
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import code_version
 from eval.page.report import make_report
-from eval.score.runs import Record, list_run_folders
+from eval.score.runs import Record
 from eval.tables.grids import CEILING
 from eval.tables.pages import results_page
 from model.run.run_folder import RunRecord
@@ -167,13 +165,6 @@ def test_every_format_has_all_cells_and_marks_the_best(
     assert list(rows).index("perfect") < list(rows).index("grey")
 
 
-def test_a_partly_identical_split_says_so(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    truth = copy / "data" / "synthetic" / "images" / "interpolating" / "0000.png"
-    shutil.copy(truth, copy / "runs/synthetic/grey/predictions/interpolating/0000.png")
-    report(copy, "table")
-    assert "grey, interpolating: PSNR dB is infinite in 1 of 2 pictures, left out." in capsys.readouterr().out
-
-
 def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.rmtree(copy / "data" / "synthetic" / "layers")
     report(copy)
@@ -230,48 +221,8 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
         make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="csv")
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        *('{"unheard_of": 1}', '{"seed": 1e999}', '{"seed": "three"}'),
-        *('{"flags": ["--steps"]}', '{"config": 3}', '{"config": ' + "[" * 70 + "]" * 70 + "}"),
-    ],
-)
-def test_a_record_that_cannot_be_trusted_is_refused(copy: Path, text: str) -> None:
-    (copy / "runs" / "synthetic" / "grey" / "run.json").write_text(text)
-    with pytest.raises(HyalineError, match=r"grey/run\.json"):
-        report(copy)
-
-
 def test_the_report_knows_every_key_that_training_writes() -> None:
     assert {item.name for item in dataclasses.fields(RunRecord)} == {item.name for item in dataclasses.fields(Record)}
-
-
-def test_no_run_at_all_says_how_to_make_one(tmp_path: Path) -> None:
-    with pytest.raises(
-        HyalineError,
-        match=r"contains no predictions; make some with `model train paper`, or put a method",
-    ):
-        report(tmp_path)
-
-
-def test_the_folder_of_one_run_is_refused(copy: Path) -> None:
-    run = copy / "runs" / "synthetic" / "grey"
-    shutil.copytree(run / "predictions", variant_root(run, ANGLES) / "predictions")
-    answer = call(f"report {run}")
-    assert answer.status == 1 and "is a run; name a folder of runs" in answer.error
-    assert "skipped" not in answer.err
-
-
-def test_a_run_that_was_put_beside_those_of_scenes_is_reported(
-    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    shutil.copytree(made / "runs" / "synthetic" / "grey", tmp_path / "mine")
-    shutil.copytree(made / "runs" / "synthetic" / "perfect", tmp_path / "synthetic" / "perfect")
-    make_report(tmp_path, made / "data", tmp_path / "out", output_format="csv")
-    out, err = capsys.readouterr()
-    assert list(csv_rows(out)) == ["mine", "perfect", CEILING]
-    assert "skipped" not in err
 
 
 def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -285,23 +236,6 @@ def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixtu
     assert rows["synthetic/perfect"]["psnr_db_interpolating"] == "inf"
 
 
-def test_a_dataset_without_truth_does_not_hide_the_others(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    dataset = write_synthetic_dataset(copy / "data" / "hidden", train_views=3)
-    write_predictions(dataset, copy / "runs" / "hidden" / "mine", "interpolating", darken)
-    shutil.rmtree(dataset.root / "records" / "interpolating")
-    with pytest.raises(HyalineError, match=r"hidden/records/interpolating/0000\.json"):
-        report(copy)
-    assert list(csv_rows(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect", CEILING]
-
-
-def test_a_link_to_the_latest_run_counts_once(copy: Path) -> None:
-    runs = copy / "runs"
-    (runs / "synthetic" / "latest").symlink_to("grey")
-    (runs / "report" / "inner").mkdir(parents=True)
-    names = [path.name for path in list_run_folders(runs, besides=runs / "report")]
-    assert names == ["foreign_nerf", "grey", "perfect", "unfinished"]
-
-
 # The command
 
 
@@ -311,22 +245,6 @@ def environment() -> dict[str, str]:
 
 def command(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, cwd=cwd, env=environment(), capture_output=True, text=True, timeout=180)
-
-
-@pytest.mark.parametrize(
-    "form",
-    [
-        ["report"],
-        [sys.executable, "-m", "eval", "report"],
-        ["bash", "-c", "eval report --help"],
-    ],
-    ids=["report", "python-m", "bash"],
-)
-def test_every_form_answers_help(form: list[str], tmp_path: Path) -> None:
-    done = command(*form, "--help", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "usage: report" in done.stdout
-    assert "--format" in done.stdout
 
 
 def test_typed_in_bash_it_prints_only_the_table_on_stdout(made: Path, tmp_path: Path) -> None:

@@ -55,16 +55,6 @@ def test_views_and_rays_are_those_of_the_files(dataset: hyaline.Dataset) -> None
         views[8]
 
 
-def test_a_score_is_that_of_another_library() -> None:
-    import skimage.metrics
-
-    rng = np.random.default_rng(0)
-    pred, target = rng.integers(0, 256, (2, 24, 20, 3), np.uint8)
-    scores = hyaline.score(pred, target)
-    assert scores.psnr_db == pytest.approx(skimage.metrics.peak_signal_noise_ratio(target, pred, data_range=255))
-    assert scores.masked_psnr_db is None and hyaline.score(pred[:8], target[:8]).ssim is None
-
-
 def test_importing_it_brings_neither_torch_nor_mitsuba() -> None:
     heavy = {"torch", "mitsuba", "drjit", "scipy", "matplotlib", "skimage"}
     code = f"import hyaline, sys; print({heavy} & set(sys.modules))"

@@ -143,21 +143,6 @@ def test_a_run_has_the_settings_that_were_asked_for_and_is_trained_once(
     assert run.render(view.camera).shape == view.image.shape
 
 
-def test_a_setting_that_is_none_is_refused_with_the_nearest_one(dataset: hy.Dataset) -> None:
-    for settings, said in (
-        ({"stepz": 3}, "no setting 'stepz'; did you mean 'steps'"),
-        ({"steps": "3"}, "steps: is '3'; expected"),
-        ({"lr": 5.0}, "lr: is 5.0; expected a learning rate"),
-        ({"device": "gpu"}, "device: is 'gpu'; expected 'auto', 'cpu', 'cuda'"),
-    ):
-        with pytest.raises(hy.HyalineError, match=said):
-            hy.train("paper", dataset, **settings)
-    with pytest.raises(hy.HyalineError, match="did you mean 'paper'"):
-        hy.train("papre", dataset)
-    with pytest.raises(hy.HyalineError, match="no kind 'truth'; choose from box"):
-        hy.make_proxies(dataset, "truth")
-
-
 class Sky(Renderer[PlainRayPixels]):
     def __init__(self) -> None:
         super().__init__()

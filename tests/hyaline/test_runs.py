@@ -22,7 +22,6 @@ METHODS = {
     "light-path": "light-path --texture-size 16 --render-rays 4 --refined-rays 9 --branches 4",
 }
 """Runs of each kind of method by name, with the flags that make them small."""
-CPU = torch.device("cpu")
 
 
 @pytest.fixture(scope="module")
@@ -88,12 +87,6 @@ def test_a_run_says_what_it_is_and_is_found_from_elsewhere(home: Path, monkeypat
     assert hyaline.list_runs(home / "runs") == sorted(f"glass_table/{name}" for name in METHODS)
 
 
-def test_a_u_net_draws_pictures_that_are_not_square() -> None:
-    run = hyaline.open_run("glass_table/dnr")
-    camera = run.dataset.view("interpolating", 0).camera
-    assert run.render(dataclasses.replace(camera, width=48, height=20)).shape == (20, 48, 3)
-
-
 def refusal(name: str, camera: hyaline.Camera) -> str:
     with pytest.raises(hyaline.HyalineError) as caught:
         hyaline.open_run(name).render(camera)
@@ -110,13 +103,6 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path)
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
     assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
     assert "choose from glass_table/dnr, " in refusal("glass_table/nothing", camera)
-
-
-def test_a_method_without_the_hook_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    run = hyaline.open_run("glass_table/paper")
-    monkeypatch.setattr(type(run.config.net), "draws_cameras", False)
-    with pytest.raises(hyaline.HyalineError, match="paper can only draw the views of its dataset, "):
-        run.render(run.dataset.view("train", 0).camera)
 
 
 def test_cameras_on_a_circle_keep_distance_and_height_and_look_at_its_middle() -> None:

@@ -1,8 +1,6 @@
 """Tests of the command `proxies`: what it writes, keeps, makes anew and refuses."""
 
 import dataclasses
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -57,15 +55,6 @@ def test_a_second_run_keeps_the_files_and_overwrite_makes_the_same_bytes(peeled:
     assert all(path.stat().st_mtime_ns != before[path][0] for path in files)
     assert {path: path.read_bytes() for path in files} == {path: data for path, (_, data) in before.items()}
     assert [item["overwrite"] for item in peeled] == [False, False, True]
-
-
-def test_a_damaged_mesh_is_made_again() -> None:
-    call("proxies make --kind box")
-    path = ONE / "proxies/box/meshes/floor.ply"
-    good = path.read_bytes()
-    path.write_bytes(good[:-20] + b" " + good[-19:])
-    assert "making them again" in call("proxies make --kind box").err
-    assert path.read_bytes() == good
 
 
 def test_a_mixture_gives_each_object_the_proxy_that_its_kind_alone_gives(peeled: list[dict[str, Any]]) -> None:
@@ -123,26 +112,12 @@ def test_errors_are_one_line_with_the_way_out(arguments: str, code: int, message
     assert message in answer.err
 
 
-def test_a_half_built_dataset_is_one_line() -> None:
-    (ONE / "scene/meshes/floor.ply").unlink()
-    answer = call("proxies make one")
-    assert answer.status == 1 and "floor.ply: the file is missing" in answer.err
-    assert not (ONE / "proxies/ellipsoid/proxies.json").exists()
-
-
 def test_proxies_of_another_dataset_are_refused() -> None:
     call("proxies make --kind box")
     write_synthetic_dataset(Path("data/two"), resolution=8, train_views=2)
     (ONE / "proxies").rename("data/two/proxies")
     assert "of another dataset" in call("proxies make two --kind box").err
     assert call("proxies make two --kind box --overwrite").status == 0
-
-
-def test_help_and_fitting_import_neither_renderer_nor_network() -> None:
-    heavy = {"scipy", "trimesh", "pymeshlab", "mitsuba", "torch", "model", "eval"}
-    for module in ("proxies.cli", "proxies.make"):
-        code = f"import sys, {module}; sys.exit(str({heavy} & set(sys.modules) or ''))"
-        assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stderr.strip() == ""
 
 
 def test_a_variant_shares_the_proxies_of_its_dataset() -> None:

@@ -22,7 +22,7 @@ from datagen.data.meshes import (
 from datagen.data.paths import ProxyKind
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings
-from proxies.meshing import measure, solid
+from proxies.meshing import measure
 from proxies.meshing.solid import Solid, make_solid, outside_by
 
 KINDS = list(FITTERS)
@@ -101,7 +101,7 @@ def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, di
         assert signed_volume(proxy) >= own.hull_volume * (1 - 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_box_of_a_turned_box_has_its_volume_and_its_sides(seed: int) -> None:
     rng = np.random.default_rng(seed)
     half = np.sort(rng.uniform(0.1, 1, 3))[::-1]
@@ -120,7 +120,7 @@ def test_a_tetrahedron_gets_the_box_that_no_face_of_it_lies_flush_with() -> None
     assert np.prod(2 * box.smallest_box(own).half) == pytest.approx(8, rel=1e-3)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_ellipsoid_of_an_ellipsoids_points_has_its_radii_and_centre(seed: int) -> None:
     rng = np.random.default_rng(seed)
     radii, center, turn = np.sort(rng.uniform(0.05, 2, 3)), rng.normal(size=3), random_rotation(rng)
@@ -132,7 +132,7 @@ def test_the_ellipsoid_of_an_ellipsoids_points_has_its_radii_and_centre(seed: in
     np.testing.assert_allclose(found.center, center, atol=2e-3)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_ellipsoid_meets_johns_condition(seed: int) -> None:
     """Source: John 1948: weights on contact points, of zero mean and with the identity as scatter, prove optimality."""
     rng = np.random.default_rng(seed)
@@ -192,7 +192,7 @@ def test_the_rounded_hull_of_a_box_is_a_fifth_larger_and_the_hull_of_a_ball_a_th
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("piece", range(5))
+@pytest.mark.parametrize("piece", [0, 3, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
 def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, piece: int) -> None:
     proxy = wrap_of(piece)[1] if kind == "wrap" else fit(kind, make_solid(shapes(0)[piece]), padding=1e-5)
     corners = proxy.uv[proxy.faces].astype(np.float64)
@@ -225,18 +225,6 @@ def faces_around(points: np.ndarray, a: np.ndarray, b: np.ndarray, c: np.ndarray
 
 CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
 """Of the kinds that lay out their own atlas; xatlas unwraps the others."""
-
-
-def test_charts_of_a_box_keep_two_texels_apart_at_256() -> None:
-    proxy = fit("box", make_solid(shapes(0)[1]), padding=1e-5)
-    charts = np.split(proxy.uv * 256, np.flatnonzero(np.any(np.diff(proxy.normals, axis=0) != 0, axis=1)) + 1)
-    assert len(charts) == 6
-    for index, one in enumerate(charts):
-        assert one.min() >= 1
-        assert one.max() <= 255
-        for other in charts[:index]:
-            gaps = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
-            assert gaps.max() > 2
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -281,16 +269,6 @@ def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
         assert np.diff(sides).min() > 1e-6  # A step is 3e-6 here, and float32 resolves 1e-7.
 
 
-def test_thickening_leaves_solid_points_alone_and_gives_flat_ones_a_millimetre() -> None:
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(10, 3))
-    assert solid.thickened(points) is points
-    floor = solid.thickened(np.array([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]))
-    assert np.ptp(floor, axis=0) == pytest.approx([2, 2, 1e-3])
-    small = solid.thickened(np.array([[0, 0, 0], [1e-2, 0, 0], [0, 1e-2, 0]]))
-    assert np.ptp(small, axis=0)[2] == pytest.approx(1e-5)
-
-
 def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
     cube = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
     truth = box.fit_box(make_solid(cloud_mesh(cube)), padding=0)
@@ -329,7 +307,7 @@ def wrap_of(piece: int) -> tuple[Mesh, Mesh]:
     return truth, fit("wrap", own, padding=paddings((own,))[0])
 
 
-@pytest.mark.parametrize("piece", range(6))
+@pytest.mark.parametrize("piece", [0, 3, 5, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
 def test_wraps_are_closed_outward_and_enclose_all_of_the_surface(piece: int) -> None:
     truth, proxy = wrap_of(piece)
     check_mesh(proxy, where="wrap")
@@ -348,7 +326,7 @@ def test_a_wrap_leaves_the_hollow_of_a_cup_open() -> None:
     assert signed_volume(truth) < signed_volume(proxy) < 0.6 * make_solid(truth).hull_volume
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_crossed_faces_are_those_that_a_loop_finds(seed: int) -> None:
     """Oracle: an edge crosses a face where the tetrahedra it spans with the face's sides have volumes of one sign."""
     rng = np.random.default_rng(seed)

@@ -132,57 +132,6 @@ def convolve(volume: np.ndarray, kernels: np.ndarray, biases: np.ndarray) -> np.
     return result
 
 
-def nearest_training_angles(
-    train: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
-    test: tuple[np.ndarray, np.ndarray, np.ndarray],
-    points: np.ndarray,
-    is_glass: list[bool],
-    grid: int,
-) -> dict[tuple[int, int], tuple[float, int]]:
-    """By (row, column) of a test view: the largest angle in radians over its visible layers, and the fewest views.
-
-    Args:
-        train, test: of each view the camera's centre, object ids (layer, h, w) and uv in [0, 1] (layer, h, w, 2).
-        points: where the test rays meet the layers (layer, h, w, 3).
-    """
-
-    def texels(ids: np.ndarray, uv: np.ndarray, row: int, column: int) -> list[tuple[int, int, int, int]]:
-        found = []
-        for layer in range(len(ids)):
-            name = int(ids[layer, row, column])
-            if name == 0:
-                break
-            u, v = (min(int(value * grid), grid - 1) for value in uv[layer, row, column])
-            found.append((layer, name, u, v))
-            if not is_glass[name]:
-                break
-        return found
-
-    seen: dict[tuple[int, int, int, int], set[int]] = {}
-    for view, (_, ids, uv) in enumerate(train):
-        for row, column in np.ndindex(ids.shape[1:]):
-            for texel in texels(ids, uv, row, column):
-                seen.setdefault(texel, set()).add(view)
-    answer = {}
-    center, ids, uv = test
-    for row, column in np.ndindex(ids.shape[1:]):
-        angles, counts = [], []
-        for texel in texels(ids, uv, row, column):
-            views = seen.get(texel, set())
-            point = points[texel[0], row, column]
-            between = [angle_between(point - center, point - train[view][0]) for view in views]
-            angles.append(min(between, default=np.inf))
-            counts.append(len(views))
-        if angles:
-            answer[row, column] = (max(angles), min(counts))
-    return answer
-
-
-def angle_between(a: np.ndarray, b: np.ndarray) -> float:
-    """Radians, exact for small angles too."""
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
-
-
 def winding_numbers(mesh: Mesh, points: np.ndarray) -> np.ndarray:
     """How often a surface winds around each point: 1 inside, 0 outside. Source: van Oosterom and Strackee 1983."""
     a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64)[None] - points[:, None, None], 2, 0)

@@ -10,7 +10,6 @@ from support.synthetic import quad, synthetic_scene
 from datagen.builder.angles import angle_outside, make_angle_cameras, places_outside
 from datagen.data.config import ANGLE_SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.meshes import Mesh
-from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig
 
 RIG = dataclasses.replace(
@@ -86,14 +85,3 @@ def test_cameras_aim_at_the_centre_and_are_spread() -> None:
         apart = np.linalg.norm(places[:, None] - places, axis=-1) + 9 * np.eye(5)
         assert apart.min() > 0.2
         assert (item.width, item.fov_x) == (24, math.radians(RIG.fov_deg))
-
-
-def test_a_scene_without_such_a_place_says_so() -> None:
-    scene = synthetic_scene()  # Once around, up to 80 degrees.
-    few = SplitConfig(views=5, spp=2)
-    config = DatasetConfig(
-        scene="s", preset="p", resolution=square(24), train=few, interpolating=few, extrapolating=few
-    )
-    message = "extrapolating-40deg: scene synthetic has no place for a camera 40 degrees outside of training's azimuths"
-    with pytest.raises(HyalineError, match=message):
-        make_angle_cameras(scene, config)

@@ -151,7 +151,17 @@ def differing(found: dict[str, bytes | str], whole: dict[str, bytes | str]) -> l
     return [path for path in sorted(found.keys() | whole.keys()) if found.get(path) != whole.get(path)]
 
 
-@pytest.mark.parametrize("kind", [kind for kind in DAMAGES if kind != "swapped"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        *("deleted", "flipped"),
+        *(
+            pytest.param(kind, marks=pytest.mark.full)
+            for kind in DAMAGES
+            if kind not in ("deleted", "flipped", "swapped")
+        ),
+    ],
+)
 def test_a_damaged_head_is_named_and_comes_back_when_its_folder_is_moved_away(here: Path, kind: str) -> None:
     whole = tree(ROOT)
     heads = [path for path in whole if role(path) == "head" and path != "dataset.json"]

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,15 +65,6 @@ def test_rays_equal_the_ones_of_a_second_implementation() -> None:
     axis = -cameras.world_from_camera[2, :3, 2]
     cosine = float(directions[0, 0] @ axis)
     assert math.tan(math.acos(cosine)) == pytest.approx(math.hypot(tangent, tangent), rel=1e-4)
-
-
-def test_cameras_survive_the_transforms_files(tmp_path: Path) -> None:
-    from support.synthetic import write_synthetic_dataset
-
-    dataset = write_synthetic_dataset(tmp_path)
-    once = dataset.cameras("train")
-    assert once.world_from_camera.shape == (8, 4, 4)
-    assert once.fov_x == np.radians(50)
 
 
 def test_lens_and_depths_survive_the_transforms_files_of_any_size() -> None:

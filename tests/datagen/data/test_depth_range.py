@@ -26,7 +26,7 @@ def depth_range(cameras: Cameras, *meshes: Mesh) -> tuple[float, float]:
     return made.near, made.far
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_they_hold_every_surface_of_a_picture(seed: int) -> None:
     rng = np.random.default_rng(seed)
     # Some triangles are larger than a picture, some cross its border, some the plane of the camera.

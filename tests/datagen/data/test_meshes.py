@@ -14,26 +14,14 @@ from datagen.data.meshes import (
     Mesh,
     check_closed,
     check_mesh,
-    component_of_faces,
-    face_corners,
     open_edges,
     signed_volume,
     unfolded,
-    winding_number,
 )
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 
 BALL = mesh_of(trimesh.creation.icosphere(2))
-
-
-def test_a_mesh_survives_its_ply_file(tmp_path: Path) -> None:
-    path = tmp_path / "ball.ply"
-    path.write_bytes(write_ply(BALL))
-    loaded, has_uv = read_ply(path)
-    assert has_uv
-    for field in dataclasses.fields(Mesh):
-        assert np.array_equal(getattr(loaded, field.name), getattr(BALL, field.name)), field.name
 
 
 def test_our_ply_files_are_those_of_trimesh_and_are_read_without_it(
@@ -94,13 +82,6 @@ def test_volume_and_openness_of_known_shapes() -> None:
     assert open_edges(dataclasses.replace(box, faces=box.faces[1:])) == 3
 
 
-def test_components_are_counted_across_seams() -> None:
-    two = trimesh.util.concatenate([trimesh.creation.box(), trimesh.creation.box().apply_translation((5, 0, 0))])
-    two.unmerge_vertices()
-    components = component_of_faces(mesh_of(two))
-    assert sorted(np.bincount(components)) == [12, 12]
-
-
 def broken(**changes: object) -> Mesh:
     return dataclasses.replace(BALL, **changes)
 
@@ -145,9 +126,3 @@ def test_an_inverted_part_is_refused_and_a_cavity_is_not() -> None:
     assert signed_volume(beside) > 0  # Looking at the whole would not tell.
     with pytest.raises(HyalineError, match=r"part 2 of 2 encloses -0\.2\d* m\^3, so it is inside out"):
         check_closed(beside, where="balls")
-
-
-def test_the_winding_number_tells_inside_from_outside() -> None:
-    corners = face_corners(BALL)
-    assert winding_number(np.array([0.3, 0.2, -0.5]), corners) == pytest.approx(1)
-    assert winding_number(np.array([1.3, 0.2, -0.5]), corners) == pytest.approx(0, abs=1e-9)

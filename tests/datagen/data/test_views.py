@@ -6,13 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.checked import unchecked
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import srgb_from_linear, to_8bit
-from datagen.disk.errors import DamagedError, HyalineError
+from datagen.disk.errors import DamagedError
 
 OPENED: list[str] = []
 
@@ -83,21 +82,6 @@ def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
     if broken != "dataset.json":
         with pytest.raises(DamagedError):
             read(here)
-
-
-def test_what_is_not_there_is_named(dataset: Dataset) -> None:
-    with pytest.raises(HyalineError, match="train has no view 99; expected 0 to"):
-        dataset.view("train", 99)
-    with unchecked(), pytest.raises(HyalineError, match=r"index: is 1\.5; expected int"):
-        dataset.view("train", 1.5)  # type: ignore[arg-type]
-    with unchecked(), pytest.raises(HyalineError, match="split: is 'validation'; expected 'train', "):
-        dataset.view("validation", 0)  # type: ignore[arg-type]
-    with pytest.raises(HyalineError, match="has no object 'teapot'; expected one of"):
-        dataset.object_id("teapot")
-    with pytest.raises(HyalineError, match="has no geometry box; make proxies with `proxies make`"):
-        dataset.view("train", 0).layers("box")
-    with unchecked(), pytest.raises(HyalineError, match="what: is 'wood'; expected 'glass'"):
-        dataset.view("train", 0).mask("wood")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("center", [None, (1.25, 4.5), (-3.0, 8.0)])

@@ -9,7 +9,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.cli import main
 from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, refuse_taken, remove_files
+from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, remove_files
 from datagen.disk.storage import commit_sealed, load_sealed, seal_bytes, sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
@@ -73,19 +73,6 @@ def test_a_folder_is_begun_only_where_nothing_else_stands(tmp_path: Path) -> Non
     assert (tmp_path / "new/thing.json").read_bytes() == HEAD
 
 
-@pytest.mark.parametrize("damage", [None, b"{}"])
-def test_a_dataset_without_an_intact_head_is_left_alone(tmp_path: Path, damage: bytes | None) -> None:
-    root = tmp_path / "data"
-    write_synthetic_dataset(root, resolution=8, train_views=1)
-    (root / "dataset.json").unlink()
-    if damage is not None:
-        (root / "dataset.json").write_bytes(damage)
-    before = tree(root)
-    with pytest.raises(HyalineError, match=r"is not empty|is damaged"):
-        write_synthetic_dataset(root, resolution=8, train_views=1)
-    assert tree(root) == before
-
-
 def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
     root, other = tmp_path / "data", tmp_path / "other"
     write_synthetic_dataset(root, resolution=8, train_views=1)
@@ -97,20 +84,6 @@ def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="images: is a symbolic link"):
         remove_files(root, ["images/train/0000.png"])
     assert {path: sha256(data) for path, data in tree(other).items()} == before
-
-
-@pytest.mark.parametrize("path", ["../thesis.tex", "/etc/passwd", "a/../../b", "a//b", "", "a\x1b[31m", "a\\..\\b"])
-def test_a_path_that_leads_out_of_its_folder_is_never_removed(tmp_path: Path, path: str) -> None:
-    put(tmp_path, "thesis.tex")
-    with pytest.raises(HyalineError, match="expected a file inside the folder"):
-        remove_files(tmp_path / "mine", [path])
-    assert tree(tmp_path).keys() == {"thesis.tex"}
-
-
-def test_a_new_file_takes_no_place_that_is_taken(tmp_path: Path) -> None:
-    put(tmp_path, "images/0001.png", "images/0002.png")
-    with pytest.raises(HyalineError, match=r"images/0002\.png: is in the way"):
-        refuse_taken(tmp_path, DATASET, ["images/0001.png", "images/0002.png"], ["images/0001.png"])
 
 
 def test_overwrite_replaces_files_and_nothing_else(tmp_path: Path) -> None:
@@ -137,7 +110,7 @@ def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) ->
     assert (tmp_path / "thesis.tex").is_file()
 
 
-@pytest.mark.parametrize("stranger", ["project/download.partial", "notes.txt", "images"])
+@pytest.mark.parametrize("stranger", ["project/download.partial", "images"])
 def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stranger: str
 ) -> None:

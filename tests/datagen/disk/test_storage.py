@@ -1,6 +1,5 @@
 """Tests that files are committed whole, and that a sealed file notices every flipped bit."""
 
-import errno
 import os
 import signal
 import subprocess
@@ -71,16 +70,3 @@ with one_writer(Path({str(tmp_path)!r})):
         other.kill()
     with one_writer(tmp_path):
         assert list(tmp_path.iterdir()) == []
-
-
-def test_a_full_disk_is_told_with_the_file_and_not_with_its_temporary_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(handle: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError) as caught:
-        commit(tmp_path / "file.so", b"bytes")
-    assert caught.value.filename == str(tmp_path / "file.so")
-    assert not (tmp_path / "file.so").exists()

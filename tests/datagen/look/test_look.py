@@ -1,6 +1,5 @@
 """Tests of the look at a dataset: it shows what is there, names what is not, and its light paths obey optics."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +9,9 @@ from support.pages import ReadPage, read_page
 from support.synthetic import HEIGHTS, write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.look.drawings import RAYS, SKY, draw_cameras, find_light_paths, projected, wedge
-from datagen.look.look import folder_sizes, look_page
-from datagen.look.view_pictures import depth_picture, object_colors, stored_pictures
+from datagen.look.drawings import RAYS, SKY, find_light_paths
+from datagen.look.look import look_page
+from datagen.look.view_pictures import object_colors
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 use_mitsuba()
@@ -74,26 +73,6 @@ def test_what_is_missing_or_damaged_is_said_and_the_rest_is_shown(dataset: Datas
     assert "Cameras from above" in labels and not any(str(label).startswith("Light paths over") for label in labels)
 
 
-def test_masks_depth_and_layers_are_what_the_dataset_stores(dataset: Dataset) -> None:
-    view = dataset.view("interpolating", 0)
-    pictures, layers = stored_pictures(view, has_layers=True), view.layers()
-    glass = view.mask("glass")
-    np.testing.assert_array_equal(pictures["glass"][glass], view.image[glass])
-    assert (pictures["glass"][~glass] <= view.image[~glass] // 5).all()
-    np.testing.assert_array_equal(pictures["layer 1"], object_colors(2)[layers.object_id[1]])
-    assert len(np.unique(object_colors(200), axis=0)) == 201
-    depth = depth_picture(np.array([[1, 2], [3, 9]], np.float32), np.array([[True, True], [True, False]]))
-    assert depth[..., 0].tolist() == [[255, 147], [40, 0]]
-    assert list(stored_pictures(view, has_layers=False)) == ["picture"]
-
-
-def test_sizes_are_those_of_the_files(dataset: Dataset) -> None:
-    sizes = folder_sizes(dataset.root)
-    paths = [Path(place) / name for place, _, names in os.walk(dataset.root) for name in names]
-    assert sum(sizes.values()) == sum(path.stat().st_size for path in paths)
-    assert sizes["images"] == sum(path.stat().st_size for path in (dataset.root / "images").rglob("*.*"))
-
-
 def test_a_ray_goes_straight_through_the_thin_pane_to_the_floor_and_its_mirror_image_to_the_sky(
     whole: tuple[Dataset, ReadPage],
 ) -> None:
@@ -122,17 +101,3 @@ def test_a_ray_goes_straight_through_the_thin_pane_to_the_floor_and_its_mirror_i
     kinds = [path.is_reflected for path in paths]
     assert kinds.count(True) == kinds.count(False) == RAYS
     assert any(path.end == "floor" for path in paths)
-
-
-def test_drawings_show_paths_at_their_pixels_and_cameras_where_they_are(whole: tuple[Dataset, ReadPage]) -> None:
-    camera = whole[0].cameras("train")[0]
-    origin, directions = camera.rays()
-    points = origin + np.array([[2.0], [3.0], [-2.0]]) * directions[[5, 20, 5], [9, 16, 9]].astype(np.float64)
-    np.testing.assert_allclose(projected(camera, points), [[9.5, 5.5], [16.5, 20.5]], atol=1e-3)
-    drawn = wedge(camera, 0.5)
-    np.testing.assert_allclose(drawn[[0, -1]], np.tile(origin, (2, 1)), atol=1e-6)
-    ahead = (drawn[1] + drawn[2]) / 2 - drawn[0]
-    np.testing.assert_allclose(ahead, -0.5 * camera.world_from_camera[:3, 2], atol=1e-6)
-    plan = draw_cameras(whole[0])
-    assert len(np.unique(plan.reshape(-1, 3), axis=0)) > 10
-    np.testing.assert_array_equal(plan, draw_cameras(whole[0]))

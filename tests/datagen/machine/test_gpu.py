@@ -50,28 +50,3 @@ def test_a_probe_that_hangs_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(hardware, "_PROBE", "import time; time.sleep(60)")
     monkeypatch.setattr(hardware, "PROBE_LIMIT_S", 0.5)
     assert hardware.cuda_problem() == "the test render took more than 0.5 s"
-
-
-def test_the_gpu_is_tried_once_for_all_processes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    tried = tmp_path / "tried"
-    monkeypatch.setattr(hardware, "_PROBE", f"open({str(tried)!r}, 'a').write('once '); raise SystemExit('no OptiX')")
-    for _ in range(3):
-        hardware.cuda_problem.cache_clear()  # As another process would find it.
-        assert hardware.cuda_problem() == "no OptiX"
-    assert tried.read_text() == "once "
-    monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "1")
-    hardware.cuda_problem.cache_clear()
-    assert hardware.cuda_problem() == "no OptiX"
-    hardware.DRIVERS[1].write_bytes(b"a newer driver")
-    hardware.cuda_problem.cache_clear()
-    assert hardware.cuda_problem() == "no OptiX"
-    assert hardware.cuda_problem(again=True) == "no OptiX"
-    assert tried.read_text() == "once once once once "
-
-
-def test_without_a_home_directory_the_gpu_is_tried_in_each_process(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv("HOME", raising=False)
-    monkeypatch.delenv("XDG_CACHE_HOME")
-    monkeypatch.setattr(os, "getuid", lambda: 12345)  # Whom no machine knows.
-    monkeypatch.setattr(hardware, "_PROBE", "raise SystemExit('no OptiX')")
-    assert hardware.cuda_problem() == "no OptiX"

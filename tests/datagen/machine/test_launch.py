@@ -4,10 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from support.commands import call
 
-from datagen.builder.choices import ShardChoices
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices, run_in_jobs
 
 
@@ -39,14 +37,3 @@ def test_jobs_for_slurm_ask_for_what_was_chosen(tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(HyalineError, match=r"^--launcher slurm: the cluster took no job"):
         run_in_jobs("datagen", {"one": ["scenes"]}, tmp_path / "jobs", chosen)
-
-
-def test_choices_of_jobs_that_cannot_be_are_one_line() -> None:
-    with pytest.raises(UsageError, match=r"^--slurm-time, --slurm-cpus: expected at least 1"):
-        LaunchChoices(launcher="slurm", slurm_time=0)
-    with pytest.raises(UsageError, match=r"^--shards: is 0; expected at least 1"):
-        ShardChoices(launcher="local", shards=0)
-    answer = call("datagen build --slurm-gpus 2 --shards 3")
-    assert answer.status == 2
-    assert answer.err == "error: --slurm-gpus, --shards: need --launcher; give that, too, or leave them out\n"
-    assert call("model train paper --launcher slurm").status == 2

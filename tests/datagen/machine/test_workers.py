@@ -11,14 +11,13 @@ from pathlib import Path
 
 import pytest
 from support.commands import run
-from support.synthetic import quad, synthetic_scene
+from support.synthetic import synthetic_scene
 
 from datagen.builder.build import render_dataset
 from datagen.data.config import describe_views
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import image_path
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import unwrap
 from datagen.scene.folder import save_scene
 
 FLAGS = (
@@ -60,17 +59,3 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     image_path(out, "train", 2).unlink()
     with pytest.raises(HyalineError, match=r"meshes/.*\.ply: the file is missing"):
         render_dataset(dataset, workers=2)  # The workers cannot start: an error of theirs, and no traceback.
-
-
-def test_views_are_named_in_runs() -> None:
-    views = [("extrapolating", 0), *(("train", view) for view in (7, 3, 4, 5, 12))]
-    assert describe_views(views) == "train 3-5, 7, 12; extrapolating 0"  # type: ignore[arg-type]
-
-
-def test_an_unwrapping_child_that_is_killed_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # Where no atlas is kept.
-    monkeypatch.setattr("datagen.machine.processes._START", "import os; os.kill(os.getpid(), 9)")
-    with pytest.raises(
-        HyalineError, match=r"^floor: unwrapping failed \(it was ended by signal 9 .*; run the same command"
-    ):
-        unwrap(quad(0.0), where="floor")

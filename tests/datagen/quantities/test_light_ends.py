@@ -1,8 +1,6 @@
 """Tests refractive flow and attenuation against Snell, Fresnel and Beer, worked out for a slab of glass."""
 
 import dataclasses
-import subprocess
-import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -81,28 +79,6 @@ def test_flow_is_snells_displacement_behind_a_slab(ends: tuple[Camera, LightEnds
     assert np.abs(found.attenuation - share)[inside].max() < 1e-4
 
 
-def test_a_picture_without_glass_warped_by_the_flow_shows_what_is_seen_through_it(
-    ends: tuple[Camera, LightEnds, Surfaces],
-) -> None:
-    camera, found, surfaces = ends
-    rows, columns = np.indices(found.object_id.shape) + 0.5
-    place = np.stack([columns, rows], axis=-1) + found.flow
-
-    def floor_color(points: np.ndarray) -> np.ndarray:
-        return surfaces.albedo(1, np.zeros((len(points), 2)), points)
-
-    # Without glass, pixel `place` shows where its straight ray meets the floor.
-    matrix, focal = camera.world_from_camera, camera.intrinsics[0, 0]
-    straight = np.stack(
-        [(place[..., 0] - 20) / focal, (15 - place[..., 1]) / focal, -np.ones(place.shape[:2])], axis=-1
-    )
-    d_world = straight @ matrix[:3, :3].T
-    warped = matrix[:3, 3] + d_world * (-matrix[2, 3] / d_world[..., 2])[..., None]
-    on_floor = found.object_id == 1
-    assert np.abs(warped - found.position)[on_floor].max() < 1e-3
-    assert np.abs(floor_color(warped[on_floor]) - floor_color(found.position[on_floor].astype(np.float64))).max() < 0.05
-
-
 def at(image: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """A picture at places (column, row) between the centres of its pixels, and which of them it has."""
     height, width = image.shape[:2]
@@ -150,8 +126,3 @@ def test_where_there_is_no_glass_there_is_no_flow(dataset: Dataset) -> None:
     assert np.array_equal(ends.has_left[clear], found.background[clear])
     assert np.abs(ends.position - found.position)[found.object_mask("floor")].max() < 1e-4
     assert ends.has_flow[clear].all() and (ends.flow[found.glass & ends.has_flow] != 0).any()
-
-
-def test_importing_quantities_brings_neither_mitsuba_nor_numba() -> None:
-    code = "import datagen.quantities.view_quantities, sys; print({'mitsuba', 'drjit', 'numba'} & set(sys.modules))"
-    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "set()\n"

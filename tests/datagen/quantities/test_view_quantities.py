@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from support.checked import unchecked
 from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
 
 from datagen.data.dataset import Dataset, View, open_dataset
@@ -81,18 +80,6 @@ def test_normals_are_those_of_the_meshes(found: ViewQuantities) -> None:
     flat = (geometric[on_ball] * outward).sum(axis=-1)
     assert np.cos(np.radians(6)) < flat.min() < np.cos(np.radians(2))
     assert np.abs(geometric[found.object_mask("floor")] - [0, 0, 1]).max() < 1e-6
-
-
-def test_a_normal_in_camera_axes_looks_at_the_viewer(found: ViewQuantities) -> None:
-    there = ~found.background
-    in_camera = found.normal("geometric", "camera")
-    rotation = found.view.camera.world_from_camera[:3, :3]
-    assert np.abs(in_camera @ rotation.T - found.normal("geometric")).max() < 1e-6
-    # What a ray in the middle of the picture meets, it meets from the viewer's side, which is +z.
-    middle = slice(20, 28)
-    assert (in_camera[middle, middle, 2][there[middle, middle]] > 0).all()
-    with unchecked(), pytest.raises(HyalineError, match="kind: is 'smooth'; expected 'shading', 'geometric'"):
-        found.normal("smooth")  # type: ignore[arg-type]
 
 
 def test_albedo_is_the_described_colour_at_the_place(found: ViewQuantities) -> None:

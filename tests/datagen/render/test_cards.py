@@ -4,12 +4,10 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.checked import unchecked
 from support.scenes import rendered, scene_of
 from support.synthetic import look_at, quad
 
 from datagen.data.cameras import Cameras
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Card, Lobe, SceneObject, SoftEnvironment
 from datagen.scene.materials import Diffuse
@@ -79,12 +77,3 @@ def test_the_truth_is_lit_by_a_card_as_its_irradiance_says() -> None:
     irradiance = 2 * np.pi * (radiance_of_environment(sky, d)[..., 0] * height).mean()
     found = rendered(scene_of(floor, environment=sky), view, spp=256).mean()
     assert found == pytest.approx(0.5 * irradiance / np.pi, rel=0.02)
-
-
-def test_a_card_that_cannot_be_is_refused() -> None:
-    with pytest.raises(HyalineError, match=r"^card size_deg: is \(40.0, 180.0\); expected two angles"):
-        dataclasses.replace(BOX, size_deg=(40.0, 180.0))
-    with pytest.raises(HyalineError, match=r"^card softness_deg: is 11.0; expected 0.2 to 10, its narrow side"):
-        dataclasses.replace(BOX, softness_deg=11.0)
-    with pytest.raises(HyalineError, match=r"^Card: roll_deg: is inf; expected finite numbers"), unchecked():
-        dataclasses.replace(BOX, roll_deg=np.inf)

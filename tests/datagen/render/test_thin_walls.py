@@ -25,7 +25,6 @@ from datagen.trace.light_path import LightPathTracer
 
 use_mitsuba()
 
-SMALL = ("--resolution", "4", "--views", "1", "--test-views", "1", "--spp", "4", "--test-spp", "4")
 AT_ORIGIN, FAR = (0.0, 0.0, 0.0), (100.0, -50.0, 30.0)
 DRAWN = [*((thickness, AT_ORIGIN) for thickness in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6))]
 DRAWN += [(thickness, FAR) for thickness in (1e-2, 1e-3, 1e-4)]

@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import trimesh
@@ -9,7 +6,7 @@ from support.meshes import chart_map
 from datagen.data.meshes import Mesh, face_corners
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_positions, coverage, unwrap, unwrap_all
-from datagen.scene.modelling import ball, lathe, merged, rounded_box, sheet
+from datagen.scene.modelling import ball, merged, rounded_box, sheet
 
 
 def mesh_of(solid: trimesh.Trimesh) -> Mesh:
@@ -151,22 +148,3 @@ def test_faces_out_of_range_and_empty_meshes_are_refused() -> None:
         unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces + 2, normals=mesh.normals, uv=mesh.uv), where="chair")
     with pytest.raises(HyalineError, match="chair: has no faces"):
         unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces[:0], normals=mesh.normals, uv=mesh.uv), where="chair")
-
-
-def test_nothing_to_unwrap_starts_no_process() -> None:
-    assert unwrap_all({}) == {}
-
-
-def test_the_child_imports_neither_torch_nor_mitsuba() -> None:
-    code = (
-        "import datagen.scene.atlas, xatlas, sys; print([m for m in ('torch', 'mitsuba', 'drjit') if m in sys.modules])"
-    )
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert answer.stdout.strip() == "[]"
-
-
-def test_unwrapping_works_from_any_folder(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "xatlas.py").write_text("raise SystemExit('foreign code ran')")
-    monkeypatch.chdir(tmp_path)
-    mesh = unwrap(lathe([(0, 0), (0.1, 0), (0.1, 0.2), (0, 0.2)], segments=12), where="can")
-    assert coverage(mesh, 128).max() == 1

@@ -39,13 +39,6 @@ def kept(tmp_path: Path) -> list[Path]:
     return sorted((tmp_path / "cache" / "hyaline" / "atlases").iterdir())
 
 
-def test_the_same_surface_is_unwrapped_once_and_has_the_same_bytes(children: list[int], tmp_path: Path) -> None:
-    first = unwrap(BOX, where="first")
-    assert write_ply(unwrap(BOX, where="second")) == write_ply(first)
-    assert children == [1]
-    assert len(kept(tmp_path)) == 1
-
-
 def test_copies_of_a_surface_are_unwrapped_together(children: list[int]) -> None:
     # Powers of two, so that it is the same surface but for its place.
     whole = dataclasses.replace(BOX, vertices=np.rint(BOX.vertices * 1024) / np.float32(1024))
@@ -55,13 +48,6 @@ def test_copies_of_a_surface_are_unwrapped_together(children: list[int]) -> None
     for name, mesh in copies.items():
         np.testing.assert_array_equal(found[name].vertices, mesh.vertices)
         np.testing.assert_array_equal(found[name].uv, found["0"].uv)
-
-
-@pytest.mark.parametrize("change", ["vertices", "normals", "faces"])
-def test_any_change_of_a_surface_is_another_one(children: list[int], change: str) -> None:
-    unwrap(BOX, where="box")
-    unwrap(dataclasses.replace(BOX, **{change: np.roll(getattr(BOX, change), 1, axis=0)}), where="box")
-    assert children == [1, 1]
 
 
 @pytest.mark.parametrize("harm", ["cut", "flipped", "no archive"])

@@ -8,7 +8,6 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError
 from datagen.scene.camera_path import _orbit, make_path
 from datagen.scene.description import CameraRig, WalkPoint
 
@@ -70,12 +69,3 @@ def test_a_principal_point_stays_where_it_is_in_the_picture(
     lens = dataset.cameras("interpolating")
     aside = Aside(dataset, dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4)))
     assert make_path(aside, path, 3, width=8, height=8).center == center  # type: ignore[arg-type]
-
-
-def test_impossible_films_are_refused(dataset: Dataset) -> None:
-    with pytest.raises(HyalineError, match="--path: is 'swirl'; expected orbit or spline"):
-        make_path(dataset, "swirl", 4, width=None, height=None)
-    with pytest.raises(HyalineError, match="--frames: is 1; expected 2 to 10,000"):
-        make_path(dataset, "spline", 1, width=None, height=None)
-    with pytest.raises(HyalineError, match="height: is 0; expected 1 to 8192 pixels"):
-        make_path(dataset, "spline", 2, width=None, height=0)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from support.meshes import mesh_of
 
 from datagen.data.meshes import Mesh
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric, Diffuse, Material
 from datagen.scene.media import MAX_NESTED, find_media, medium_of, no_solids, with_solid, without_solid
@@ -84,9 +83,3 @@ def test_solids_apart_are_entered_from_air_and_left_into_air() -> None:
     assert media.ior[medium_of(media, solids)[0]] == np.float32(1.3)
     assert media.ior[medium_of(media, with_solid(media, solids, mi.UInt32(0)))[0]] == np.float32(1.5)
     assert media.ior[medium_of(media, without_solid(media, solids, mi.UInt32(0)))[0]] == 1
-
-
-@pytest.mark.parametrize("priority", [-10, 10])
-def test_a_priority_out_of_range_is_refused(priority: int) -> None:
-    with pytest.raises(HyalineError, match=rf"priority: is {priority}; expected -9 to 9"):
-        Dielectric(priority=priority)

@@ -10,11 +10,10 @@ from PIL import Image
 from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh
-from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import CameraRig, Lobe, RectangleLight, Scene, SceneObject
-from datagen.scene.folder import load_scene, save_scene, scene_files
-from datagen.scene.materials import Dielectric, Diffuse, Plastic
+from datagen.scene.description import Scene, SceneObject
+from datagen.scene.folder import load_scene, save_scene
+from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
 from datagen.scene.textures import ImageTexture
@@ -25,12 +24,6 @@ def edit(folder: Path, change: object) -> None:
     data = json.loads(path.read_text())
     change(data)
     path.write_text(json.dumps(data))
-
-
-def test_a_scene_survives_its_folder_with_equal_bytes(tmp_path: Path) -> None:
-    scene = synthetic_scene()
-    save_scene(scene, tmp_path)
-    assert scene_files(load_scene(tmp_path)) == scene_files(scene)
 
 
 def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) -> None:
@@ -68,15 +61,9 @@ def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
             lambda d: d["objects"][0]["material"].update(iro=1.5),
             r"scene\.json: object pane\.material: unknown key 'iro'",
         ),
-        (
-            lambda d: d["objects"][0].update(material={"type": "Dielectric", "priority": 10}),
-            r"scene\.json: object pane.material: priority: is 10; expected -9 to 9",
-        ),
         (lambda d: d["objects"][0].update(mesh="../evil.ply"), r"names '\.\./evil\.ply'; expected a file inside"),
         (lambda d: d["objects"][0].update(mesh="meshes/none.ply"), r"none\.ply: the file is missing"),
         (lambda d: d["objects"][0].update(name="floor"), r"two objects are called 'floor'"),
-        (lambda d: d["objects"][1].pop("mesh"), r"scene\.json: object floor: key 'mesh' is missing"),
-        (lambda d: d["objects"][1].update(mesh=7), r"scene\.json: object floor\.mesh: is 7; expected text"),
         (lambda d: d["objects"][1].update(material={"type": "Gold"}), r"object floor\.material\.type: is 'Gold'"),
         (lambda d: d["objects"][1].update(name="\x1b[2J", mesh=7), r"scene\.json: objects\[1\]\.mesh: is 7"),
         (
@@ -92,51 +79,9 @@ def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, ch
         load_scene(tmp_path)
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff\xfe", b"[1, 2]", b"{" * 100_000, b'{"version": 1'])
-def test_a_foreign_scene_file_is_refused(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / "scene.json").write_bytes(data)
-    with pytest.raises(HyalineError, match=r"scene\.json"):
-        load_scene(tmp_path)
-
-
-def test_values_that_render_silently_wrong_are_refused() -> None:
-    with pytest.raises(HyalineError, match="roughness"):
-        Plastic(color=(0.5, 0.5, 0.5), roughness=0)
-    with pytest.raises(HyalineError, match="color: is"):
-        Diffuse(color=(0.5, 0.5, 1.2))
-    with pytest.raises(HyalineError, match="absorption"):
-        Dielectric(absorption=(float("nan"), 0, 0))
-    with pytest.raises(HyalineError, match="lobe radiance"):
-        Lobe(direction=(0, 0, 1), radiance=(-1, 0, 0), sharpness=5)
-    with pytest.raises(HyalineError, match="ior: is 1, and a coat of that index shows nothing"):
-        Plastic(color=(0.5, 0.5, 0.5), ior="air")
-    with pytest.raises(HyalineError, match=r"light edges: .* expected two that span a rectangle"):
-        RectangleLight(corner=(0, 0, 1), edge_u=(1, 0, 0), edge_v=(2, 0, 0), radiance=(1, 1, 1))
-    with pytest.raises(HyalineError, match=r"camera azimuth_deg: .* such as"):
-        CameraRig(target=(0, 0, 0), radius=1, elevation_deg=(0, 60), azimuth_deg=(350, 10), walk=())
-
-
-def test_more_objects_than_ids_are_refused() -> None:
-    scene = synthetic_scene()
-    floor = scene.objects[1]
-    many = tuple(SceneObject(name=f"o{i}", mesh=floor.mesh, material=floor.material) for i in range(256))
-    with pytest.raises(HyalineError, match="256 objects; expected 1 to 255"):
-        check_scene(dataclasses.replace(scene, objects=many))
-
-
 def glass_scene(*glass: tuple[Mesh, Dielectric]) -> Scene:
     objects = tuple(SceneObject(name=f"g{i}", mesh=mesh, material=material) for i, (mesh, material) in enumerate(glass))
     return dataclasses.replace(synthetic_scene(), objects=objects)
-
-
-def test_a_priority_is_kept(tmp_path: Path) -> None:
-    scene = glass_scene((ball(1.0), Dielectric()), (ball(2.0), Dielectric(ior=1.33, priority=-1)))
-    materials = [entry["material"] for entry in json.loads(scene_files(scene)["scene.json"])["objects"]]
-    assert [material["priority"] for material in materials] == [0, -1]
-    save_scene(scene, tmp_path)
-    loaded = load_scene(tmp_path, is_checked=True)
-    assert [item.material for item in loaded.objects] == [item.material for item in scene.objects]
-    assert scene_files(loaded) == scene_files(scene)
 
 
 def test_more_dielectrics_with_priorities_than_a_ray_can_tell_apart_are_refused() -> None:
@@ -162,14 +107,3 @@ def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
     with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; extend one into the other"):
         check_scene(glass_scene((shell, Dielectric()), (bubble, Dielectric(ior=1.33))))
     check_scene(glass_scene((shell, Dielectric()), (ball(0.85, subdivisions=2), Dielectric(ior=1.33))))
-
-
-def test_a_scene_with_a_nan_vertex_is_refused_on_load(tmp_path: Path) -> None:
-    scene = synthetic_scene()
-    save_scene(scene, tmp_path)
-    mesh = scene.objects[1].mesh
-    vertices = mesh.vertices.copy()
-    vertices[2, 1] = np.nan
-    (tmp_path / "meshes" / "floor.ply").write_bytes(write_ply(dataclasses.replace(mesh, vertices=vertices)))
-    with pytest.raises(HyalineError, match=r"floor\.ply: has positions that are not three finite numbers"):
-        load_scene(tmp_path)

@@ -1,8 +1,6 @@
 """Tests how commands end: one line for a person, a status for a script."""
 
-import os
 import re
-import resource
 import signal
 import subprocess
 import sys
@@ -13,20 +11,14 @@ from support.commands import Answer, call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit
 from datagen.terminal.command import run as command_run
-from datagen.terminal.command import track
 from datagen.terminal.distribution import VERSION
-from datagen.terminal.parsing import group
 from datagen.terminal.signals import Stopped
 
 
 @pytest.mark.parametrize(
     "line",
-    [
-        *("datagen build --scene glas_table", "proxies make --kind elipsoid", "datagen build --preset tyni"),
-        *("eval report nowhere", "datagen verify", "model --version"),
-    ],
+    ["datagen build --scene glas_table", "eval report nowhere"],
 )
 def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
     alone = subprocess.run([sys.executable, "-m", *line.split()], capture_output=True, text=True, check=False)
@@ -51,26 +43,23 @@ def test_a_dataset_with_a_slip_in_its_name_is_asked_about(tmp_path: Path) -> Non
             "invalid choice 'dmeo' for argument '--preset'. Expected one of (",
         ),
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
-        ("datagen build --resolution 0", 1, "resolution: is 0; expected 1 to 8192 pixels"),
         ("datagen build --resolution 320x9999", 1, "resolution: is 9999; expected 1 to 8192 pixels"),
-        ("datagen build --resolution wide", 1, "resolution: is 'wide'; expected a width and height such as 320x240"),
         ("datagen build --num-layers 0", 1, "num_layers: is 0; expected 1 to 255"),
         ("datagen build --views nan", 2, "datagen build: Error parsing --views: "),
-        ("datagen build --ceiling x", 2, "datagen build: Error parsing --ceiling: "),
         ("datagen build --shard 5/4", 1, "shard: is '5/4'; expected the part and the number of parts, such as 2/4"),
         ("datagen build --workers 0", 1, "workers: is 0; expected 1 to 1024"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
+        ("datagen build --launcher local --shard 1/2", 2, "--launcher: builds all parts; leave out --shard"),
+        ("datagen build --launcher local --shards 0", 2, "--shards: is 0; expected at least 1"),
+        ("datagen build --launcher slurm --slurm-time 0", 2, "--slurm-time, --slurm-cpus: expected at least 1"),
+        ("datagen build --slurm-gpus 2 --shards 3", 2, "--slurm-gpus, --shards: need --launcher"),
         ("datagen build --spp 99999999", 1, "spp: is 99999999; expected 2 to 1,048,576 samples"),
         ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
-        ("datagen verify data/glass_table", 1, "no dataset; make one with `datagen build --scene glass_table`"),
-        ("datagen peel nothing", 1, "data/nothing: no dataset; make one with"),
         ("datagen build --sceen x", 2, "datagen build: Unrecognized options: --sceen, x. See `datagen build --help`"),
         ("datagen bulid", 2, "no datagen command 'bulid'; did you mean 'build'? Choose from add, build, "),
         ("proxies make --kind elipsoid", 2, "ellipsoid"),
-        ("proxies make", 1, "no dataset"),
         ("model train papr", 2, "paper"),
-        ("model train paper", 1, "no dataset"),
         ("eval report nowhere", 1, "nowhere"),
     ],
 )
@@ -84,16 +73,11 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
 
 @pytest.mark.parametrize(
     "line",
-    ["datagen", "datagen build", "proxies", "proxies make", "model", "model train", "eval", "eval report"],
+    ["datagen", "proxies make", "model train", "eval report"],
 )
 def test_every_command_tells_its_version(line: str) -> None:
     assert call(f"{line} --version") == Answer(status=0, out=f"hyaline {VERSION}\n", err="")
     assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)
-
-
-def test_progress_passes_items_through(capsys: pytest.CaptureFixture[str]) -> None:
-    assert list(track(iter("abc"), label="work", total=5, done=2)) == ["a", "b", "c"]
-    assert "work: 5/5" in capsys.readouterr().err
 
 
 def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path) -> None:
@@ -102,41 +86,11 @@ def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path
     assert (answer.stdout, answer.stderr) == ("141\n", "")
 
 
-@pytest.mark.parametrize("line", ["datagen --version", "datagen --help", "datagen build --help", "datagen scenes"])
-@pytest.mark.parametrize("end", ["> /dev/full"])
-def test_a_result_that_cannot_be_printed_is_an_error(line: str, end: str) -> None:
-    command = ["bash", "-c", f"exec {sys.executable} -m {line} {end}"]
+@pytest.mark.parametrize("line", ["datagen --help", "datagen scenes"])
+def test_a_result_that_cannot_be_printed_is_an_error(line: str) -> None:
+    command = ["bash", "-c", f"exec {sys.executable} -m {line} > /dev/full"]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
     assert answer.returncode == 1 and re.fullmatch(r"error: standard output\b.*: no space left.*\n", answer.stderr)
-
-
-def test_a_terminal_that_knows_only_ascii_gets_escapes() -> None:
-    code = "from datagen.terminal.command import run, tell; run('arrow', lambda: tell('PSNR dB \u2191'), [])"
-    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, env=environment)
-    assert (answer.returncode, answer.stdout) == (0, "PSNR dB \\u2191\n"), answer.stderr
-
-
-def test_a_full_disk_and_a_forbidden_folder_are_told_apart(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fill(dataset: str, /) -> None:
-        commit(tmp_path / "folder" / "file", b"x" * 5000)
-
-    (tmp_path / "folder").mkdir()
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
-    try:
-        with pytest.raises(SystemExit) as ended:
-            command_run("tool", group("", {"fill": fill}), ["fill", "x"])
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert ended.value.code == 1
-    assert capsys.readouterr().err.startswith(f"error: {tmp_path / 'folder' / 'file'}: file too large; raise the limit")
-    (tmp_path / "folder" / "file").mkdir()
-    with pytest.raises(SystemExit):
-        command_run("tool", group("", {"fill": fill}), ["fill", "x"])
-    assert "file: is a directory; " in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("wrapper", [RuntimeError, SystemError, ImportError, HyalineError, OSError])

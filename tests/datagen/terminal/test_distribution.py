@@ -1,6 +1,5 @@
 """Tests of an installation in parts: what the base does alone, and what a command says whose part is missing."""
 
-import importlib.metadata
 import json
 import os
 import re
@@ -14,7 +13,6 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.machine.doctor import examine
 from datagen.terminal.distribution import DISTRIBUTION, PARTS, VERSION, naming_parts
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -121,16 +119,3 @@ def test_a_module_that_no_part_has_is_a_fault_of_ours() -> None:
     told = r'^open_run: needs numba, which .* "hyaline-glass\[generate\]"` brings it$'
     with pytest.raises(HyalineError, match=told), naming_parts("open_run"):
         raise ModuleNotFoundError("No module named 'numba'", name="numba")
-
-
-def test_doctor_names_the_parts_that_are_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    def version(name: str) -> str:
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(importlib.metadata, "version", version)
-    remedies = {finding.what: finding.remedy for finding in examine() if finding.remedy}
-    assert remedies == {
-        "Mitsuba": 'pip install "hyaline-glass[generate]"',
-        "torch": 'pip install "hyaline-glass[model]"',
-        "PyMeshLab": 'pip install "hyaline-glass[proxies]"',
-    }

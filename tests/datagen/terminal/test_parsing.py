@@ -41,16 +41,6 @@ COMMANDS = every_command()
 """Listed on import, before other tests add methods to this process."""
 
 
-@pytest.mark.parametrize("line", COMMANDS)
-def test_help_is_narrow_and_plain(line: str) -> None:
-    answer = call(f"{line} --help")
-    assert (answer.status, answer.err) == (0, "")
-    assert answer.out.startswith(f"usage: {line} ")
-    assert max(map(len, answer.out.splitlines())) <= 80
-    for noise in ("(default: None)", "{None", "...]", "{True,False}", "{on,off}", "\x1b"):
-        assert noise not in answer.out
-
-
 def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
     code = (
         "import contextlib, io, sys\n"
@@ -62,28 +52,6 @@ def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
     environment = {"PYTHONPATH": ":".join(sys.path)}
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=False)
     assert (said.returncode, said.stdout) == (0, "set()\n"), said.stderr
-
-
-def test_help_says_the_choices_of_a_flag_and_that_a_scene_has_a_flag_too() -> None:
-    text = " ".join(call("datagen build --help").out.split())
-    assert "--preset {tiny,small,demo,standard,paper}" in text and "Also as --scene." in text
-    assert "--kind {box,ellipsoid,hull,wrap}" in call("proxies make --help").out
-    assert "--format {table,markdown,csv,latex}" in call("report --help").out
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        *("datagen build --preset dmeo", "datagen build nowhere", "datagen build --family cup random"),
-        *("proxies make --kind sphere", "model train papr", "report --format html", "datagen build --sceen x"),
-        *("datagen bulid", "datagen export one --format cvs", "model train paper --norm x"),
-    ],
-)
-def test_a_wrong_choice_and_a_wrong_flag_end_with_2_and_one_line(line: str, tmp_path: Path) -> None:
-    write_synthetic_dataset(tmp_path / "data" / "one", resolution=8, train_views=1)
-    answer = call(line)
-    assert answer.status == 2 and answer.out == ""
-    assert answer.err.startswith("error: ") and answer.err.count("\n") == 1
 
 
 @pytest.mark.parametrize("line", ["datagen", "proxies", "model", "model train"])

@@ -361,31 +361,6 @@ def test_ends_and_first_vertices_are_those_of_whole_paths() -> None:
         np.testing.assert_allclose(found.stack.cosine[:, slot], cosine, atol=1e-5)
 
 
-@pytest.mark.parametrize(("down", "ends", "exits"), [(-1.0, 5, 0), (1.0, 0, 5)])
-def test_rays_may_all_end_on_surfaces_or_all_leave(down: float, ends: int, exits: int) -> None:
-    directions = np.tile(np.float32([0, 0, down]), (5, 1))
-    tracer = LightPathTracer((wide(0.0),), (GREY,))
-    found = tracer.trace_ends(np.ones((5, 3), np.float32), directions, Limits(2), has_details=True)
-    assert found.position is not None and found.reflected is not None and found.uv_slope is not None
-    assert [len(part) for part in (found.ray, found.object_id, found.uv, found.position)] == [ends] * 4
-    assert (found.uv.shape, found.uv_slope.shape, found.reflected.shape) == ((ends, 2), (ends, 2), (ends, 3))
-    assert found.exit_ray.tolist() == list(range(exits))
-    assert found.exit_direction.tolist() == directions[:exits].tolist()
-    assert found.exit_throughput.tolist() == [[1, 1, 1]] * exits
-
-
-@pytest.mark.parametrize("offset", [0, 1, 5, 16])
-def test_a_tracer_records_its_kernel_once_wherever_rays_lie_in_memory(offset: int) -> None:
-    tracer = LightPathTracer((wide(0.0),), (GREY,))
-    memory = np.zeros(offset + 3 * 50, np.float32)
-    for shift in (0, offset):
-        directions = memory[shift : shift + 150].reshape(50, 3)
-        directions[:] = (0, 0, -1)
-        paths = tracer.trace(np.ones((50, 3), np.float32), directions)
-        assert (paths.object_id[0, 0] == 1).all()
-    assert tracer._trace.n_recordings == 1
-
-
 def test_a_changed_tracer_traces_as_a_fresh_one_does() -> None:
     def slab(thickness: float) -> Mesh:
         return mesh_of(trimesh.creation.box((3, 3, thickness)))

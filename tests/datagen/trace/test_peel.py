@@ -65,11 +65,8 @@ def test_random_scenes_peel_like_brute_force(seed: int) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    # Nested drinks and single glasses; the other scenes have more faces of the same kinds.
-    [
-        pytest.param(name, marks=() if name in ("drinks", "glass_table") else pytest.mark.full)
-        for name in sorted(SCENES)
-    ],
+    # Nested drinks; the other scenes have faces of the same kinds.
+    [pytest.param(name, marks=() if name == "drinks" else pytest.mark.full) for name in sorted(SCENES)],
 )
 @pytest.mark.promise("R9")
 def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:

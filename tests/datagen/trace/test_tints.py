@@ -72,13 +72,6 @@ def test_on_proxies_metal_has_the_mean_of_its_image(tmp_path: Path) -> None:
     assert found == pytest.approx(np.tile(expected, (len(found), 1)), rel=0.03)
 
 
-def test_metal_of_one_colour_takes_no_tables(tmp_path: Path) -> None:
-    scene = scene_of(Conductor(color=(0.9, 0.6, 0.3), roughness=0.0), tmp_path)
-    assert tints_of(scene, own_uv=True) == (None,)
-    _, found = mirrored(scene)
-    assert found == pytest.approx(np.tile([0.9, 0.6, 0.3], (len(found), 1)), abs=1e-5)
-
-
 @pytest.mark.parametrize("kind", ["mirror", "rough metal", "plastic"])
 def test_pictures_on_metal_and_plastic_look_as_in_mitsuba(kind: str, tmp_path: Path) -> None:
     import mitsuba as mi

@@ -2,8 +2,6 @@
 
 import json
 import math
-import re
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,11 +11,8 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.images import png_bytes
-from datagen.disk.errors import HyalineError
-from eval.page.page import report_page
-from eval.page.report import make_report, score_runs
-from eval.page.run_page import ranked_views, read_training
-from eval.score.runs import open_run
+from eval.page.report import make_report
+from eval.page.run_page import ranked_views
 from eval.score.scores import SplitScores
 
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
@@ -60,15 +55,6 @@ def test_names_from_files_are_shown_and_never_run(page: ReadPage) -> None:
     assert any(HOSTILE.replace("/", "|") in heading.text for heading in page.all("h2"))
 
 
-def test_the_tables_stand_in_the_markup_with_the_best_values_marked(page: ReadPage) -> None:
-    first = page.all("table")[0]
-    assert first.attributes["class"] == "sortable"
-    assert "plain" in first.text and "noise ceiling" in first.text
-    assert all(head.attributes.get("scope") in ("col", "row") for head in page.all("th"))
-    best = [cell for cell in page.all("td") if "best" in (cell.attributes.get("class") or "").split()]
-    assert best and all(math.isfinite(float(cell.text)) for cell in best)
-
-
 def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page: ReadPage) -> None:
     captions = [caption.text for caption in page.all("figcaption")]
     for split in TEST_SPLITS:
@@ -85,52 +71,10 @@ def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page
     assert pictures and all(svg.attributes["aria-label"] and svg.attributes["role"] == "img" for svg in pictures)
 
 
-def test_the_page_shows_no_key_and_no_backtick(page: ReadPage) -> None:
-    (main,) = page.all("main")
-    assert "`" not in main.text and "held_out" not in main.text
-
-
-def test_the_navigation_lists_runs_below_their_scene(page: ReadPage) -> None:
-    (nav,) = re.findall(r"<nav.*?</nav>", page.source)
-    overview, scene = re.findall(r"<li><a [^>]*>(.*?)</a>(<ul>.*?</ul>)?</li>", nav.replace("<ul>", "<ul>", 1))[:2]
-    assert overview == ("Overview", "")
-    assert scene[0] == "synthetic" and scene[1].count("<li>") == 2 and ">plain</a>" in scene[1]
-
-
-def test_a_run_that_tells_its_flags_is_made_again_by_them_alone(root: Path, tmp_path: Path) -> None:
-    shutil.copytree(root, tmp_path / "copy")
-    path = tmp_path / "copy" / "runs" / "synthetic" / "plain" / "run.json"
-    record = json.loads(path.read_text()) | {"method": "paper", "flags": {"steps": "9", "seed": "3", "zero-layer": ""}}
-    path.write_text(json.dumps(record))
-    codes = [code.text for code in read_page(write_page(tmp_path / "copy", tmp_path / "out")).all("code")]
-    assert "model train paper data/synthetic --steps 9 --seed 3 --zero-layer" in codes
-    foreign = {key: value for key, value in record.items() if key != "flags"}
-    path.write_text(json.dumps(foreign))
-    written = read_page(write_page(tmp_path / "copy", tmp_path / "out"))
-    assert not any("model train paper data" in code.text for code in written.all("code"))
-    assert any("does not record the command" in paragraph.text for paragraph in written.all("p"))
-
-
 def test_the_same_runs_give_the_same_page(root: Path, tmp_path: Path) -> None:
     pages = [write_page(root, tmp_path / name, most_views=1) for name in ("a", "b")]
     assert pages[0] == pages[1]
     assert str(root).encode() not in pages[0]
-
-
-def test_pictures_without_room_are_left_out_and_counted(root: Path) -> None:
-    run = open_run(root / "runs" / "synthetic" / "plain", root / "data")
-    found = score_runs([run], [], command="test")
-    assert found is not None
-    pages = [report_page(found.parts, most_views=100, most_bytes=most) for most in (20_000_000, 5_000)]
-    assert len(pages[1]) < len(pages[0]) - 5_000
-    page = read_page(pages[1])
-    assert 0 < sum(len(image.attributes["href"] or "") for image in page.all("image")) <= 5_000
-    assert any("pictures were left out" in paragraph.text for paragraph in page.all("p"))
-
-
-def test_a_number_of_views_that_cannot_be_is_refused(root: Path, tmp_path: Path) -> None:
-    with pytest.raises(HyalineError, match=r"--shown-views: is 0; expected 1 to 10,000 of each split and run"):
-        make_report(root / "runs", root / "data", tmp_path, output_format="csv", most_views=0)
 
 
 def test_the_worst_the_median_and_the_best_view_come_first() -> None:
@@ -138,12 +82,3 @@ def test_the_worst_the_median_and_the_best_view_come_first() -> None:
     ranked = ranked_views(SplitScores(images={"psnr_db": values}))
     assert ranked == [(1, "worst"), (4, "median"), (2, "best"), (3, ""), (0, ""), (5, "")]
     assert [rank for _, rank in ranked_views(SplitScores(images={"psnr_db": (5.0,)}))] == ["worst"]
-
-
-def test_training_curves_are_thinned_and_other_lines_passed_over(tmp_path: Path) -> None:
-    lines = [json.dumps({"step": step, "loss": 0.5, "note": "text"}) for step in range(1000)]
-    (tmp_path / "metrics.jsonl").write_text("\n".join([*lines, '{"loss": 1}']))
-    curves = read_training(tmp_path)
-    assert list(curves) == ["loss"] and len(curves["loss"]) == 334
-    shutil.rmtree(tmp_path)
-    assert read_training(tmp_path) == {}
