@@ -17,11 +17,15 @@ from datagen.scene.modelling import (
     filled,
     filleted,
     lathe,
+    merged,
+    moved,
+    rotation,
     rounded_box,
     shaded,
     sheet,
     transformed,
     tube,
+    turned,
     walled,
 )
 from datagen.scene.textures import PATTERNS, SolidTexture, evaluate_texture, fractal_noise, value_noise
@@ -123,6 +127,16 @@ def test_fillets_are_arcs_that_touch_both_sides() -> None:
     np.testing.assert_allclose(arc[[0, -1]], [[0.75, 0], [1, 0.25]], atol=1e-12)
 
 
+def test_a_crease_angle_of_0_makes_every_face_flat() -> None:
+    """Although rounding leaves some unit normals a little shorter than 1."""
+    round_one = ball(1.0, subdivisions=2)
+    gem = shaded(round_one.vertices.astype(np.float64), round_one.faces, crease_deg=0)
+    corners = face_corners(gem)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
+    np.testing.assert_allclose(gem.normals[gem.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-5)
+
+
 def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
     corners = np.array(list(np.ndindex(2, 2, 2)), np.float64)
     faces = np.array([[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -135,6 +149,22 @@ def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
     again = shaded(sphere.vertices.astype(np.float64), sphere.faces, crease_deg=40)
     assert len(again.vertices) == len(sphere.vertices)
     assert np.einsum("vi,vi->v", again.normals, again.vertices).min() > 0.9999
+
+
+def test_moving_turning_and_merging_keep_the_parts() -> None:
+    box = rounded_box((1, 2, 3), bevel=0.1)
+    both = merged([box, moved(turned(box, (0, 0, 1), 90), (10, 0, 0))])
+    assert signed_volume(both) == pytest.approx(2 * signed_volume(box), rel=1e-5)
+    extent = np.ptp(both.vertices[len(box.vertices) :], axis=0)
+    np.testing.assert_allclose(extent, [2, 1, 3], atol=1e-5)
+    np.testing.assert_allclose(rotation((0, 0, 1), 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_sheet_faces_along_the_cross_product_of_its_edges() -> None:
+    mesh = sheet((0, 0, 0), (2, 0, 0), (0, 3, 0), cells=(4, 5))
+    np.testing.assert_allclose(corner_cosines(mesh), 1, atol=1e-6)
+    np.testing.assert_array_equal(mesh.normals, np.tile([0, 0, 1], (len(mesh.vertices), 1)))
+    assert len(mesh.faces) == 40
 
 
 # Solid textures
@@ -165,6 +195,12 @@ def test_checker_and_stripes_repeat_after_scale_and_swap_after_half(pattern: str
     np.testing.assert_allclose(evaluate_texture(texture, points() + np.array([0.25, 0, 0])), here, atol=1e-6)
     there = evaluate_texture(texture, points() + np.array([0.125, 0, 0]))
     np.testing.assert_allclose(here + there, np.broadcast_to(np.add(RED, BLUE), here.shape), atol=1e-6)
+
+
+def test_stripes_run_across_their_axis_only() -> None:
+    texture = SolidTexture(pattern="stripes", colors=(RED, BLUE), scale=0.25, axis="z")
+    flat = points() * [1, 1, 0]
+    assert np.ptp(evaluate_texture(texture, flat), axis=0).max() == 0
 
 
 def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
