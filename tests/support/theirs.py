@@ -1,7 +1,10 @@
-"""What other projects write, made from a dataset or an export: a scene of RefRef."""
+"""What other projects write, made from a dataset or an export: a scene of RefRef, a binary model of COLMAP."""
 
 import json
+import struct
 from pathlib import Path
+
+import numpy as np
 
 from datagen.data.dataset import Dataset
 from datagen.data.ply import write_ply
@@ -29,3 +32,17 @@ def write_refref(dataset: Dataset, root: Path) -> None:
     for item, mesh in zip(surfaces.scene.objects, surfaces.meshes, strict=True):
         if item.material.is_glass:
             (root / "meshes" / f"{item.name}.ply").write_bytes(write_ply(mesh))
+
+
+def write_binary_model(model: Path) -> None:
+    """cameras.bin and images.bin, without points, beside the text files of a model with one PINHOLE camera."""
+    (camera,) = [line.split() for line in (model / "cameras.txt").read_text().splitlines() if line[0] != "#"]
+    head = struct.pack("<QIiQQ", 1, 1, 1, *map(int, camera[2:4]))
+    (model / "cameras.bin").write_bytes(head + np.array(camera[4:], "<f8").tobytes())
+    lines = [line for line in (model / "images.txt").read_text().splitlines() if not line.startswith("#")][::2]
+    data = [struct.pack("<Q", len(lines))]
+    for line in lines:
+        number, *pose, camera_id, name = line.split()
+        data.append(struct.pack("<I7dI", int(number), *map(float, pose), int(camera_id)))
+        data.append(name.encode() + b"\0" + struct.pack("<Q", 0))
+    (model / "images.bin").write_bytes(b"".join(data))
