@@ -15,7 +15,7 @@ from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_o
 from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
 from datagen.machine.confined import confined
-from datagen.scene.description import Scene
+from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
 from hyaline_import.importing import import_scene
@@ -47,6 +47,8 @@ def _answer(
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_checked=True)
         images = {image.path for item in scene.objects for image in item.material.images().values()}
+        if isinstance(scene.environment, EnvironmentMap):
+            images.add(scene.environment.path)
         baked = {image: (folder / "scene" / image).read_bytes() for image in images}
         yield dataclasses.replace(scene, folder=None, baked=baked), load_json(folder / "told.json")
 

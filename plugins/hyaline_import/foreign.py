@@ -136,6 +136,19 @@ class ForeignLight:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ForeignMap:
+    """Light from infinitely far as an equirectangular picture."""
+
+    data: bytes
+    ending: str
+    """.exr or .hdr"""
+    scale: float
+    middle: Float[np.ndarray, "3"]
+    """Direction of its middle column's horizon, in the file's axes; further right in it is clockwise around `up`."""
+    up: Float[np.ndarray, "3"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignScene:
     """All surfaces of a file."""
 
@@ -145,8 +158,8 @@ class ForeignScene:
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
     lights: tuple[ForeignLight, ...] = ()
-    sky: Color | None = None
-    """Radiance from all around; None if the file has none."""
+    sky: Color | ForeignMap | None = None
+    """Radiance from all around, or a map of it; None if the file has none."""
     cameras: tuple[Camera, ...] = ()
     """In the file's units and axes, OpenGL convention: +x right, +y up, it looks along -z."""
     license: str | None = None

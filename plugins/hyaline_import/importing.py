@@ -22,6 +22,7 @@ from datagen.scene.description import (
     OBJECT_NAME,
     CameraList,
     CameraRig,
+    Environment,
     RectangleLight,
     Scene,
     SceneObject,
@@ -38,6 +39,7 @@ from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
+    ForeignMap,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -55,7 +57,7 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light
+from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.mending import mend_surface, with_mended_surfaces
 from hyaline_import.overlaps import apart, nested, parted
@@ -212,15 +214,23 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
         made.without_uv.add(ground.name)
         objects.append(ground)
+    environment: Environment = LIGHT
+    baked: dict[str, bytes] = {}
+    if isinstance(foreign.sky, ForeignMap):
+        environment = placed_map(foreign.sky, linear, remarks)
+        baked[environment.path] = foreign.sky.data
+    elif foreign.sky is not None:
+        environment = even_sky(foreign.sky)
     lights = (*(placed_light(light, linear, world.offset) for light in foreign.lights), *lamps)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
-        environment=LIGHT if foreign.sky is None else even_sky(foreign.sky),
+        environment=environment,
         lights=exposed(lights, objects, remarks),
         cameras=rig,
+        baked=baked,
     )
     record: dict[str, Json] = {
         "version": RECORD_VERSION,

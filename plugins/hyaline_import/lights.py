@@ -1,21 +1,24 @@
 """The lamps and skies of foreign files in a scene of ours."""
 
 import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, face_corners, open_edges
-from datagen.scene.description import RectangleLight, SceneObject
+from datagen.scene.description import EnvironmentMap, RectangleLight, SceneObject
 from datagen.scene.staging import subject_box
 from datagen.scene.values import Color, as_vector
-from hyaline_import.foreign import ForeignLight
+from hyaline_import.foreign import ForeignLight, ForeignMap
 from hyaline_import.remarks import Remarks
 from hyaline_import.staging import is_enclosed
 
 DUST = 1e-9
 """Rounding error of a rotation, as a share of an edge's largest coordinate."""
+UPRIGHT = 0.9999
+"""Cosine of the largest tilt of an environment map that is ignored."""
 IRRADIANCE = 2.5
 """Irradiance of all lamps together at the middle of a scene that they alone light; viewers expose freely."""
 LEAST_GLOW = 0.5
@@ -39,6 +42,18 @@ def placed_light(
 def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
     """The edge without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m."""
     return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
+
+
+def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
+    """A map of the environment in our world; a tilted one is drawn upright."""
+    middle, up = (linear @ sky.middle, linear @ sky.up)
+    if up[2] < UPRIGHT * np.linalg.norm(up):
+        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
+    return EnvironmentMap(
+        path=f"textures/environment{sky.ending}",
+        scale=sky.scale,
+        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
+    )
 
 
 # Surfaces that emit light

@@ -16,6 +16,8 @@ import numpy as np
 from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
+from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.images import read_map
 from datagen.scene.modelling import ball, sheet
 from datagen.scene.values import Color
 from hyaline_import.bare import read_ply_file
@@ -25,6 +27,7 @@ from hyaline_import.foreign import (
     PLAIN,
     Axis,
     ForeignLight,
+    ForeignMap,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -55,7 +58,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     lights: list[ForeignLight] = []
     cameras: list[Camera] = []
     sensors: list[Node] = []
-    sky: Color | None = None
+    sky: Color | ForeignMap | None = None
     for node in nodes.root.children():
         if node.kind == "Shape":
             _add_shape(node, objects, lights, remarks)
@@ -64,6 +67,8 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
             cameras += _camera(node, remarks)
         elif node.kind == "Emitter" and node.plugin == "constant":
             sky = node.color("radiance", 1.0)
+        elif node.kind == "Emitter" and node.plugin == "envmap":
+            sky = _map(node)
         elif node.kind == "Emitter":
             remarks.approximate(node.name, f"is a light of kind {node.plugin}, which is left out")
         elif node.kind not in QUIET:
@@ -121,9 +126,27 @@ def _light(node: Node, emitter: Node) -> ForeignLight:
     )  # fmt: skip
 
 
+def _map(node: Node) -> ForeignMap:
+    """A map of the environment: its middle column lies towards +z, and +y is up, before it is turned."""
+    path = node.file("filename")
+    if path.suffix.lower() not in MAP_ENDINGS:
+        raise HyalineError(f"{node.where}: names {path.name}; expected linear radiance, in .exr or .hdr")
+    world = node.matrix("to_world")[:3, :3]
+    if np.linalg.det(world) < 0:
+        raise HyalineError(f"{node.where}: is mirrored by its to_world; expected a turn, mirror the picture instead")
+    data, scale = read_foreign(path), node.number("scale", 1.0)
+    read_map(data, where=str(path))
+    if scale <= 0:
+        raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")
+    middle, up = (column / np.linalg.norm(column) for column in (world[:, 2], world[:, 1]))
+    return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
+
+
 def _camera(node: Node, remarks: Remarks) -> list[Camera]:
     """The camera of a sensor; none if it is skewed or mirrored."""
-    if node.plugin != "perspective":
+    if node.plugin == "thinlens":
+        remarks.approximate(node.name, "is out of focus in places; drawn sharp everywhere")
+    elif node.plugin != "perspective":
         remarks.approximate(node.name, f"is a camera of kind {node.plugin}, which is left out")
         return []
     film = node.inner("Film")

@@ -12,12 +12,14 @@ from PIL import Image
 from support.foreign import xml_of
 from support.gltf import BOX
 
+from benchmarks.sky import radiance_of_map
+from datagen.data.images import encode_float_exr
 from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import CameraList, SoftEnvironment
-from datagen.scene.images import linear_pixels, look_up
+from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
+from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
 from datagen.scene.values import Color
@@ -337,3 +339,45 @@ def test_each_mesh_of_a_serialized_file_lies_as_mitsuba_has_it(version: int, tmp
         if item.uv is not None:
             down = np.array(theirs["vertex_texcoords"]).reshape(-1, 2)[:, 1]
             np.testing.assert_allclose(item.uv[:, 1], 1 - down, atol=1e-7)
+
+
+# Maps of the environment
+
+
+def write_map(path: Path) -> np.ndarray:
+    """A map in which every direction differs, and which is smooth enough to be compared."""
+    row, column = np.mgrid[:32, :64] / 32
+    values = np.stack([1 + np.cos(np.pi * column), 1 + np.sin(np.pi * column), 1.5 + np.cos(np.pi * row)], axis=-1)
+    path.write_bytes(encode_float_exr({name: values[..., c].astype(np.float32) for c, name in enumerate("RGB")}))
+    return values
+
+
+@pytest.mark.parametrize(
+    "turn",
+    [
+        "",
+        '<rotate y="1" angle="70"/>',
+        '<rotate x="1" angle="90"/>',
+        '<rotate x="1" angle="90"/><rotate z="1" angle="-40"/>',
+    ],
+)
+def test_a_map_of_the_environment_shines_from_where_mitsuba_has_it(tmp_path: Path, turn: str) -> None:
+    write_map(tmp_path / "sky.exr")
+    envmap = (
+        '<emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>'
+        f'<transform name="to_world">{turn}</transform></emitter>'
+    )
+    up = "z" if 'x="1"' in turn else "y"
+    imported = import_scene(xml_of(tmp_path, CUBE + envmap), ImportChoices(up=up))
+    sky = imported.scene.environment
+    assert isinstance(sky, EnvironmentMap) and not any("tilted" in line for line in imported.told())
+    world = mi.load_file(str(tmp_path / "a.xml"))
+    directions = np.random.default_rng(0).normal(size=(200, 3))
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    theirs = directions if up == "z" else directions @ np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])
+    si = mi.SurfaceInteraction3f()
+    si.wi = mi.Vector3f(*(-theirs).T)
+    found = np.array(world.environment().eval(si)).T
+    radiance = read_map(imported.scene.baked[sky.path], where="sky")
+    ours = sky.scale * radiance_of_map(radiance, directions, sky.rotation_deg)
+    assert np.abs(ours - found).max() < 0.05 * ours.max()
