@@ -34,8 +34,7 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
     in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     hush(False)
-    for name in ("stdout", "stderr"):  # Closed by some daemons.
-        setattr(sys, name, getattr(sys, name) or Path(os.devnull).open("w"))  # noqa: SIM115
+    _open_closed()
     if isinstance(sys.stdout, io.TextIOWrapper) and codecs.lookup(sys.stdout.encoding).name != "utf-8":
         sys.stdout.reconfigure(errors="backslashreplace")  # Tables contain arrows, which ASCII lacks.
     try:
@@ -47,6 +46,23 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
             parse(program, command, arguments)()
     except (Exception, KeyboardInterrupt, Stopped) as error:
         _end(error, arguments)
+
+
+def _open_closed() -> None:
+    """Opens the standard streams that the caller has closed (`2>&-`, some daemons), to nowhere.
+
+    Otherwise files of data would get their numbers, to which libraries write, and progress would go to stdout. A result
+    that cannot be printed is an error, so stdout is opened for reading alone.
+    """
+    for number, mode in enumerate((os.O_RDWR, os.O_RDONLY, os.O_RDWR)):
+        try:
+            os.fstat(number)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, mode), True)  # The lowest free number, which is this one.
+    if sys.stdout is None:
+        sys.stdout = io.TextIOWrapper(io.FileIO(1, "w", closefd=False), "utf-8", write_through=True)
+    if sys.stderr is None:
+        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
 
 
 def _end(error: BaseException, arguments: list[str]) -> None:

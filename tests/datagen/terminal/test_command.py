@@ -86,11 +86,14 @@ def test_output_that_nobody_reads_ends_the_command_without_a_word(tmp_path: Path
     assert (answer.stdout, answer.stderr) == ("141\n", "")
 
 
-@pytest.mark.parametrize("line", ["datagen --help", "datagen scenes"])
-def test_a_result_that_cannot_be_printed_is_an_error(line: str) -> None:
-    command = ["bash", "-c", f"exec {sys.executable} -m {line} > /dev/full"]
+@pytest.mark.parametrize("line", ["datagen --version", "datagen build --help", "datagen scenes"])
+@pytest.mark.parametrize("end", [">&-", "> /dev/full"])
+def test_a_result_that_cannot_be_printed_is_an_error(line: str, end: str) -> None:
+    command = ["bash", "-c", f"exec {sys.executable} -m {line} {end}"]
     answer = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert answer.returncode == 1 and re.fullmatch(r"error: standard output\b.*: no space left.*\n", answer.stderr)
+    assert answer.returncode == 1 and re.fullmatch(
+        r"error: standard output\b.*: (bad file descriptor|no space).*\n", answer.stderr
+    )
 
 
 @pytest.mark.parametrize("wrapper", [RuntimeError, SystemError, ImportError, HyalineError, OSError])
@@ -108,3 +111,19 @@ def test_a_signal_that_a_library_turned_into_its_own_error_still_ends_the_comman
         command_run("program", work, [])
     assert ended.value.code == status
     assert capsys.readouterr().err == "error: stopped; run the same command again to continue\n"
+
+
+def test_with_standard_error_closed_work_is_done_and_only_the_result_is_printed(tmp_path: Path) -> None:
+    program = """
+import sys
+from datagen.terminal.command import run, say, tell, track
+def work() -> None:
+    say("works")
+    with open("data", "w") as data:
+        tell(f"{len(list(track([1, 2], label='item', total=2)))} items, {data.fileno() > 2}")
+run("work", work, [])
+"""
+    (tmp_path / "work.py").write_text(program)
+    line = f"cd {tmp_path} && exec {sys.executable} -P work.py <&- 2>&-"
+    answer = subprocess.run(["sh", "-c", line], stdout=subprocess.PIPE, text=True, check=False)
+    assert (answer.returncode, answer.stdout) == (0, "2 items, True\n")
