@@ -128,7 +128,7 @@ def count_missing(dataset: Dataset) -> tuple[int, int]:
 def _build_seeds_in_jobs(
     scene: str, choices: BuildChoices, count: int, size: SizeChoices, launch: ShardChoices
 ) -> None:
-    """Builds random scenes in jobs, each of which has a run of seeds, and returns when all have succeeded."""
+    """Builds random scenes in jobs of consecutive seeds, and returns when all have succeeded."""
     each = -(-count // launch.shards)
     jobs = {}
     for first in range(choices.seed, choices.seed + count, each):

@@ -194,9 +194,6 @@ def _exr_header(data: bytes) -> tuple[dict[str, bytes], int]:
     return attributes, place + 1
 
 
-MAX_NPY_BYTES = 1 << 30
-
-
 def read_npy(data: bytes, *, where: str) -> Float32[np.ndarray, "h w"]:
     """A plane of finite numbers from the bytes of a .npy file; pickles are never loaded."""
     buffer = io.BytesIO(data)

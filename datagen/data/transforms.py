@@ -139,10 +139,6 @@ class Transforms:
             raise HyalineError(f"{frame.where}.transform_matrix: {error}") from None
         return pose
 
-    def has_lens(self) -> bool:
-        """True where the file says an angle or a focal length for all frames."""
-        return "camera_angle_x" in self.content or "fl_x" in self.content
-
     def lens(
         self,
         frame: Frame | None = None,

@@ -12,9 +12,6 @@ from datagen.pages.html import Markup, tag
 
 Image8 = UInt8[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w"]
 
-Encoded = dict[str, tuple[str, int, int]]
-"""Data URIs of pictures with their width and height, by name."""
-
 
 class Gallery:
     """The pictures of a page, up to a number of bytes.
@@ -22,13 +19,10 @@ class Gallery:
     Once one picture does not fit, no later one is stored: pictures stored first take precedence.
     """
 
-    def __init__(self, most_bytes: int, encoded: Encoded | None = None) -> None:
-        """
-        Args:
-            encoded: pictures encoded by another gallery; this one adds its own.
-        """
+    def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
-        self._encoded: Encoded = {} if encoded is None else encoded
+        self._encoded: dict[str, tuple[str, int, int]] = {}
+        """Data URIs of pictures with their width and height, by name."""
         self._stored: dict[str, Markup] = {}
         self._without_room: set[str] = set()
         self.used = 0

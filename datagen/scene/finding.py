@@ -6,7 +6,7 @@ from pathlib import Path
 from datagen.data.config import Resolution, square
 from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.builtin import make_scene
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene
 from datagen.scene.import_choices import ImportChoices
@@ -31,11 +31,6 @@ def numbered_scenes(given: str) -> SceneSource | None:
 def is_foreign(given: str) -> bool:
     """True for a file that is imported."""
     return find_source(given, is_of_files=True) is not None
-
-
-def is_made_by_code(name: str) -> bool:
-    """True for the name of a scene that can be made again from it: a built-in or a random one."""
-    return name in SCENES or find_source(name, is_of_files=False) is not None
 
 
 def find_scene(

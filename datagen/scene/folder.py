@@ -138,7 +138,7 @@ def listed_cameras(dataset: Dataset) -> CameraList:
 
 
 def camera_files(cameras: CameraList) -> dict[str, bytes]:
-    """The files in which a scene's folder lists its cameras, by name."""
+    """The files of a scene's folder that list its cameras, by name."""
     bare = {split: dataclasses.replace(cameras.of(split), near=None, far=None) for split in SPLITS}
     return {TRANSFORMS_FILES[split]: transforms_bytes(bare[split], split) for split in SPLITS}
 

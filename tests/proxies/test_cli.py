@@ -21,7 +21,7 @@ ONE = Path("data/one")
 
 @pytest.fixture(autouse=True)
 def peeled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
-    """A dataset in the working directory; stands in for the peeler, which needs Mitsuba, and lists its calls."""
+    """A dataset in the working directory, and the calls of a stand-in for the peeler, which needs Mitsuba."""
     calls: list[dict[str, Any]] = []
 
     def peel_dataset(dataset: Dataset, geometry: str, **settings: object) -> None:

@@ -15,7 +15,7 @@ from support.synthetic import pixel_rays
 
 from datagen.data.meshes import points_on
 from datagen.disk.errors import HyalineError
-from datagen.scene.finding import find_scene, is_made_by_code
+from datagen.scene.finding import find_scene, find_source
 from datagen.scene.folder import scene_files
 from datagen.scene.modelling import moved
 from datagen.scene.rig import make_cameras
@@ -118,7 +118,7 @@ def test_what_reaches_into_another_thing_is_refused(
 
 @pytest.mark.parametrize("name", ["random-0000", "random-0007", "random-table-0012", "random-nested-12345"])
 def test_a_name_says_which_scene_it_is_of(name: str) -> None:
-    assert str(parse_random(name)) == name and is_made_by_code(name)
+    assert str(parse_random(name)) == name and find_source(name, is_of_files=False) is not None
 
 
 @pytest.mark.parametrize("name", ["random", "random-7", "random-00007", "random-vase-0007", "random-9" + 18 * "9"])
