@@ -183,11 +183,9 @@ def test_a_signal_ends_the_reader_and_leaves_no_scratch_folder(number: signal.Si
         [sys.executable, "-m", "datagen", "import", "a.stl"],
         cwd=tmp_path, env={**os.environ, "TMPDIR": str(tmp_path)}, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
-    until = time.monotonic() + 60
-    while not (reader := left(tmp_path)) and time.monotonic() < until:
+    while command.poll() is None and not ((reader := left(tmp_path)) and readers_of(reader[0])):
         time.sleep(0.05)
-    time.sleep(1)
-    assert reader and readers_of(reader[0])
+    assert command.returncode is None
     command.send_signal(number)
     _, said = command.communicate(timeout=60)
     assert command.returncode == 128 + number
