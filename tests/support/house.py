@@ -44,8 +44,10 @@ def follow(frame, event, _):
         name = frame.f_code.co_filename
         if name.startswith(root) and "/.venv/" not in name:
             moves, last = moves + (name != last), name
-            files.add(name)
-            if frame.f_code.co_qualname == stop:
+            code = frame.f_code
+            if code.co_flags & 1 and code.co_name[0] != "<":  # A function, not the body of a module or a class.
+                files.add(name)
+            if code.co_qualname == stop:
                 raise Arrived
 
 sys.path.insert(0, root)
@@ -62,7 +64,7 @@ own = {name for name in own if name.startswith(root) and "/.venv/" not in name}
 print("walk", moves, len(files), len(own), sum(len(Path(name).read_text().splitlines()) for name in own))
 """
 """Runs a command and counts its changes from one of the project's files to another, the files whose functions it
-enters, and the modules it loads with their lines; ends at a function's first call."""
+enters, and the files it loads with their lines; ends at a function's first call."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,14 +154,14 @@ def lower() -> None:
 
 
 def walk(*words: str, stop: str = "") -> tuple[int, int, int, int]:
-    """Changes of file, files entered, modules loaded and their lines, of `package.cli WORDS`."""
+    """Changes of file, files whose functions are entered, files loaded and their lines, of `package.cli WORDS`."""
     program = (sys.executable, "-c", WALK, str(ROOT) + "/", stop, *words)
     ended = subprocess.run(program, capture_output=True, text=True, check=False)
     line = next((line for line in ended.stdout.splitlines() if line.startswith("walk ")), None)
     if line is None:
         raise RuntimeError(f"{' '.join(words)}: {ended.stderr}")
-    moves, files, modules, lines = (int(word) for word in line.split()[1:])
-    return moves, files, modules, lines
+    moves, entered, loaded, lines = (int(word) for word in line.split()[1:])
+    return moves, entered, loaded, lines
 
 
 def print_table() -> None:
@@ -177,15 +179,18 @@ def print_table() -> None:
         parts = {place: ["tests"] if "tests" in place.split("/") else place.split("/") for place in python}
         chosen = [room for place, room in python.items() if parts[place][0] in tops]
         print(f"{name:32}{sum(room.files for room in chosen):7}{sum(room.lines for room in chosen):8}")
-    _, _, modules, lines = walk("hyaline")
-    print(f"import hyaline: {modules} own modules, {lines} lines")
+    _, _, loaded, lines = walk("hyaline")
+    print(f"import hyaline: {loaded} own modules, {lines} lines")
     with tempfile.TemporaryDirectory() as folder:
         world = f"{folder}/world"
-        moves, files, _, _ = walk("datagen-cli", "build", "glass_table", "--preset", "tiny", "--out", world)
-        print(f"a tiny `datagen build`: {moves} changes of file, {files} files")
+        build = ("datagen-cli", "build", "glass_table", "--preset", "tiny", "--out", world)
         words = ("train", "paper", world, "--perceptual", "1", "--vgg-weights", "random", "--out", f"{folder}/run")
-        moves, files, _, _ = walk("model-cli", *words, stop="PerceptualLoss.forward")
-        print(f"`model train --perceptual` to the first perceptual loss: {files} files, {moves} changes of file")
+        for what, words, stop in (
+            ("a tiny `datagen build`", build, ""),
+            ("`model train --perceptual` to the first perceptual loss", ("model-cli", *words), "PerceptualLoss.forward"),
+        ):
+            moves, entered, loaded, _ = walk(*words, stop=stop)
+            print(f"{what}: {entered} files entered, {loaded} loaded, {moves} changes of file")
 
 
 if __name__ == "__main__":
