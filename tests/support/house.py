@@ -184,10 +184,11 @@ def print_table() -> None:
     with tempfile.TemporaryDirectory() as folder:
         world = f"{folder}/world"
         build = ("datagen-cli", "build", "glass_table", "--preset", "tiny", "--out", world)
-        words = ("train", "paper", world, "--perceptual", "1", "--vgg-weights", "random", "--out", f"{folder}/run")
+        loss = ("--perceptual", "1", "--vgg-weights", "random")
+        train = ("model-cli", "train", "paper", world, *loss, "--out", f"{folder}/run")
         for what, words, stop in (
             ("a tiny `datagen build`", build, ""),
-            ("`model train --perceptual` to the first perceptual loss", ("model-cli", *words), "PerceptualLoss.forward"),
+            ("`model train --perceptual` to the first perceptual loss", train, "PerceptualLoss.forward"),
         ):
             moves, entered, loaded, _ = walk(*words, stop=stop)
             print(f"{what}: {entered} files entered, {loaded} loaded, {moves} changes of file")
