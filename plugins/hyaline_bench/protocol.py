@@ -17,7 +17,7 @@ from datagen.disk.records import from_json, load_toml
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
 from eval.score.runs import Run
-from hyaline_paper.known import FITTED_MATERIALS
+from hyaline_paper.comparisons import FITTED_MATERIALS
 
 PROTOCOL = Path(__file__).with_name("protocol.toml")
 

@@ -14,6 +14,7 @@ from eval.score.seeds import SeedGroup, group_seeds
 from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
 from eval.tables.plugins import EditedPsnr, Table
 from hyaline_paper.comparisons import (
+    BEST,
     DNR,
     NOT_RUN,
     SPHERICAL_HARMONICS,
@@ -24,7 +25,6 @@ from hyaline_paper.comparisons import (
     PublishedRow,
     find_entries,
 )
-from hyaline_paper.tables import BEST
 
 CONFIRMED, CONTRADICTED, UNDECIDED = "confirmed", "contradicted", "not decided"
 LEAST = 5

@@ -11,8 +11,8 @@ from support.training import assert_resumes, build, configured
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
-from hyaline_paper.authors_code.config import AuthorsConfig
-from hyaline_paper.authors_code.renderer import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
+from hyaline_paper.authors_code import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
+from hyaline_paper.methods import AuthorsConfig
 from model.batches.layers import load_pixels
 from model.nets.extrinsics import Extrinsics, spherical_harmonics
 from model.run.predict import load_renderer, predict_pixels, render_predictions

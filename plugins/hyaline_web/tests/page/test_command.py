@@ -14,7 +14,7 @@ from support.training import SMALL, call
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.machine.mitsuba_variant import use_mitsuba
-from hyaline_paper.authors_code.config import AuthorsConfig
+from hyaline_paper.methods import AuthorsConfig
 from model.methods.light_path.config import LightPathConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
-from hyaline_paper.authors_code.config import LEAST_WIDTH, AuthorsConfig
+from hyaline_paper.methods import LEAST_WIDTH, AuthorsConfig
 from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
 from model.losses.pixel_losses import PatchTerms
