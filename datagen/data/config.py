@@ -310,7 +310,6 @@ class Head:
 OWN_LICENSE = "CC0-1.0"
 """SPDX name of the licence of built-in and random scenes, which code generates, and of pictures of them. CC0, because
 pictures end up in batches, crops and merged sets that cannot carry attributions."""
-OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 MAX_LICENSE_LENGTH = 500
 """Characters of a foreign file's licence that are kept."""

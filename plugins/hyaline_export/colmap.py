@@ -20,9 +20,8 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import Camera
-from hyaline_export.files import rgb_png
 from hyaline_export.formats import Format
-from hyaline_export.source import ROLES, ExportView, PointCloud, Source, tracked
+from hyaline_export.source import ROLES, ExportView, PointCloud, Source, rgb_png, tracked
 
 TOLERANCE = 0.005
 """A point is seen where its distance is that of the first surface at its pixel, but for this share."""

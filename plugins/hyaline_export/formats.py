@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.data.config import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, naming
 from datagen.disk.names import real_path
@@ -61,10 +60,7 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
         for path, data in chosen.files(source):
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             (folder / path).write_bytes(data)
-        more = (
-            f"Nobody has to ask, or to name a source. {OWN_LICENSE_ADDRESS}\n" if dataset.license == OWN_LICENSE else ""
-        )
-        (folder / "LICENSE.txt").write_text(f"The data in this folder: {dataset.license}\n{more}")
+        (folder / "LICENSE.txt").write_text(f"The data in this folder: {dataset.license}\n")
     roles = ", ".join(f"{len(source.of_role(role))} {role}" for role in ("train", "val", "test"))
     say(f"{out}: {len(source.pictures)} views; {roles}; licence: {dataset.license}")
     if dataset.withheld:

@@ -18,9 +18,8 @@ from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.terminal.distribution import VERSION
-from hyaline_export.files import depth_png, mask_png, rgb_png
 from hyaline_export.formats import Format
-from hyaline_export.source import ExportView, Source, tracked
+from hyaline_export.source import ExportView, Source, depth_png, mask_png, rgb_png, tracked
 
 HUB_LICENSES = ("cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "mit", "apache-2.0")
 """Those that the hub knows by name, in small letters; it knows more."""
@@ -92,8 +91,7 @@ def _row(source: Source, item: ExportView) -> dict[str, Json]:
         "glass_file_name": f"glass/{item.name}.png",
         "name": item.name,
         **lens_keys(item.view.camera),
-        "near": source.bounds.near,
-        "far": source.bounds.far,
+        **source.near_far,
         "transform_matrix": item.view.camera.world_from_camera.tolist(),
     }
 

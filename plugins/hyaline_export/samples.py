@@ -14,9 +14,8 @@ from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import NormalKind, ViewQuantities
-from hyaline_export.files import bounds_keys, frame, mask_png, rgb_png
 from hyaline_export.formats import Format
-from hyaline_export.source import Source, tracked
+from hyaline_export.source import Source, frame, mask_png, rgb_png, tracked
 
 NORMALS: dict[str, NormalKind] = {"normal.npy": "shading", "geometric_normal.npy": "geometric"}
 FILES = {
@@ -72,9 +71,8 @@ def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
     conventions = {"png": "8-bit sRGB", "camera.json": "lens in pixels, pose, role, split and number of the view"}
     conventions |= {ending: text for ending, (_, text) in (FILES | (FLOW_FILES if source.flow else {})).items()}
     about: dict[str, Json] = {
-        "license": source.dataset.license,
         "convention": CONVENTION,
-        **bounds_keys(source.bounds),
+        **source.world,
         "objects": objects,
         "material_names": names,
         "files": {**conventions},

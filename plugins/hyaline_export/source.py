@@ -1,4 +1,4 @@
-"""The source of an export: a dataset's views by role, the space that they show, and points of its surfaces."""
+"""What exports are made of: a dataset's views by role, points of its surfaces, and what encodes them for tools."""
 
 import functools
 from collections.abc import Iterator, Sequence
@@ -6,13 +6,15 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View
+from datagen.data.images import png_bytes
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import Json
 from datagen.quantities.view_quantities import ViewQuantities, quantities
 from datagen.terminal.command import track
 
@@ -21,9 +23,6 @@ ROLES: tuple[Role, ...] = get_args(Role)
 
 MAX_HELD_OUT = 4
 """Training views that are for validation, as `model train` holds them out."""
-
-MARGIN = 0.01
-"""Share by which near and far planes and the scene's box are wider than what is seen."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,19 +63,6 @@ class ExportView:
 def tracked(views: Sequence[ExportView]) -> Iterator[ExportView]:
     """The views one by one, with progress on stderr."""
     return track(views, label="export", total=len(views))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Bounds:
-    """The space that the views show, in metres; the sky is beyond it."""
-
-    near: float
-    """Less than the distance of every surface from the camera that sees it, glass above all."""
-    far: float
-    """More than the distance of every surface that is seen, through straight glass too."""
-    low: tuple[float, float, float]
-    """Corner of the box around all surfaces that are seen, in world axes."""
-    high: tuple[float, float, float]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,38 +129,23 @@ class Source:
         """The views of one role, in order."""
         return tuple(item for item in self.views if item.role == role)
 
-    @functools.cached_property
-    def bounds(self) -> Bounds:
-        """Reads the layers of every view."""
-        depths, positions = [], []
-        for item in self.pictures:
-            found = item.quantities
-            seen = [(found.depth_along_ray, found.position), (found.opaque_depth_along_ray, found.opaque_position)]
-            for depth, position in seen:
-                there = depth > 0
-                if there.any():
-                    depths += [depth[there].min(), depth[there].max()]
-                    positions += [position[there].min(axis=0), position[there].max(axis=0)]
-        if not depths:
-            raise HyalineError(f"{self.dataset.root}: no view shows a surface; expected one")
-        low, high = np.min(positions, axis=0).astype(float), np.max(positions, axis=0).astype(float)
+    @property
+    def near_far(self) -> dict[str, Json]:
+        """Between which distances surfaces are, metres along the ray; datasets of format version 1 do not say it."""
         cameras = self.dataset.cameras("train")
-        pad = MARGIN * (high - low).max()
-        return Bounds(
-            # Datasets of format version 1 do not record it; then it is what the pixels' centre rays meet.
-            near=float((1 - MARGIN) * min(depths)) if cameras.near is None else cameras.near,
-            far=float((1 + MARGIN) * max(depths)) if cameras.far is None else cameras.far,
-            low=tuple((low - pad).tolist()),
-            high=tuple((high + pad).tolist()),
-        )
+        return {} if cameras.near is None else {"near": cameras.near, "far": cameras.far}
+
+    @property
+    def world(self) -> dict[str, Json]:
+        """What a file says of the world that its views show, and its licence."""
+        return {"license": self.dataset.license, **self.near_far}
 
     @functools.cached_property
     def points(self) -> PointCloud:
         """Points from every training view; the same for the same dataset and number."""
         views = self.of_role("train")
         rng = np.random.default_rng(0)
-        shares = [(place + 1) * self.num_points // len(views) - place * self.num_points // len(views)
-                  for place in range(len(views))]  # fmt: skip
+        shares = np.diff(np.arange(len(views) + 1) * self.num_points // len(views)).tolist()
         parts = [_points_of(item, share, rng) for item, share in zip(views, shares, strict=True)]
         positions, normals, colors = (np.concatenate(column) for column in zip(*parts, strict=True))
         return PointCloud(position=positions, normal=normals, color=colors)
@@ -190,3 +161,65 @@ def _points_of(
     columns = (found.position, found.normal("shading"), item.image)
     position, normal, color = (values.reshape(-1, 3)[pixels] for values in columns)
     return position.astype(np.float64), normal.astype(np.float64), color
+
+
+# Encoders that several formats share
+
+MILLIMETRES = 1000.0
+MAX_DEPTH_MM = np.iinfo(np.uint16).max
+
+
+def rgb_png(item: ExportView) -> bytes:
+    """The 8-bit sRGB picture, without alpha."""
+    return png_bytes(item.image)
+
+
+def rgba_png(item: ExportView) -> bytes:
+    """The picture with an alpha of 255 everywhere: whatever a tool puts behind it, it shows what the dataset does.
+
+    The sky and what is seen through glass belong to the picture: none of it may be replaced by a background.
+    """
+    image = item.image
+    return png_bytes(np.concatenate([image, np.full_like(image[..., :1], 255)], axis=-1))
+
+
+def depth_png(depth: Float32[np.ndarray, "h w"]) -> bytes:
+    """16-bit PNG in millimetres, rounded; 0 where there is no surface, or one beyond 65.535 m."""
+    millimetres = np.rint(depth.astype(np.float64) * MILLIMETRES)
+    return png_bytes(np.where(millimetres > MAX_DEPTH_MM, 0, millimetres).astype(np.uint16))
+
+
+def mask_png(mask: Bool[np.ndarray, "h w"]) -> bytes:
+    """8-bit grey PNG: 255 where the mask is True, 0 elsewhere."""
+    return png_bytes(np.where(mask, 255, 0).astype(np.uint8))
+
+
+def ply_points(points: PointCloud) -> bytes:
+    """A binary PLY of points with normals and colours, as Gaussian splatting and nerfstudio start from."""
+    layout = [("position", "<f4", 3), ("normal", "<f4", 3), ("color", "u1", 3)]
+    rows = np.empty(len(points.position), np.dtype(layout))
+    rows["position"], rows["normal"], rows["color"] = points.position, points.normal, points.color
+    names = [*(f"float {name}" for name in ("x", "y", "z", "nx", "ny", "nz")), "uchar red", "uchar green", "uchar blue"]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    lines = [*header, *(f"property {name}" for name in names), "end_header", ""]
+    return "\n".join(lines).encode() + rows.tobytes()
+
+
+MAX_SHIFT = 0.05
+"""Pixels by which a principal point may miss the picture's middle and still be taken for it."""
+
+
+def check_centered(camera: Camera, form: str) -> None:
+    """Refuses cameras that readers of a format would take for others: they know the angle of the lens alone."""
+    column, row = camera.principal_point
+    if max(abs(column - camera.width / 2), abs(row - camera.height / 2)) > MAX_SHIFT:
+        raise HyalineError(
+            f"--format {form}: its readers take the picture's middle for the principal point, which is {column:g}, "
+            f"{row:g} here; export as nerfstudio or colmap"
+        )
+
+
+def frame(item: ExportView, file_path: str, **more: Json) -> dict[str, Json]:
+    """One view: its picture and its world_from_camera (OpenGL)."""
+    matrix = np.asarray(item.view.camera.world_from_camera, np.float64)
+    return {"file_path": file_path, "transform_matrix": matrix.tolist(), **more}

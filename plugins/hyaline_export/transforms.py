@@ -17,7 +17,7 @@ blender, as NeRF's synthetic scenes, and 3dgs, the same with points:
     train/NAME.png, val/NAME.png, test/NAME.png                         RGBA, alpha 255
     points3d.ply                                                        3dgs: points of the surfaces to start from
 
-Tools of this format do not read `near`, `far` and `aabb`; they are there to be set by hand.
+Tools of this format do not read `near` and `far`; they are there to be set by hand.
 
 capture, as `datagen capture` and people's own captures have it, without shapes, materials and room:
 
@@ -32,7 +32,10 @@ from collections.abc import Iterator
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from hyaline_export.files import (
+from hyaline_export.formats import Format
+from hyaline_export.source import (
+    ROLES,
+    Source,
     check_centered,
     depth_png,
     frame,
@@ -40,10 +43,8 @@ from hyaline_export.files import (
     ply_points,
     rgb_png,
     rgba_png,
-    world_keys,
+    tracked,
 )
-from hyaline_export.formats import Format
-from hyaline_export.source import ROLES, Source, tracked
 
 
 def _nerfstudio(source: Source) -> Iterator[tuple[str, bytes]]:
@@ -65,7 +66,7 @@ def _nerfstudio(source: Source) -> Iterator[tuple[str, bytes]]:
         "orientation_override": "none",
         "ply_file_path": "sparse_pc.ply",
         **lens_keys(source.lens),
-        **world_keys(source),
+        **source.world,
         **splits,
         "frames": frames,
     }
@@ -76,7 +77,7 @@ def _blender(source: Source, form: str) -> Iterator[tuple[str, bytes]]:
     check_centered(source.lens, form)
     for item in tracked(source.views):
         yield f"{item.role}/{item.name}.png", rgba_png(item)
-    about = {"convention": CONVENTION, **lens_keys(source.lens), **world_keys(source)}
+    about = {"convention": CONVENTION, **lens_keys(source.lens), **source.world}
     for role in ROLES:
         frames: list[Json] = [frame(item, f"./{role}/{item.name}") for item in source.of_role(role)]
         yield f"transforms_{role}.json", dump_json({**about, "frames": frames})

@@ -10,8 +10,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.quantities.surfaces import surfaces_of
-from hyaline_export.files import frame, mask_png, rgba_png, world_keys
-from hyaline_export.source import ROLES, Source
+from hyaline_export.source import ROLES, Source, frame, mask_png, rgba_png
 
 
 def write_refref(dataset: Dataset, root: Path) -> None:
@@ -25,7 +24,7 @@ def write_refref(dataset: Dataset, root: Path) -> None:
             (root / role / image).write_bytes(rgba_png(item))
             (root / role / mask).write_bytes(mask_png(item.quantities.glass))
             frames.append(frame(item, f"./{role}/{image}", mask_file_path=f"./{role}/{mask}"))
-        about = {**lens_keys(source.lens), **world_keys(source), "frames": frames}
+        about = {**lens_keys(source.lens), **source.world, "frames": frames}
         (root / f"transforms_{role}.json").write_text(json.dumps(about))
     (root / "meshes").mkdir()
     surfaces = surfaces_of(dataset)

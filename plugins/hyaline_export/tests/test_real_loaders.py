@@ -94,4 +94,4 @@ def check_loader(python: Path, loader: str, form: str, dataset: Dataset, folder:
         # A loader that goes through fractions may round down by one.
         assert np.abs(read["colors"].astype(int) - source.points.color).max() <= 1
     if about["near_far"] is not None:
-        assert tuple(about["near_far"]) == (source.bounds.near, source.bounds.far)
+        assert tuple(about["near_far"]) == (*source.near_far.values(),)
