@@ -3,6 +3,7 @@
 viser's cameras look along +z with +y down, a dataset's along -z with +y up.
 """
 
+import dataclasses
 import math
 import threading
 from dataclasses import dataclass
@@ -39,8 +40,8 @@ class Job:
     """One picture to draw for one browser."""
 
     client: int
-    number: int
-    """Number of the request; a later one of the same browser replaces it."""
+    pose: Pose
+    """The browser's pose; a later one replaces it."""
     camera: Camera
     is_quick: bool
     """True to draw with one ray per pixel."""
@@ -49,7 +50,6 @@ class Job:
 @dataclass
 class _Viewer:
     pose: Pose
-    number: int
     moved_at: float
     sides: list[int] | None = None
     """The longer sides of the full pictures that are still to be drawn; None before the quick one."""
@@ -64,14 +64,12 @@ class Schedule:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._viewers: dict[int, _Viewer] = {}
-        self._numbers = 0
         self._rate = FIRST_RATE
 
     def move(self, client: int, pose: Pose, now: float) -> None:
         """Records a browser's new camera."""
         with self._lock:
-            self._numbers += 1
-            self._viewers[client] = _Viewer(pose=pose, number=self._numbers, moved_at=now)
+            self._viewers[client] = _Viewer(pose=pose, moved_at=now)
 
     def forget(self, client: int) -> None:
         """Removes a browser that has disconnected."""
@@ -81,7 +79,7 @@ class Schedule:
     def redraw(self) -> None:
         """Marks every picture as outdated, because the scene has changed."""
         for client, viewer in list(self._viewers.items()):
-            self.move(client, viewer.pose, viewer.moved_at)
+            self.move(client, dataclasses.replace(viewer.pose), viewer.moved_at)
 
     @property
     def is_watched(self) -> bool:
@@ -91,7 +89,7 @@ class Schedule:
     def is_wanted(self, job: Job) -> bool:
         """False as soon as the camera has moved on, or another browser waits for its quick picture."""
         viewer = self._viewers.get(job.client)
-        is_current = viewer is not None and viewer.number == job.number
+        is_current = viewer is not None and viewer.pose is job.pose
         return is_current and (job.is_quick or all(other.sides is not None for other in list(self._viewers.values())))
 
     def next_job(self, now: float) -> Job | None:
@@ -105,11 +103,12 @@ class Schedule:
             if not waiting:
                 return None
             side, client = min(waiting)
-            viewer = self._viewers[client]
-            pose = viewer.pose
-            width, height = fitted_size(side or self._quick_side(pose.window), pose.window)
+            pose = self._viewers[client].pose
+            wide, tall = (max(1, pixels) for pixels in pose.window)
+            scale = (side or self._quick_side(wide, tall)) / max(wide, tall)
+            width, height = max(1, round(wide * scale)), max(1, round(tall * scale))
             camera = camera_in_window(pose.position, pose.wxyz, pose.fov_y, width, height)
-            return Job(client=client, number=viewer.number, camera=camera, is_quick=side == 0)
+            return Job(client=client, pose=pose, camera=camera, is_quick=side == 0)
 
     def finish(self, job: Job, seconds: float) -> None:
         """Records that a picture was drawn and sent in this time."""
@@ -117,14 +116,12 @@ class Schedule:
             if job.is_quick:
                 self._rate = 0.5 * (self._rate + job.camera.width * job.camera.height / max(seconds, 1e-6))
             viewer = self._viewers.get(job.client)
-            if viewer is not None and viewer.number == job.number:
-                side, window = max(job.camera.width, job.camera.height), max(viewer.pose.window)
-                following = [other for other in SIDES if other <= max(window, SIDES[0])]
-                viewer.sides = [other for other in following if other >= side + (not job.is_quick)]
+            if viewer is not None and viewer.pose is job.pose:
+                side, most = max(job.camera.width, job.camera.height), max(*viewer.pose.window, SIDES[0])
+                viewer.sides = [other for other in SIDES if side + (not job.is_quick) <= other <= most]
 
-    def _quick_side(self, window: tuple[int, int]) -> int:
+    def _quick_side(self, width: int, height: int) -> int:
         """The longest of SIDES that fits the window and probably takes no longer than MOVING_S to draw."""
-        width, height = (max(1, pixels) for pixels in window)
         longest = (self._rate * MOVING_S * max(width, height) / min(width, height)) ** 0.5
         return max((side for side in SIDES if side <= min(longest, max(width, height))), default=SIDES[0])
 
@@ -154,10 +151,3 @@ def window_pose(camera: Camera) -> tuple[Float[np.ndarray, "3"], Float[np.ndarra
     rotation = Rotation.from_matrix(camera.world_from_camera[:3, :3] @ FLIP)
     fov_y = 2 * math.atan(math.tan(camera.fov_x / 2) * camera.height / camera.width)
     return camera.world_from_camera[:3, 3], np.roll(rotation.as_quat(), 1), fov_y
-
-
-def fitted_size(side: int, window: tuple[int, int]) -> tuple[int, int]:
-    """Width and height of a picture with the longer side `side` and the aspect of a window (width, height)."""
-    width, height = (max(1, pixels) for pixels in window)
-    scale = side / max(width, height)
-    return max(1, round(width * scale)), max(1, round(height * scale))

@@ -1,5 +1,9 @@
-"""The viewer's scene (the dataset's cameras with their pictures, and the meshes of one geometry) and its panel."""
+"""What the viewer shows: the dataset's cameras with their pictures, the meshes of one geometry, and a panel.
 
+All browsers share it; viser calls its callbacks in threads of its own.
+"""
+
+import contextlib
 import re
 import threading
 from collections.abc import Callable, Iterator
@@ -23,6 +27,7 @@ FRAME_SHARE = 0.05
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
 GLASS_OPACITY = 0.35
+NO_MESHES = "none"
 
 
 def as_text(text: str) -> str:
@@ -31,19 +36,21 @@ def as_text(text: str) -> str:
 
 
 class Stage:
-    """Shows a dataset in the viewer's scene."""
+    """A dataset in the viewer's scene, and its controls."""
 
-    def __init__(self, server: viser.ViserServer, dataset: Dataset, on_click: Callable[[View], None]) -> None:
-        """Adds the cameras without pictures; meshes are only added by `show_meshes`.
+    def __init__(
+        self, server: viser.ViserServer, dataset: Dataset, *, has_run: bool, on_sight: Callable[[], None]
+    ) -> None:
+        """Adds the cameras without pictures, and the controls.
 
         Args:
-            on_click: called in a viser thread when a camera was clicked and the browser looks through it.
+            on_sight: called when the prediction is switched on or off.
         """
-        self._server, self._dataset, self._on_click = server, dataset, on_click
+        self._server, self._dataset, gui = server, dataset, server.gui
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
-        corners = [mesh.vertices for mesh in meshes if is_there(mesh)] or [_places(dataset)]
-        low, high = np.concatenate(corners).min(axis=0), np.concatenate(corners).max(axis=0)
-        self.middle = (low + high).astype(np.float64) / 2
+        places = [dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits]
+        corners = np.concatenate([mesh.vertices for mesh in meshes if is_there(mesh)] or places)
+        self._middle = (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
         first = dataset.view("interpolating" if "interpolating" in dataset.splits else dataset.splits[0], 0).camera
         # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, when
         # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
@@ -52,129 +59,21 @@ class Stage:
         server.initial_camera.up = (0.0, 0.0, 1.0)
         self._frames = [(view, self._add_frame(view)) for split in dataset.splits for view in dataset.views(split)]
         self._meshes: list[viser.MeshHandle] = []
+        self._choosing = threading.Lock()
 
-    def show_cameras(self, is_shown: bool) -> None:
-        for _, frame in self._frames:
-            frame.visible = is_shown
-
-    def show_meshes(self, geometry: str | None) -> None:
-        """Replaces the shown meshes by those of this geometry; None: shows none."""
-        meshes = () if geometry is None else read_meshes(self._dataset, geometry)
-        for handle in self._meshes:
-            handle.remove()
-        colors = object_colors(len(self._dataset.objects))[1:]
-        self._meshes = [
-            self._server.scene.add_mesh_simple(
-                f"/meshes/{item.name}",
-                mesh.vertices,
-                mesh.faces,
-                color=color,
-                opacity=GLASS_OPACITY if item.is_glass else None,
-                side="double",
-            )
-            for item, mesh, color in zip(self._dataset.objects, meshes, colors)
-            if is_there(mesh)
-        ]
-
-    def pictures(self) -> Iterator[None]:
-        """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
-        for view, frame in self._frames:
-            try:
-                picture = view.image
-            except HyalineError:
-                continue
-            step = -(-max(picture.shape[:2]) // MOST_PIXELS)
-            frame.image = picture[::step, ::step]
-            yield
-
-    def _add_frame(self, view: View) -> viser.CameraFrustumHandle:
-        camera = view.camera
-        position, wxyz, fov_y = window_pose(camera)
-        frame = self._server.scene.add_camera_frustum(
-            f"/cameras/{view.split}/{view_name(view.index)}",
-            fov_y,
-            camera.width / camera.height,
-            scale=FRAME_SHARE * float(np.linalg.norm(position - self.middle)),
-            thickness=1.5,
-            thickness_units="screen",
-            color=COLORS.get(view.split, COLORS["extrapolating"]),
-            wxyz=wxyz,
-            position=position,
-        )
-
-        @frame.on_click
-        def _(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
-            if event.client is not None:
-                self._look_through(event.client, camera)
-                self._on_click(view)
-
-        return frame
-
-    def _look_through(self, client: viser.ClientHandle, camera: Camera) -> None:
-        position, wxyz, fov_y = window_pose(camera)
-        with client.atomic():
-            client.camera.position = position
-            client.camera.look_at = self._ahead(camera)
-            client.camera.wxyz = wxyz
-            client.camera.fov = fov_y
-
-    def _ahead(self, camera: Camera) -> np.ndarray:
-        """The point on a camera's axis to orbit: as far away as the centre of the scene."""
-        position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
-        return position + forward * max(float(np.linalg.norm(self.middle - position)), 1e-3)
-
-
-def _places(dataset: Dataset) -> np.ndarray:
-    """The positions of all cameras."""
-    return np.concatenate([dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits])
-
-
-NO_MESHES = "none"
-
-
-class Panel:
-    """The controls, shared by all browsers; they change in viser's threads."""
-
-    def __init__(
-        self,
-        server: viser.ViserServer,
-        dataset: Dataset,
-        *,
-        has_run: bool,
-        on_sight: Callable[[], None],
-        on_cameras: Callable[[bool], None],
-        on_meshes: Callable[[str | None], None],
-    ) -> None:
-        """
-        Args:
-            on_sight: called when the prediction is switched on or off.
-            on_cameras: called with whether to show the dataset's cameras.
-            on_meshes: called with the geometry whose meshes to show; it may raise a HyalineError.
-        """
-        gui, geometries = server.gui, list_geometries(dataset) if dataset.objects else []
         self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
         self._prediction = gui.add_checkbox("prediction", has_run, visible=has_run)
         self._prediction.on_update(lambda _: on_sight())
+        geometries = list_geometries(dataset) if dataset.objects else []
         shown = NO_MESHES if has_run or not geometries else TRUTH  # Meshes and frames would cover the prediction.
-        meshes = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
+        choice = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
+        choice.on_update(lambda _: self._show_meshes(choice.value))
+        self._show_meshes(shown)
         cameras = gui.add_checkbox("cameras", not has_run)
-        self._view = gui.add_markdown("Click a camera to look through it.")
+        cameras.on_update(lambda _: self._show_cameras(cameras.value))
+        self._show_cameras(cameras.value)
+        self._caption = gui.add_markdown("Click a camera to look through it.")
         self._truth: viser.GuiImageHandle | None = None
-        self._gui = gui
-
-        choosing = threading.Lock()
-
-        def show_meshes(_: object) -> None:
-            with choosing:  # Two threads would remove the same meshes, and the last choice might not be the last shown.
-                try:
-                    on_meshes(None if meshes.value == NO_MESHES else meshes.value)
-                except HyalineError as error:
-                    self.tell_trouble(str(error))
-
-        meshes.on_update(show_meshes)
-        on_meshes(None if shown == NO_MESHES else shown)
-        cameras.on_update(lambda _: on_cameras(cameras.value))
-        on_cameras(cameras.value)
 
     @property
     def shows_prediction(self) -> bool:
@@ -189,14 +88,81 @@ class Panel:
         """Shows why there is no picture; empty: hides the message."""
         self._trouble.content, self._trouble.visible = as_text(trouble), bool(trouble)
 
-    def show_view(self, view: View) -> None:
-        """Shows the true picture of a view."""
-        self._view.content = f"{view.split} view {view.index}: truth"
-        try:
+    def pictures(self) -> Iterator[None]:
+        """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
+        for view, frame in self._frames:
+            with contextlib.suppress(HyalineError):
+                picture = view.image
+                step = -(-max(picture.shape[:2]) // MOST_PIXELS)
+                frame.image = picture[::step, ::step]
+                yield
+
+    def _show_cameras(self, is_shown: bool) -> None:
+        for _, frame in self._frames:
+            frame.visible = is_shown
+
+    def _show_meshes(self, geometry: str) -> None:
+        """Replaces the shown meshes by those of this geometry."""
+        with (
+            self._choosing
+        ):  # Two threads would remove the same meshes, and the last choice might not be the last shown.
+            try:
+                meshes = () if geometry == NO_MESHES else read_meshes(self._dataset, geometry)
+            except HyalineError as error:
+                self.tell_trouble(str(error))
+                return
+            for handle in self._meshes:
+                handle.remove()
+            colors = object_colors(len(self._dataset.objects))[1:]
+            self._meshes = [
+                self._server.scene.add_mesh_simple(
+                    f"/meshes/{item.name}",
+                    mesh.vertices,
+                    mesh.faces,
+                    color=color,
+                    opacity=GLASS_OPACITY if item.is_glass else None,
+                    side="double",
+                )
+                for item, mesh, color in zip(self._dataset.objects, meshes, colors)
+                if is_there(mesh)
+            ]
+
+    def _add_frame(self, view: View) -> viser.CameraFrustumHandle:
+        camera = view.camera
+        position, wxyz, fov_y = window_pose(camera)
+        frame = self._server.scene.add_camera_frustum(
+            f"/cameras/{view.split}/{view_name(view.index)}",
+            fov_y,
+            camera.width / camera.height,
+            scale=FRAME_SHARE * float(np.linalg.norm(position - self._middle)),
+            thickness=1.5,
+            thickness_units="screen",
+            color=COLORS.get(view.split, COLORS["extrapolating"]),
+            wxyz=wxyz,
+            position=position,
+        )
+
+        @frame.on_click
+        def _(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
+            if event.client is not None:
+                with event.client.atomic():
+                    looking = event.client.camera
+                    looking.position, looking.look_at = position, self._ahead(camera)
+                    looking.wxyz, looking.fov = wxyz, fov_y
+                self._show_truth(view)
+
+        return frame
+
+    def _show_truth(self, view: View) -> None:
+        """Shows the true picture of a view in the panel."""
+        self._caption.content = f"{view.split} view {view.index}: not built"
+        with contextlib.suppress(HyalineError):
             picture = view.image
-        except HyalineError:
-            self._view.content = f"{view.split} view {view.index}: not built"
-            return
-        if self._truth is None:
-            self._truth = self._gui.add_image(picture, format="png")
-        self._truth.image = picture
+            self._truth = self._truth or self._server.gui.add_image(picture, format="png")
+            self._truth.image = picture
+            self._caption.content = f"{view.split} view {view.index}: truth"
+
+    def _ahead(self, camera: Camera) -> np.ndarray:
+        """The point on a camera's axis to orbit: as far away as the centre of the scene."""
+        position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
+        return position + forward * max(float(np.linalg.norm(self._middle - position)), 1e-3)

@@ -40,8 +40,7 @@ def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_end
 
 def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_meshes(home: Path) -> None:
     require_viewer()
-    from hyaline_web.view.server import serving
-    from hyaline_web.view.view import Viewer
+    from hyaline_web.view.view import Viewer, serving
 
     dataset = hyaline.open_dataset("one")
     views = [(split, view) for split, count in dataset.num_views.items() for view in range(count)]

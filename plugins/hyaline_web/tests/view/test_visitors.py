@@ -20,8 +20,7 @@ require_viewer()
 import viser
 from websockets.exceptions import InvalidStatus
 
-from hyaline_web.view.server import serving
-from hyaline_web.view.view import Viewer
+from hyaline_web.view.view import Viewer, serving
 
 pytestmark = pytest.mark.usefixtures("at_home")
 
