@@ -51,13 +51,12 @@ def view_of(dataset: Dataset, name: str) -> View:
 
 
 def check_vertices(dataset: Dataset, views: dict[str, ReadView]) -> None:
-    """Vertices of the cube and the ball fall on the objects' own pixels, and where the dataset's rays go."""
+    """Vertices of the cube and the ball fall where the dataset's rays go."""
     assert views
     meshes = {item.name: item.mesh for item in surfaces_of(dataset).scene.objects}
-    boxes = 0
     for name, read in views.items():
         view = view_of(dataset, name)
-        camera, found = view.camera, quantities(view)
+        camera = view.camera
         vertices = np.concatenate([meshes["cube"].vertices, meshes["ball"].vertices]).astype(np.float64)
         pixels = read.project(vertices)
         _, directions = camera.rays()
@@ -72,19 +71,6 @@ def check_vertices(dataset: Dataset, views: dict[str, ReadView]) -> None:
         expected = ray + off[:, :1] * right - off[:, 1:] * up
         expected /= np.linalg.norm(expected, axis=-1, keepdims=True)
         assert np.abs(expected - towards).max() * camera.intrinsics[0, 0] < 0.01
-        for thing in ("cube", "ball"):
-            mine = read.project(meshes[thing].vertices.astype(np.float64))
-            mask = found.object_mask(thing)
-            layers = view.layers().object_id
-            everywhere = (layers == dataset.object_id(thing)).any(axis=0)
-            is_whole = mask.sum() == everywhere.sum() and ((mine > 1) & (mine < camera.width - 1)).all()
-            if is_whole:
-                rows, columns = np.nonzero(mask)
-                low, high = np.array([columns.min(), rows.min()]), np.array([columns.max(), rows.max()]) + 1
-                centre = (low + high) / 2 - (mine.min(axis=0) + mine.max(axis=0)) / 2
-                assert np.abs(centre).max() < 0.75, "the middles of both boxes, on a grid of pixels"
-                boxes += 1
-    assert boxes > 0
 
 
 def check_picture(dataset: Dataset, name: str, file: Path, channels: int) -> None:

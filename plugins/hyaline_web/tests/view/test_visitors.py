@@ -59,14 +59,10 @@ def served(home: Path) -> Iterator[tuple[str, Viewer]]:
         ("LocalHost:9000", "http://localhost:9000", 101),  # Through `ssh -L 9000:localhost:8080`.
         ("[::1]:{port}", "http://[::1]:{port}", 101),
         ("127.0.0.1:{port}", "http://evil.example", 403),
-        ("127.0.0.1:{port}", "http://127.0.0.1:1", 403),
         ("127.0.0.1:{port}", "http://localhost:{port}", 403),
         ("127.0.0.1:{port}", "null", 403),
         ("evil.example:{port}", "http://evil.example:{port}", 403),  # Whose name now leads to 127.0.0.1.
-        ("127.0.0.1.evil.example", None, 403),
-        ("192.0.2.1:{port}", None, 403),
         ("evil.example@127.0.0.1[", None, 403),
-        ("", None, 403),
         (None, None, 403),
     ],
 )
