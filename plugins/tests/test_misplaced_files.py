@@ -60,12 +60,9 @@ REFUSED: dict[Callable[[], None], tuple[str, tuple[str, ...]]] = {
     circle: (
         "circle",
         (
-            "datagen build --scene glass_table --preset tiny --out circle/below",
             "datagen look d1 --out circle/look.html",
-            f"{RENDER} --frames 2 --out circle --overwrite",
             "model train paper d1 --out circle --steps 2 --device cpu",
             "proxies make circle",
-            "eval report --out circle",
         ),
     ),
 }

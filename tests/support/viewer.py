@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -58,52 +57,37 @@ def pose_of(dataset: Dataset, window: tuple[int, int]) -> Pose:
     return Pose(position=position, wxyz=wxyz, fov_y=fov_y, window=window)
 
 
-def camera_message(pose: Pose) -> dict[str, Any]:
-    """What viser's page says when its camera has moved."""
-    width, height = pose.window
-    return {
-        "type": "ViewerCameraMessage",
-        "wxyz": [float(value) for value in pose.wxyz],
-        "position": [float(value) for value in pose.position],
-        "fov": pose.fov_y,
-        "near": 0.01,
-        "far": 1000.0,
-        "image_height": height,
-        "image_width": width,
-        "look_at": [0.0, 0.0, 0.0],
-        "up_direction": [0.0, 0.0, 1.0],
-    }
-
-
 class Window:
     """One connection to a viewer, in the messages of viser's own page."""
+
+    patience_s: float = PATIENCE_S
+    """How long a silence may last."""
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
 
     def stand_at(self, pose: Pose) -> None:
-        """The camera is here now."""
-        self.send(camera_message(pose))
-
-    def send(self, message: object) -> None:
-        """Says anything."""
+        """Says, as viser's page does, that the camera is here now."""
         import msgspec
 
-        self.send_bytes(msgspec.msgpack.encode(message))
+        message = {
+            "type": "ViewerCameraMessage",
+            "wxyz": pose.wxyz.tolist(),
+            "position": pose.position.tolist(),
+            "fov": pose.fov_y,
+            **{"near": 0.01, "far": 1000.0, "look_at": [0.0, 0.0, 0.0], "up_direction": [0.0, 0.0, 1.0]},
+            **dict(zip(("image_width", "image_height"), pose.window, strict=True)),
+        }
+        self._connection.send(msgspec.msgpack.encode(message))
 
-    def send_bytes(self, data: bytes | str) -> None:
-        """Says what need not be a message."""
-        self._connection.send(data)
-
-    def windows(self, patience_s: float) -> Iterator[tuple[list[dict[str, Any]], list[bytes]]]:
-        """What the viewer says for so long, as many messages at once as it says, with their binary parts."""
+    def windows(self) -> Iterator[tuple[list[dict[str, Any]], list[bytes]]]:
+        """What the viewer says, as many messages at once as it says, with their binary parts; until it is silent."""
         import msgspec
         import zstandard
 
-        end = time.monotonic() + patience_s
-        while (left := end - time.monotonic()) > 0:
+        while True:
             try:
-                data = self._connection.recv(timeout=left)
+                data = self._connection.recv(timeout=self.patience_s)
             except TimeoutError:
                 return
             size, packed = (int.from_bytes(data[place : place + 8], "little") for place in (0, 8))
@@ -116,15 +100,15 @@ class Window:
                 place += length
             yield content["messages"], parts
 
-    def messages(self, patience_s: float) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-        """What the viewer says for so long, with the binary parts of each message's window."""
-        for messages, parts in self.windows(patience_s):
+    def messages(self) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+        """What the viewer says, with the binary parts of each message's window."""
+        for messages, parts in self.windows():
             for message in messages:
                 yield message, parts
 
-    def pictures(self, patience_s: float) -> Iterator[tuple[str, np.ndarray]]:
+    def pictures(self) -> Iterator[tuple[str, np.ndarray]]:
         """Format and pixels of the pictures behind the scene, as they arrive."""
-        for message, parts in self.messages(patience_s):
+        for message, parts in self.messages():
             if message["type"] == "BackgroundImageMessage" and message["rgb_data"] is not None:
                 data = message["rgb_data"]
                 data = parts[data["__binary_index"]] if isinstance(data, dict) else data
@@ -132,13 +116,13 @@ class Window:
 
 
 @contextmanager
-def open_window(address: str, **headers: str) -> Iterator[Window]:
-    """Connects to a viewer at http://HOST:PORT, with headers of a browser's."""
+def open_window(address: str) -> Iterator[Window]:
+    """Connects to a viewer at http://HOST:PORT."""
     import viser
     from websockets.sync.client import connect
     from websockets.typing import Subprotocol
 
     place = address.replace("http://", "ws://")
     spoken = [Subprotocol(f"viser-v{viser.__version__}")]
-    with connect(place, subprotocols=spoken, max_size=None, compression=None, additional_headers=headers) as connection:
+    with connect(place, subprotocols=spoken, max_size=None, compression=None) as connection:
         yield Window(connection)

@@ -51,6 +51,8 @@ def test_what_it_draws_is_scored_against_the_same_views(environment: Path) -> No
     answer = run("glasses", "--environment", environment, "--seed-of-ns-train", 3)
     assert answer.returncode == 0, answer.stderr
     assert answer.stdout == "runs/glasses/nerfacto\n"
+    again = run("glasses", "--environment", environment)
+    assert again.returncode == 1 and "runs/glasses/nerfacto: exists" in again.stderr
     words = json.loads(Path("exports/glasses-nerfacto/nerfacto/run/config.yml").read_text())["words"]
     assert words[-2:] == ["--seed-of-ns-train", "3"] and "1500" in words
     assert call("report").status == 0
@@ -75,10 +77,3 @@ def test_views_by_angle_are_drawn_beside_the_others(environment: Path) -> None:
     told = json.loads(Path("exports/glasses-nerfstudio/transforms.json").read_text())
     assert told["frames"][-1]["transform_matrix"] == frame["transform_matrix"]
     assert not any("depth_file_path" in each for each in told["frames"])
-
-
-def test_a_run_that_exists_stays(environment: Path) -> None:
-    Path("runs/glasses/nerfacto").mkdir(parents=True)
-    answer = run("glasses", "--environment", environment)
-    assert answer.returncode == 1 and "runs/glasses/nerfacto: exists" in answer.stderr
-    assert not Path("exports").exists()

@@ -80,11 +80,3 @@ def test_equal_scores_are_printed_side_by_side(scored: Path) -> None:
 def test_a_difference_beyond_single_precision_is_an_error(scored: Path) -> None:
     answer = ask(scored, wrong="+ 0.001")
     assert (answer.returncode, answer.stderr) == (1, "2 scores differ\n")
-
-
-def test_a_dataset_without_scores_is_named(scored: Path) -> None:
-    Path("data/other").mkdir()
-    words = [sys.executable, str(SCRIPT), "other"]
-    answer = subprocess.run(words, capture_output=True, text=True, check=False)
-    assert (answer.returncode, answer.stdout) == (1, "")
-    assert answer.stderr == "runs/report/results.json: has no scores of other; run `report` first\n"

@@ -3,7 +3,9 @@
 import dataclasses
 import itertools
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -88,12 +90,19 @@ def edit(path: Path) -> None:
         path.write_bytes(png_bytes(np.full((2, 2, 3), 200, np.uint8)))
 
 
+def each(lines: tuple[str, ...], *names: str) -> Iterator[Any]:
+    """Every command with every file; a quick run tries each command with one file, in turn."""
+    for place, (line, name) in enumerate(itertools.product(lines, names)):
+        turn, kind = divmod(place, len(names))
+        yield pytest.param(line, name, marks=() if kind == turn % len(names) else pytest.mark.full)
+
+
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("line", "name"),
     [
-        *itertools.product(READ_MATERIALS, ["scene/scene.json", "scene/meshes/ball.ply", "scene/textures/cube.png"]),
-        *itertools.product(READ_FIT, ["proxies/fitted/proxies.json", "proxies/fitted/meshes/ball.ply"]),
+        *each(READ_MATERIALS, "scene/scene.json", "scene/meshes/ball.ply", "scene/textures/cube.png"),
+        *each(READ_FIT, "proxies/fitted/proxies.json", "proxies/fitted/meshes/ball.ply"),
         (f"model predict {RUN} --variant remove-ball --device cpu", "variants/remove-ball/scene/scene.json"),
     ],
 )

@@ -9,7 +9,7 @@ from PIL import Image
 from support.commands import Answer, call
 from support.disk import State, read_state
 from support.gltf import GltfBuilder
-from support.scenarios import BUILD, GRID, SCENARIOS, TRAIN
+from support.scenarios import BUILD, GRID, QUICK, SCENARIOS, TRAIN
 
 from datagen.machine.mitsuba_variant import use_mitsuba
 
@@ -18,7 +18,7 @@ IMPORT = "datagen import thing.glb --out mine --overwrite"
 UNPACK = "datagen unpack exports/one.tar --out data/two"
 
 FREE = (
-    *((item.start, item.line) for item in SCENARIOS),
+    *(pytest.param(item.start, item.line, marks=() if item.name in QUICK else pytest.mark.full) for item in SCENARIOS),
     ("scene", f"{BUILD} --shard 1/2"),
     ("dataset", "datagen export data/one --format 3dgs --out exports/one"),
     ("dataset", "datagen pack data/one --out exports/one.tar"),

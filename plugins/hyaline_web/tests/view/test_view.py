@@ -29,7 +29,7 @@ def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_end
         with open_window(address) as window:
             window.stand_at(pose)
             # A quick picture may come before, unless this one has overtaken it on the way.
-            picture = next(picture for kind, picture in window.pictures(PATIENCE_S) if kind == "png")
+            picture = next(picture for kind, picture in window.pictures() if kind == "png")
         assert np.array_equal(picture, truth)
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE_S)
@@ -50,9 +50,10 @@ def test_a_dataset_without_runs_shows_its_cameras_with_their_pictures_and_its_me
         shown = Viewer(server, dataset, None)
         with open_window(f"http://127.0.0.1:{server.get_port()}") as window:
             window.stand_at(pose_of(dataset, (48, 32)))
+            window.patience_s = 0.1
             for _ in range(100):
                 shown.step(Held())
-                for message, _ in window.messages(0.1):
+                for message, _ in window.messages():
                     if message["type"] in ("CameraFrustumMessage", "MeshMessage"):
                         names.add(message["name"])
                     pictures += "_image_data" in message.get("updates", {})
