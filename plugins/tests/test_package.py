@@ -54,15 +54,6 @@ def test_the_source_distribution_has_the_tests_and_what_they_need(built: Path) -
     assert needed - names == set()
 
 
-def test_an_editable_install_is_two_folders_on_the_path_in_which_editors_find_types(built: Path) -> None:
-    command = "from hatchling import build as b; b.build_editable('editable')"
-    subprocess.run([sys.executable, "-c", command], cwd=built, check=True, capture_output=True)
-    (wheel,) = (built / "editable").glob("*.whl")
-    with zipfile.ZipFile(wheel) as file:
-        (path,) = [name for name in file.namelist() if ".dist-info/" not in name]
-        assert path.endswith(".pth") and file.read(path).decode().split() == [str(built), str(built / "plugins")]
-
-
 def test_every_tracked_file_with_tests_is_collected(pytestconfig: pytest.Config) -> None:
     tracked = ["git", "grep", "--name-only", "--extended-regexp", r"^ *(async )?def test_", "--", "*.py"]
     found = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=False)

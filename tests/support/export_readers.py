@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import trimesh
 from PIL import Image
 
 
@@ -124,11 +125,7 @@ def _colmap(pose: list[float], lens: list[float]) -> Callable[[np.ndarray], np.n
 
 
 def read_ply_points(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, normals and colours by the names in the header, as plyfile gives them."""
-    header, _, data = path.read_bytes().partition(b"end_header\n")
-    names = [line.split() for line in header.decode().splitlines() if line.startswith("property")]
-    kinds = {"float": "<f4", "uchar": "u1"}
-    rows = np.frombuffer(data, np.dtype([(name, kinds[kind]) for _, kind, name in names]))
-    assert f"element vertex {len(rows)}" in header.decode()
+    """Positions, normals and colours, as trimesh reads them."""
+    rows = trimesh.load(path, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]  # pyright: ignore
     columns = (("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue"))
-    return tuple(np.stack([rows[name] for name in group], axis=-1) for group in columns)  # type: ignore[return-value]
+    return tuple(np.stack([rows[name].ravel() for name in group], axis=-1) for group in columns)  # type: ignore[return-value]

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
 
 
 @dataclass
@@ -39,19 +38,6 @@ class Answer:
 
 
 Questions = dict[str, np.ndarray]
-
-
-def read_convention(root: Path, questions: Questions) -> Answer:
-    """transforms.json as the documentation says it; no tool. It shows that the comparison works."""
-    meta = json.loads((root / "transforms.json").read_text())
-    answer = Answer(near_far=(meta["near"], meta["far"]))
-    for frame in meta["frames"]:
-        name = Path(frame["file_path"]).stem
-        colors, depth = (np.asarray(Image.open(root / frame[key])) for key in ("file_path", "depth_file_path"))
-        answer.pictures[name] = _by_convention(meta | frame, questions[name], colors, depth / 1000)
-    for split in ("train", "val", "test"):
-        answer.splits[split] = [Path(file).stem for file in meta[f"{split}_filenames"]]
-    return answer
 
 
 def read_nerfstudio_data(root: Path, questions: Questions) -> Answer:
@@ -172,7 +158,6 @@ def _by_convention(lens: dict, places: np.ndarray, colors: np.ndarray, depth: np
 
 
 LOADERS: dict[str, Callable[[Path, Questions], Answer]] = {
-    "convention": read_convention,
     "nerfstudio-data": read_nerfstudio_data,
     "nerfstudio-blender": read_nerfstudio_blender,
     "nerfstudio-colmap": read_nerfstudio_colmap,

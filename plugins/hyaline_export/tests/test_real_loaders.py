@@ -7,7 +7,6 @@ loaders that this interpreter can import (`loaders_child.py`); it needs no hyali
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -38,10 +37,6 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     root = tmp_path_factory.mktemp("source") / "glasses"
     write_traced_dataset(root)
     return open_dataset(root)
-
-
-def test_the_documented_convention_is_the_dataset(dataset: Dataset, tmp_path: Path) -> None:
-    check_loader(Path(sys.executable), "convention", "nerfstudio", dataset, tmp_path)
 
 
 @pytest.mark.skipif("HYALINE_PEERS" not in os.environ, reason="HYALINE_PEERS names no interpreter that has other tools")

@@ -8,19 +8,17 @@ import numpy as np
 import pytest
 import torch
 from support.commands import call
-from support.opaque_cube import opaque_cube
 from support.reference import convolve, interpolate
 from support.synthetic import look_at, write_synthetic_dataset
 from support.training import stop_at
 from torch import nn
 
 from datagen.data.cameras import Cameras, Lens
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.scene.rig import make_cameras
 from hyaline_paper.deepvoxels import (
     DeepVoxels,
     VoxelGrid,
@@ -327,21 +325,6 @@ def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
     # The median is the best picture for a network that draws the same for every camera.
     same_for_all = np.abs(true - np.median(true, axis=0)).mean()
     assert losses[-1] < 0.8 * same_for_all
-
-
-def test_the_grid_around_the_opaque_cube_holds_it_and_no_camera() -> None:
-    scene = opaque_cube()
-    split = SplitConfig(views=30, spp=2)
-    config = DatasetConfig(
-        scene=scene.name, preset="demo", resolution=square(32), train=split, interpolating=split, extrapolating=split
-    )
-    cameras = make_cameras(scene.cameras, config)["train"]
-    vertices = np.concatenate([item.mesh.vertices for item in scene.objects]).astype(np.float64)
-    origin, edge = fit_cube(cameras, vertices)
-    assert np.abs(origin - scene.cameras.target).max() < 0.1
-    assert np.abs(vertices - origin).max() == pytest.approx(edge / 2)
-    assert np.linalg.norm(cameras.world_from_camera[:, :3, 3] - origin, axis=1).min() > np.sqrt(3) / 2 * edge
-    assert not any(item.material.is_glass for item in scene.objects)
 
 
 def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ from datagen.data.dataset import open_dataset
 from datagen.data.geometries import check_geometry
 from datagen.data.paths import find_dataset
 from datagen.data.variants import list_variants
-from datagen.disk.errors import HyalineError
 from model.run.predict import load_renderer
 from model.run.run_folder import read_run
 
@@ -105,13 +104,3 @@ def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[
         assert call(line).error.endswith("; run the command that made it again, which keeps what is whole")
     run(f"{BUILD} --num-layers 9")
     assert call("datagen verify data/one").status == 0
-
-
-@pytest.mark.parametrize(
-    "line", ["model predict runs/one/paper --variant remove-pane", "model train paper data/one --geometry box"]
-)
-def test_advice_that_does_not_work_is_noticed(start: Callable[[str], State], line: str) -> None:
-    start("run")
-    check_advice("model predict runs/one/paper")
-    with pytest.raises((AssertionError, HyalineError)):
-        check_advice(line)
