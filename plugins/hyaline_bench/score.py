@@ -75,9 +75,17 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
     runs: list[Run] = []
     for folder in list_run_folders(root, besides=root / "report"):
         with left_out():
-            if has_predictions(folder):
-                run = _open(folder, data_root, truths)
-                runs += [run] if is_of_preset(run.dataset, preset, protocol) else []
+            if not has_predictions(folder):
+                continue
+            run = open_run(folder, data_root)
+            if run.dataset.seal not in truths:
+                raise HyalineError(
+                    f"{folder}: predicts {run.dataset.root} (dataset {run.dataset.seal[:12]}), which is not in "
+                    f"{data_root}; set --data to the folder that contains it"
+                )
+            # A record must not choose which of a hidden scene's two datasets is scored against.
+            run = dataclasses.replace(run, dataset=truths[run.dataset.seal])
+            runs += [run] if is_of_preset(run.dataset, preset, protocol) else []
     found: dict[str, dict[str, Run]] = {}
     for run in sorted(runs, key=lambda run: run.folder.parent.name != f"{run.dataset.config.scene}-{preset}"):
         scene = run.dataset.config.scene
@@ -85,17 +93,6 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
         if first is not run:
             say(f"left out: {run.folder}: is a second run of {run.name} on {scene}, beside {first.folder}")
     return found
-
-
-def _open(folder: Path, data_root: Path, truths: Mapping[str, Dataset]) -> Run:
-    run = open_run(folder, data_root)
-    if run.dataset.seal not in truths:
-        raise HyalineError(
-            f"{folder}: predicts {run.dataset.root} (dataset {run.dataset.seal[:12]}), which is not in {data_root}; "
-            "set --data to the folder that contains it"
-        )
-    # A record must not choose which of a hidden scene's two datasets is scored against.
-    return dataclasses.replace(run, dataset=truths[run.dataset.seal])
 
 
 def list_predictions(run: Run, protocol: Protocol) -> list[tuple[Run, list[Split]]]:

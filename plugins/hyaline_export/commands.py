@@ -14,7 +14,6 @@ def export(
     format: str = "nerfstudio",  # noqa: A002
     out: Path | None = None,
     points: int = 20000,
-    flow: bool = False,
 ) -> None:
     """Export a dataset in another tool's format, into a new folder.
 
@@ -23,13 +22,12 @@ def export(
         format: nerfstudio, blender, 3dgs, colmap, capture, quantities or huggingface.
         out: Folder to write, new or empty. Default: exports/NAME-FORMAT.
         points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
-        flow: With quantities: also trace refractive flow and attenuation through the glass.
     """
     from datagen.data.dataset import open_dataset
     from hyaline_export.formats import export_dataset
 
     opened = open_dataset(find_dataset(dataset))
-    where, hint = export_dataset(opened, format, out, num_points=points, flow=flow)
+    where, hint = export_dataset(opened, format, out, num_points=points)
     tell(str(where))
     next_command(hint)
 

@@ -47,14 +47,12 @@ EXPORTS = Path("exports")
 """Where exports go by default."""
 
 
-def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points: int, flow: bool) -> tuple[Path, str]:
+def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points: int) -> tuple[Path, str]:
     """Exports a dataset into a new folder; returns it, and the command of the tool that opens it."""
     chosen = FORMATS.find(form)
-    source = Source(dataset=dataset, num_points=num_points, flow=flow)
+    source = Source(dataset=dataset, num_points=num_points)
     out = out or EXPORTS / f"{dataset.name}-{form}"
     refuse_inside(out, dataset.root)
-    if flow and form != "quantities":
-        raise HyalineError(f"--flow: has no place in the format {form}; leave it out, or use --format quantities")
     say(f"{out}: exporting {dataset.root} as {form}")
     with new_folder(out) as folder:
         for path, data in chosen.files(source):

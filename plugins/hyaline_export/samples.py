@@ -6,14 +6,12 @@ dataset.json                                  objects, materials, near, far, box
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from datagen.data.images import npy_bytes, png_bytes
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
 from datagen.quantities.surfaces import surfaces_of
-from datagen.quantities.view_quantities import NormalKind, ViewQuantities
+from datagen.quantities.view_quantities import NormalKind
 from hyaline_export.formats import Format
 from hyaline_export.source import Source, frame, mask_png, rgb_png, tracked
 
@@ -34,25 +32,6 @@ FILES = {
 }
 """Files of each view by ending: the attribute of `ViewQuantities`, and the convention."""
 
-FLOW_FILES = {
-    "flow.npy": ("flow", "float32 (right, down): the pixel shows what is at pixel + flow when nothing refracts"),
-    "has_flow.png": ("has_flow", "8 bits: 0 where `flow` is 0: the path ends behind the camera, or was given up"),
-    "attenuation.npy": ("attenuation", "float32: share of that light, per channel, that comes through on the path"),
-    "end_depth.npy": ("depth_along_axis", "float32 metres along the axis to where the refracted path ends; 0: it left"),
-    "end_position.npy": ("position", "float32: that place, metres, world axes"),
-    "end_object_id.png": ("object_id", "8 bits: the opaque object on which the refracted path ends; 0: none"),
-    "has_left.png": ("has_left", "8 bits: 255 where the refracted path ends in the sky or in a light"),
-}
-"""What has to be traced, too: the attribute of `LightEnds`."""
-
-
-def _arrays(found: ViewQuantities, *, flow: bool) -> Iterator[tuple[str, np.ndarray]]:
-    """What each array file holds, by ending."""
-    for ending, (name, _) in FILES.items():
-        yield ending, found.normal(NORMALS[ending]) if ending in NORMALS else getattr(found, name)
-    for ending, (name, _) in FLOW_FILES.items() if flow else ():
-        yield ending, getattr(found.light_ends, name)
-
 
 def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
     for item in tracked(source.views):
@@ -60,7 +39,9 @@ def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
         yield f"{stem}.png", rgb_png(item)
         about = frame(item, f"{item.name}.png", role=item.role, split=item.view.split, view=item.view.index)
         yield f"{stem}.camera.json", dump_json({"convention": CONVENTION, **lens_keys(item.view.camera), **about})
-        for ending, array in _arrays(item.quantities, flow=source.flow):
+        found = item.quantities
+        for ending, (name, _) in FILES.items():
+            array = found.normal(NORMALS[ending]) if ending in NORMALS else getattr(found, name)
             encode = npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
             yield f"{stem}.{ending}", encode(array)
     objects: list[Json] = [
@@ -69,7 +50,7 @@ def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
     ]
     names: list[Json] = [*source.pictures[0].quantities.material_names]
     conventions = {"png": "8-bit sRGB", "camera.json": "lens in pixels, pose, role, split and number of the view"}
-    conventions |= {ending: text for ending, (_, text) in (FILES | (FLOW_FILES if source.flow else {})).items()}
+    conventions |= {ending: text for ending, (_, text) in FILES.items()}
     about: dict[str, Json] = {
         "convention": CONVENTION,
         **source.world,

@@ -83,8 +83,6 @@ class Source:
 
     dataset: Dataset
     num_points: int
-    flow: bool
-    """Trace refractive flow and attenuation, too, for formats that have a place for them."""
 
     def __post_init__(self) -> None:
         if self.dataset.parent is not None:

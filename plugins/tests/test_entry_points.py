@@ -66,8 +66,6 @@ def test_what_one_distribution_exports_another_imports(guide: Callable[..., None
         np.testing.assert_array_equal(after.view(split, 1).image, before.view(split, 1).image)
         poses = (dataset.cameras(split).world_from_camera for dataset in (after, before))
         np.testing.assert_allclose(*poses, atol=1e-12)
-    error = call("datagen export one --format csv --flow --out other").error
-    assert error.startswith("error: --flow: has no place in the format csv; ")
 
 
 def test_a_family_is_drawn_by_its_name_and_changes_no_other_scene(guide: Callable[..., None]) -> None:

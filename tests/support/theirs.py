@@ -15,7 +15,7 @@ from hyaline_export.source import ROLES, Source, frame, mask_png, rgba_png
 
 def write_refref(dataset: Dataset, root: Path) -> None:
     """Pictures and masks of glass by split, with a mesh of each object of glass."""
-    source = Source(dataset=dataset, num_points=1, flow=False)
+    source = Source(dataset=dataset, num_points=1)
     for role in ROLES:
         frames = []
         (root / role).mkdir(parents=True)

@@ -41,7 +41,7 @@ def exports(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> dict[
     """Every format, exported once."""
     root = tmp_path_factory.mktemp("exports")
     for form in FORMATS.built_in:
-        export_dataset(dataset, form, root / form, num_points=POINTS, flow=False)
+        export_dataset(dataset, form, root / form, num_points=POINTS)
     return {form: root / form for form in FORMATS.built_in}
 
 
@@ -160,7 +160,7 @@ def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict
 
 
 def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset: Dataset, tmp_path: Path) -> None:
-    export_dataset(dataset, "quantities", tmp_path / "out", num_points=1, flow=True)
+    export_dataset(dataset, "quantities", tmp_path / "out", num_points=1)
     about = json.loads((tmp_path / "out" / "dataset.json").read_text())
     pictures = sorted((tmp_path / "out").glob("*/*[0-9].png"))
     folders = [path.parent.name for path in pictures]
@@ -184,10 +184,6 @@ def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset:
             "object_id.png": found.object_id,
             "glass.png": np.where(found.glass, 255, 0),
         }
-        if picture.parent.name == "val":
-            ends = found.light_ends
-            assert ends.flow.any() and ends.position.any()
-            expected |= {"flow.npy": ends.flow, "end_position.npy": ends.position, "has_left.png": 255 * ends.has_left}
         for ending, values in expected.items():
             read = np.load(files[ending]) if ending.endswith(".npy") else read_picture(files[ending])
             assert np.array_equal(read, values, equal_nan=read.dtype.kind == "f"), ending
@@ -195,25 +191,22 @@ def test_quantities_are_files_beside_the_pictures_and_say_what_they_are(dataset:
 
 def test_views_held_out_are_those_that_training_holds_out(dataset: Dataset) -> None:
     held_out = importlib.import_module("model.run.train").choose_held_out(10, 4)
-    source = Source(dataset=dataset, num_points=1, flow=False)
+    source = Source(dataset=dataset, num_points=1)
     assert [item.view.index for item in source.of_role("val")] == held_out
 
 
 @pytest.mark.parametrize(
-    ("form", "out", "flow", "points", "message"),
+    ("form", "out", "points", "message"),
     [
-        ("nerfstudo", "out", False, 1, "no format 'nerfstudo'; did you mean 'nerfstudio'"),
-        ("colmap", "out", True, 1, "--flow: has no place in the format colmap"),
-        ("colmap", "glasses/colmap", False, 1, "lies in the dataset "),
-        ("colmap", "out", False, 0, "points: is 0; expected 1 to"),
+        ("nerfstudo", "out", 1, "no format 'nerfstudo'; did you mean 'nerfstudio'"),
+        ("colmap", "glasses/colmap", 1, "lies in the dataset "),
+        ("colmap", "out", 0, "points: is 0; expected 1 to"),
     ],
 )
-def test_what_cannot_be_exported_is_said(
-    form: str, out: str, flow: bool, points: int, message: str, dataset: Dataset
-) -> None:
+def test_what_cannot_be_exported_is_said(form: str, out: str, points: int, message: str, dataset: Dataset) -> None:
     place = dataset.root.parent / out
     with pytest.raises(HyalineError, match=message):
-        export_dataset(dataset, form, place, num_points=points, flow=flow)
+        export_dataset(dataset, form, place, num_points=points)
     assert not place.exists()
 
 

@@ -47,8 +47,8 @@ def test_the_real_loader_reads_the_export_rightly(loader: str, form: str, datase
 
 def check_loader(python: Path, loader: str, form: str, dataset: Dataset, folder: Path) -> None:
     """Exports, asks the loader, and compares names, pictures, rays, depth, points and planes with the dataset."""
-    export_dataset(dataset, form, folder / "export", num_points=NUM_POINTS, flow=False)
-    source = Source(dataset=dataset, num_points=NUM_POINTS, flow=False)
+    export_dataset(dataset, form, folder / "export", num_points=NUM_POINTS)
+    source = Source(dataset=dataset, num_points=NUM_POINTS)
     rng = np.random.default_rng(0)
     places = {
         item.name: rng.uniform(0, [item.view.camera.width, item.view.camera.height], (NUM_PLACES, 2))

@@ -31,7 +31,7 @@ def colmap(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray, 
     root = tmp_path_factory.mktemp("colmap")
     write_traced_dataset(root / "ours", resolution=16)
     dataset = open_dataset(root / "ours")
-    export_dataset(dataset, "colmap", root / "theirs", num_points=20, flow=False)
+    export_dataset(dataset, "colmap", root / "theirs", num_points=20)
     write_binary_model(root / "theirs/sparse/0")
     splits = ("extrapolating", "interpolating", "train")  # As the names of the pictures are sorted.
     poses = np.concatenate([dataset.cameras(split).world_from_camera for split in splits])

@@ -289,7 +289,7 @@ def test_pictures_are_converted_from_their_colour_profiles_to_srgb(tmp_path: Pat
 
 
 def test_our_own_nerfstudio_export_comes_back(ours: Dataset, tmp_path: Path) -> None:
-    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50, flow=False)
+    export_dataset(ours, "nerfstudio", tmp_path / "exported", num_points=50)
     dataset = take_over(tmp_path / "exported", tmp_path / "out")
     for split in SPLITS:
         assert np.array_equal(dataset.cameras(split).world_from_camera, ours.cameras(split).world_from_camera)
