@@ -152,9 +152,3 @@ def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
         answer = call(line)
         assert answer.status in (1, 2) and message in answer.error
     assert tree(here) == before
-
-
-def test_a_damaged_view_is_not_published(here: Path) -> None:
-    path = Path("secret/images/train/0000.png")
-    path.write_bytes(path.read_bytes() + b"!")
-    assert "damaged" in call("hyaline-bench hide secret --scene hidden-0").error
