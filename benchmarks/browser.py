@@ -96,12 +96,18 @@ def watched_page(browser: "Browser", *, width: int = 400, height: int = 300, dar
     try:
         page.set_default_timeout(PATIENCE_MS)
         watched = Watched(page=page)
-        page.on("console", lambda message: watched.complaints.append(f"{message.type}: {message.text}"))
+        page.on("console", lambda message: _hear(watched, f"{message.type}: {message.text}"))
         page.on("pageerror", lambda error: watched.complaints.append(str(error)))
         page.on("request", lambda request: watched.requests.append(request.url))
         yield watched
     finally:
         page.close()
+
+
+def _hear(watched: Watched, said: str) -> None:
+    """Keeps a message of the console, but for the driver's about its speed, which a busy machine brings."""
+    if "GL Driver Message (OpenGL, Performance" not in said:
+        watched.complaints.append(said)
 
 
 def open_file(watched: Watched, path: Path, *, link: str = "") -> None:
