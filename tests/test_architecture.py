@@ -60,7 +60,7 @@ FLOORS = {
         "disk",
     ),
     "proxies": ("cli", "make", "kinds", "meshing"),
-    "model": ("cli", "run", "methods", "losses", "batches", "nets", "runtime", "settings", "state"),
+    "model": ("cli", "run", "methods", "batches", "nets", "runtime", "settings", "state"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
     "eval": ("cli", "page", "variants", "tables", "score"),
 }

@@ -9,7 +9,7 @@ from jaxtyping import Float32, Int
 from torch import Tensor, nn
 
 from model.batches.rays import PixelSource
-from model.losses.pixel_losses import PatchTerms, pixel_loss
+from model.methods.pixel_losses import PatchTerms, pixel_loss
 from model.nets.texture import NeuralTextures
 from model.settings import Optimisation
 

@@ -20,7 +20,7 @@ from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
-from model.losses.patch_losses import Losses
+from model.methods.patch_losses import Losses
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs

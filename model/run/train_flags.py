@@ -154,6 +154,6 @@ def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
 def _find_weights(loss: LossConfig) -> LossConfig:
     if not loss.has_vgg:
         return loss
-    from model.losses.patch_losses import find_vgg
+    from model.methods.patch_losses import find_vgg
 
     return find_vgg(loss)

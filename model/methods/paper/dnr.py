@@ -14,9 +14,9 @@ from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
 from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
-from model.losses.pixel_losses import PatchTerms
 from model.methods.paper.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
 from model.methods.paper.renderer import default_texture_size
+from model.methods.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for

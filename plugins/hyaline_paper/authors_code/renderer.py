@@ -21,8 +21,8 @@ from datagen.data.config import Split
 from hyaline_paper.authors_code.config import LEAST_WIDTH, AuthorsConfig
 from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
-from model.losses.pixel_losses import PatchTerms
 from model.methods.paper.renderer import default_texture_size
+from model.methods.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for

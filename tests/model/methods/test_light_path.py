@@ -22,7 +22,6 @@ from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.ahead import Ahead
 from model.batches.rays import linear_curve, srgb_curve
-from model.losses.pixel_losses import difference
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
 from model.methods.light_path.pixels import (
@@ -34,6 +33,7 @@ from model.methods.light_path.pixels import (
 )
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
+from model.methods.pixel_losses import difference
 from model.nets.learned_sky import LearnedSky
 from model.run.predict import load_renderer, predict_colors, render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run

@@ -18,7 +18,8 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
 from model.batches.layers import load_pixels
 from model.batches.rays import RayBatch
-from model.losses.patch_losses import (
+from model.methods.paper.config import DnrConfig, PaperConfig
+from model.methods.patch_losses import (
     IMAGENET_MEAN,
     IMAGENET_STD,
     Adversary,
@@ -27,8 +28,7 @@ from model.losses.patch_losses import (
     find_vgg,
     vgg_layers,
 )
-from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
-from model.methods.paper.config import DnrConfig, PaperConfig
+from model.methods.pixel_losses import PatchTerms, difference, pixel_loss
 from model.methods.renderer import Renderer
 from model.run.preparation import check_losses
 from model.run.run_folder import TrainConfig, check_same_run, read_run
