@@ -13,7 +13,7 @@ from torch.nn import functional
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
-from model.methods.pixel_losses import PatchTerms
+from model.methods.renderer import PatchTerms
 from model.settings import LossConfig
 from model.state import State
 

@@ -15,8 +15,7 @@ from datagen.terminal.command import track
 from model.batches.rays import LEAST_PAIRED, mean_color, srgb_curve
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES, LightPathBatch, LightPathPixels, Stack
-from model.methods.pixel_losses import PatchTerms, pixel_loss
-from model.methods.renderer import ParameterGroup, Renderer
+from model.methods.renderer import ParameterGroup, PatchTerms, Renderer, pixel_loss
 from model.nets.extrinsics import spherical_harmonics
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky

@@ -16,9 +16,8 @@ from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
 from model.methods.paper.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
 from model.methods.paper.renderer import default_texture_size
-from model.methods.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import TexturePyramid, object_layout
 from model.settings import UNetNorm

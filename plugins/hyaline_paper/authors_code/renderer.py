@@ -22,9 +22,8 @@ from hyaline_paper.authors_code.config import LEAST_WIDTH, AuthorsConfig
 from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
 from model.methods.paper.renderer import default_texture_size
-from model.methods.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 

@@ -32,9 +32,8 @@ from hyaline_paper.deepvoxels.voxel_nets import (
     rendering_network,
 )
 from model.batches.view_batches import ViewBatch, Views, load_views, views_of
-from model.methods.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
-from model.methods.renderer import ParameterGroup, Renderer
+from model.methods.renderer import ParameterGroup, PatchTerms, Renderer
 from model.settings import Optimisation
 
 BORDER = 5

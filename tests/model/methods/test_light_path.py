@@ -33,7 +33,7 @@ from model.methods.light_path.pixels import (
 )
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
-from model.methods.pixel_losses import difference
+from model.methods.renderer import difference
 from model.nets.learned_sky import LearnedSky
 from model.run.predict import load_renderer, predict_colors, render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run

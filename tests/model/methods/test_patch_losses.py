@@ -28,8 +28,7 @@ from model.methods.patch_losses import (
     find_vgg,
     vgg_layers,
 )
-from model.methods.pixel_losses import PatchTerms, difference, pixel_loss
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer, difference, pixel_loss
 from model.run.preparation import check_losses
 from model.run.run_folder import TrainConfig, check_same_run, read_run
 from model.settings import LossConfig
