@@ -21,9 +21,8 @@ from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
 from model.methods.patch_losses import Losses
-from model.methods.protocol import Inputs
+from model.methods.protocol import Inputs, open_inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
 from model.run.checkpoint import load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr

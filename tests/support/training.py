@@ -12,8 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from model import cli
 from model.methods.paper.config import PaperConfig
-from model.methods.protocol import MethodConfig
-from model.methods.table import open_inputs
+from model.methods.protocol import MethodConfig, open_inputs
 from model.run import train as train_module
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_finished

@@ -9,7 +9,7 @@ from support.commands import call
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.parsing import flag_words, flags_of
 from model.cli import main
-from model.methods.table import BUILT_IN, METHODS
+from model.methods.protocol import BUILT_IN, METHODS
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings import RunFlags
 
