@@ -81,9 +81,9 @@ def build(net: MethodConfig, dataset: Dataset, geometry: str = TRUTH) -> Any:
     return net.build(open_inputs(net, dataset, geometry))
 
 
-def load(net: MethodConfig, dataset: Dataset, views: Sequence[int]) -> Any:
+def load(net: MethodConfig, dataset: Dataset, views: Sequence[int], geometry: str = TRUTH) -> Any:
     """The pixels of training views, as a method takes them."""
-    return net.load(open_inputs(net, dataset, TRUTH), "train", views, with_images=True)
+    return net.load(open_inputs(net, dataset, geometry), "train", views, with_images=True)
 
 
 def configured(dataset: Dataset, method: str, *flags: str) -> TrainConfig:
