@@ -47,13 +47,13 @@ def commands() -> CommandGroup:
 
 
 def _methods() -> Sequence[str]:
-    from model.methods.table import METHODS
+    from model.methods.protocol import METHODS
 
     return METHODS.names()
 
 
 def _describe(method: str) -> str:
-    from model.methods.table import about
+    from model.methods.protocol import about
 
     return about(method)
 

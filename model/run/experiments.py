@@ -26,7 +26,7 @@ from pathlib import Path
 from datagen.disk.errors import DamagedError, HyalineError
 from datagen.disk.records import read_regular, shown
 from datagen.terminal.command import choose
-from model.methods.table import METHODS
+from model.methods.protocol import METHODS
 from model.run.train_flags import folder_name, parse_train
 from model.settings import RUNS
 

@@ -25,11 +25,8 @@ def check_losses(config: TrainConfig, resolution: Resolution) -> None:
             f"adversarial: patches are {side} pixels wide; the discriminator needs at least {LEAST_PATCH}, so use "
             "larger crops or pictures"
         )
-    if config.loss.inpaint and config.net.traces_layers:
-        raise HyalineError(
-            "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "
-            "another method that reads straight layers"
-        )
+    if config.loss.inpaint or config.loss.vgg != "vgg16":
+        raise HyalineError("loss: is one of an earlier version, with in-painting or VGG19; train without them")
 
 
 def prepare_processor(config: TrainConfig, device: torch.device) -> None:

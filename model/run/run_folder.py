@@ -38,8 +38,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
 from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
-from model.methods.protocol import Inputs, MethodConfig
-from model.methods.table import METHODS, open_inputs
+from model.methods.protocol import METHODS, Inputs, MethodConfig, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
 from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
 

@@ -20,10 +20,9 @@ from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
-from model.losses.patch_losses import Inpainter, Losses
-from model.methods.protocol import Inputs
+from model.methods.patch_losses import Losses
+from model.methods.protocol import Inputs, open_inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
 from model.run.checkpoint import load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
@@ -87,11 +86,10 @@ def train(
     testing = None
     if held_out:
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
-    losses = make_losses(config, renderer, training, inputs, device=device)
+    losses = Losses(config.loss, steps=config.steps, seed=config.seed, device=device)
 
-    lazy_in = None if config.loss.inpaint else renderer  # In-painting masks the gradients of whole tables.
     size = config.batch // config.updates
-    optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=lazy_in, pixels=size)
+    optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=renderer, pixels=size)
     run = Run(
         config=config,
         inputs=inputs,
@@ -147,27 +145,6 @@ class Progress:
 
     def status(self) -> str:
         return f"loss {self.loss:.4f}" + ("" if math.isnan(self.psnr) else f", held out {self.psnr:.2f} dB")
-
-
-def make_losses(
-    config: TrainConfig, renderer: Renderer, training: PixelSource, inputs: Inputs, *, device: torch.device
-) -> Losses:
-    """The loss terms besides the method's own."""
-    return Losses(
-        config.loss,
-        steps=config.steps,
-        seed=config.seed,
-        device=device,
-        make_inpainter=lambda: Inpainter(
-            renderer,
-            training,
-            inputs.dataset,
-            config.geometry,
-            num_layers=inputs.num_layers,
-            seed=config.seed,
-            device=device,
-        ),
-    )
 
 
 def resume(run: Run) -> Progress:
@@ -264,9 +241,10 @@ def take_step(run: Run, progress: Progress, step: int, ahead: Ahead | None) -> N
         assert isinstance(training, TracedPixels)
         ahead.begin(step, is_last=step + 1 == config.steps)
         training = training.taken_from(ahead)
+    terms = run.losses.patch_terms(step, training.resolution.shorter)
     for update in range(config.updates):
         rng = generator(config, step, update)
-        loss = run.losses.loss(renderer.loss, renderer, training, batch, rng, step=step)
+        loss = renderer.loss(training, batch, rng, softness=config.loss.softness, patch_terms=terms)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         loss_value = read_finite(loss.detach(), renderer, step=step, out=run.out)

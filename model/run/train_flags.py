@@ -12,8 +12,7 @@ from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
-from model.methods.protocol import MethodConfig
-from model.methods.table import METHODS, about, open_inputs
+from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
 from model.settings import RUNS, LossConfig, Optimisation, RunFlags, suffixes
 
 if TYPE_CHECKING:
@@ -154,6 +153,6 @@ def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
 def _find_weights(loss: LossConfig) -> LossConfig:
     if not loss.has_vgg:
         return loss
-    from model.losses.patch_losses import find_vgg
+    from model.methods.patch_losses import find_vgg
 
     return find_vgg(loss)

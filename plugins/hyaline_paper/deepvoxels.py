@@ -8,7 +8,6 @@ nearest first, `p q` rows and columns of the small picture plane on which featur
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Resolution, Split, square
+from datagen.data.config import Resolution, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -34,10 +33,9 @@ from hyaline_paper.voxel_nets import (
     feature_extractor,
     rendering_network,
 )
-from model.batches.view_batches import ViewBatch, Views, load_views, views_of
-from model.losses.pixel_losses import PatchTerms
+from model.batches.view_batches import ViewBatch, Views, views_of
 from model.methods.protocol import Inputs
-from model.methods.renderer import ParameterGroup, Renderer
+from model.methods.renderer import ParameterGroup, PatchTerms, Renderer
 from model.settings import Optimisation
 
 CLEARANCE = 0.9
@@ -353,18 +351,6 @@ def _check_size(config: DeepVoxelsConfig, found: Resolution) -> None:
     size = square(config.image_size)
     if found != size:
         raise HyalineError(f"resolution: is {found}; deepvoxels draws {size}, the size that its networks were made for")
-
-
-def load(
-    config: DeepVoxelsConfig,
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-) -> Views:
-    _check_size(config, inputs.dataset.config.resolution)
-    return load_views(inputs.dataset, split, views, with_images=with_images)
 
 
 def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001

@@ -15,7 +15,7 @@ from model.batches.layers import load_pixels
 from model.batches.rays import insert_empty_layer
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, default_texture_size
-from model.methods.table import open_inputs
+from model.methods.protocol import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
 from model.nets.texture import TexturePyramid

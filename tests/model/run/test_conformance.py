@@ -17,8 +17,7 @@ from datagen.data.cameras import Cameras
 from datagen.data.paths import TRUTH
 from model.batches.rays import PixelSource
 from model.methods.paper.config import PaperConfig
-from model.methods.protocol import Inputs
-from model.methods.table import open_inputs
+from model.methods.protocol import Inputs, open_inputs
 from model.run.conformance import CHECKS, Broken, Subject
 
 ROOT = Path(__file__).parents[3]
