@@ -24,10 +24,10 @@ from model.batches.rays import cameras_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
 from model.methods.table import METHODS, open_inputs
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer, predict_colors, predict_pixels, render_predictions
 from model.run.run_folder import WEIGHTS, TrainConfig, parse_config
 from model.run.train import train
+from model.state import fingerprint, load_state
 
 STEPS = 4
 MOST_PIXELS = 256

@@ -34,7 +34,6 @@ from model.methods.renderer import Renderer
 from model.methods.table import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
 from model.nets.texture import NeuralTextures, TextureLayout, object_layout
-from model.run.checkpoint import load_state
 from model.run.run_folder import (
     PREDICTIONS,
     WEIGHTS,
@@ -47,6 +46,7 @@ from model.run.run_folder import (
     write_prediction_hashes,
 )
 from model.runtime import keep_freed_memory
+from model.state import load_state
 
 
 def predict_pixels(

@@ -6,7 +6,7 @@
     RUN/snapshots/000500.png        a picture per evaluation: held-out views and predictions (run/logs.py)
     RUN/tensorboard/...             with --tensorboard: event files (run/logs.py)
     RUN/costs.json                  with --costs: the time and memory that training took (run/logs.py)
-    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
+    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: model/state.py)
     RUN/weights.pt                  after training: only the renderer, with the configuration and the digests of its
                                     data; the checkpoint is deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB

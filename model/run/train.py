@@ -25,7 +25,6 @@ from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
-from model.run.checkpoint import load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import LogChoices, Logs
 from model.run.optimizer import Optimizer, make_optimizer
@@ -38,7 +37,7 @@ from model.run.preparation import (
 )
 from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
 from model.settings import decay
-from model.state import State
+from model.state import State, load_state, save_state
 
 CHECKPOINT_EVERY_S = 60.0
 """Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""

@@ -34,9 +34,9 @@ from hyaline_paper.deepvoxels.voxel_grid import (
 from hyaline_paper.deepvoxels.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
 from model.batches.view_batches import Views, load_views
 from model.methods.table import open_inputs
-from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
+from model.state import load_state
 
 CPU = torch.device("cpu")
 SIZE = 16

@@ -13,7 +13,6 @@ from torch import Tensor
 from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset
 from model.methods.renderer import Renderer
-from model.run.checkpoint import load_state
 from model.run.predict import check_draws_cameras, check_parameters, load_renderer, predict_pixels
 from model.run.run_folder import (
     CHECKPOINT,
@@ -23,6 +22,7 @@ from model.run.run_folder import (
     check_trained_on,
     read_metrics,
 )
+from model.state import load_state
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

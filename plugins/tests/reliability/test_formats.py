@@ -19,9 +19,9 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 from datagen.scene.folder import load_scene
 from eval.score.runs import open_run, read_prediction
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer
 from model.run.run_folder import read_prediction_hashes, read_run
+from model.state import fingerprint, load_state
 
 pytestmark = pytest.mark.promise("R13")
 

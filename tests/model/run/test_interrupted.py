@@ -18,8 +18,8 @@ from datagen.disk.errors import DamagedError, HyalineError
 from datagen.terminal.signals import Stopped, hold_signals, signal_within
 from model import cli
 from model.run import train as train_module
-from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
+from model.state import load_state, save_state
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
@@ -237,7 +237,7 @@ def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
 
 
 def test_a_checkpoint_of_another_version_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.run.checkpoint.CHECKPOINT_VERSION", 2)
+    monkeypatch.setattr("model.state.CHECKPOINT_VERSION", 2)
     with pytest.raises(HyalineError, match="another format version; this program reads 2"):
         load_state(checkpoint)
 

@@ -17,8 +17,8 @@ from model.batches.rays import RayBatch
 from model.losses import pixel_losses as losses
 from model.run import complete, predict
 from model.run import train as train_module
-from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig
+from model.state import load_state
 
 pytestmark = pytest.mark.promise("R10")
 

@@ -18,11 +18,11 @@ from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
 from model.run import train as train_module
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import render_predictions
 from model.run.run_folder import check_same_run, is_finished, read_run
 from model.run.train import train
 from model.settings import decay
+from model.state import fingerprint, load_state
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
