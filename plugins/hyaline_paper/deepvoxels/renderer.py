@@ -31,7 +31,7 @@ from hyaline_paper.deepvoxels.voxel_nets import (
     feature_extractor,
     rendering_network,
 )
-from model.batches.view_batches import ViewBatch, Views, load_views, views_of
+from model.batches.rays import ViewBatch, Views, load_views, views_of
 from model.losses.pixel_losses import PatchTerms
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, Renderer

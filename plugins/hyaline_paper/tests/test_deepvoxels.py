@@ -32,7 +32,7 @@ from hyaline_paper.deepvoxels.voxel_grid import (
     sample_frustum,
 )
 from hyaline_paper.deepvoxels.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
-from model.batches.view_batches import Views, load_views
+from model.batches.rays import Views, load_views
 from model.methods.table import open_inputs
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
