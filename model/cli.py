@@ -209,10 +209,8 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
         )
         failed = 0
         for verdict in check(name, given, place / "runs"):
-            word = "FAIL" if verdict.problem else "skip" if verdict.skipped else "ok"
-            why = verdict.problem or verdict.skipped
-            tell(f"{word:<5} {verdict.name}" + (f": {why}" if why else ""))
-            failed += bool(verdict.problem)
+            tell(f"{verdict.word:<5} {verdict.name}" + (f": {verdict.why}" if verdict.why else ""))
+            failed += verdict.word == "FAIL"
     if failed:
         raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
 
