@@ -1,6 +1,5 @@
 """Benchmark of a training step on a CPU beside the naive baseline; ceilings."""
 
-import contextlib
 import itertools
 import time
 from collections.abc import Callable, Sequence
@@ -26,8 +25,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene
 from datagen.scene.finding import find_scene
 from datagen.scene.rig import make_cameras
-from model.batches.ahead import Ahead
-from model.batches.rays import RayBatch
+from model.batches.rays import RayBatch, made_ahead
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.light_path.pixels import LightPathPixels
@@ -176,12 +174,11 @@ def light_path_step(seed: int = 0) -> Callable[[], None]:
         def draw(_: int) -> list[np.random.Generator]:
             return [np.random.default_rng([seed, number, update]) for update in range(optimisation.updates)]
 
-        with contextlib.closing(Ahead(pixels, draw, size=size)) as ahead:
-            ahead.begin(0, is_last=True)
-            for rng in draw(0):
-                optimizer.zero_grad(set_to_none=True)
-                renderer.loss(pixels.taken_from(ahead), size, rng, softness=optimisation.loss.softness).backward()
-                optimizer.step()
+        (traced,) = made_ahead(pixels, draw, range(1), size=size)
+        for rng in draw(0):
+            optimizer.zero_grad(set_to_none=True)
+            renderer.loss(traced, size, rng, softness=optimisation.loss.softness).backward()
+            optimizer.step()
         torch.set_num_threads(threads)
         start_numba_threads()
 

@@ -24,7 +24,8 @@ from datagen.terminal.signals import Stopped
 from hyaline.datasets import open_dataset
 from model.methods.protocol import Inputs, MethodConfig
 from model.run import run_folder
-from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_metrics, read_run
+from model.run.logs import read_metrics
+from model.run.run_folder import WEIGHTS, RunRecord, TrainConfig, check_trained_on, find_run, read_run
 from model.settings import RUNS, Device, RunFlags, with_settings
 
 if TYPE_CHECKING:
@@ -170,7 +171,8 @@ def train(
         KeyboardInterrupt: training was interrupted; a checkpoint is saved.
     """
     from model.methods.protocol import METHODS, name_of
-    from model.run.train_flags import Asked, configure, flags_asked, folder_name
+    from model.run.train_flags import Asked, complete_run
+    from model.runtime import leaving_settings
 
     if isinstance(dataset, (str, Path)):
         dataset = open_dataset(dataset)
@@ -182,29 +184,22 @@ def train(
     known = [flag.replace("-", "_") for kind in (type(net), type(optimisation)) for flag in flags_of(kind)]
     for key in settings:
         choose(f"method {method}: setting", key, known)
-    run = RunFlags(geometry=geometry, label=label, seed=seed, device=device, overwrite=overwrite)
     asked = Asked(
         dataset=str(dataset.root),
-        run=run,
+        run=RunFlags(
+            geometry=geometry,
+            out=None if out is None else Path(out),
+            label=label,
+            seed=seed,
+            device=device,
+            overwrite=overwrite,
+        ),
         method=with_settings(net, settings),
         optimisation=with_settings(optimisation, settings),
     )
-    config, _ = configure(method, asked)
-    from model.run.complete import complete_run  # Not before: it imports torch.
-    from model.runtime import choose_device, leaving_settings
-
-    place = RUNS / dataset.name / folder_name(method, asked) if out is None else Path(out)
     try:
         with leaving_settings():
-            complete_run(
-                config,
-                dataset,
-                place,
-                label=label or place.name,
-                device=choose_device(device),
-                flags=flags_asked(asked),
-                overwrite=overwrite,
-            )
+            place = complete_run(method, asked)
     except Stopped as stopped:
         if stopped.status != 128 + signal.SIGINT:
             raise

@@ -1,6 +1,5 @@
 """The command line of `model`: each command calls a function of a room, which is imported when it is called."""
 
-import functools
 import os
 import shlex
 import sys
@@ -65,33 +64,9 @@ def _train_command(method: str, words: Sequence[str]) -> Command:
 
 
 def _train_method(method: str, asked: "Asked") -> None:
-    from model.run.logs import LogChoices, Meter, require_tensorboard
-    from model.run.run_folder import told_finished
-    from model.run.train_flags import configure, find_finished, flags_asked, folder_name
+    from model.run.train_flags import complete_run
 
-    if asked.run.tensorboard:
-        require_tensorboard()
-    if finished := find_finished(method, asked):
-        say(told_finished(finished))
-        return _end(finished, run=finished)
-    config, opened = configure(method, asked)
-    out = asked.run.out or RUNS / opened.name / folder_name(method, asked)
-    from model.run.complete import complete_run  # Not before: it imports torch, and `configure` says that it loads.
-
-    complete_run(
-        config,
-        opened,
-        out,
-        label=asked.run.label or out.name,
-        device=choose_device(asked.run.device),
-        flags=flags_asked(asked),
-        overwrite=asked.run.overwrite,
-        logs=LogChoices(
-            snapshots=asked.run.snapshots,
-            tensorboard=asked.run.tensorboard,
-            costs=Meter() if asked.run.costs else None,
-        ),
-    )
+    out = complete_run(method, asked)
     _end(out, run=out)
 
 
@@ -114,34 +89,32 @@ def predict(
         device: Where to compute; auto uses a GPU if there is one.
         overwrite: Predict again even where the predictions are intact.
     """
-    from datagen.data.variants import open_variant, variant_root
+    from datagen.data.variants import open_variant
     from datagen.disk.ownership import holding
     from datagen.scene.edits import edits_name, parse_edit
-    from model.run.run_folder import FOLDER, find_run, is_all_drawn, is_drawn, open_trained
+    from model.run.run_folder import FOLDER, find_run, is_all_drawn, is_drawn, open_trained, predictions_folder
 
     run = find_run(run)
     record, opened = open_trained(run, dataset)
-    intact = "its predictions are intact, nothing to do; --overwrite makes them again"
-    if variant is None and not overwrite and is_all_drawn(run, opened):
-        say(f"{run}: {intact}")
-        return _end(run, run=run)
-    from model.run.predict import check_can_draw, check_draws_edits, render_predictions, render_variant  # With torch.
+    home, name = opened, variant
+    if variant is not None and ":" in variant:  # As one types an edit; what cannot be drawn need not be built.
+        from model.run.predict import check_draws_edits
 
-    config, out, is_done = record.config, run, False
-    draw = functools.partial(render_predictions, run, config, opened)
-    if variant is not None:
-        name = variant
-        if ":" in variant:  # As one types an edit; what cannot be drawn need not be built.
-            name = edits_name(tuple(map(parse_edit, variant.split("+"))))
-            check_draws_edits(config)
-        chosen, out = open_variant(opened, name), variant_root(run, name)
-        check_can_draw(config, opened, chosen)
-        is_done, draw = is_drawn(run, chosen), functools.partial(render_variant, run, config, opened, chosen)
-    if is_done and not overwrite:
-        say(f"{out}: {intact}")
+        check_draws_edits(record.config)
+        name = edits_name(tuple(map(parse_edit, variant.split("+"))))
+    if name is not None:
+        home = open_variant(opened, name)
+    out = predictions_folder(run, home)
+    if not overwrite and (is_all_drawn(run, home) if home is opened else is_drawn(run, home)):
+        say(f"{out}: its predictions are intact, nothing to do; --overwrite makes them again")
         return _end(out, run=run)
+    from model.run.predict import render_predictions, render_variant  # Not before: they need torch.
+
     with holding(run, FOLDER):
-        draw(device=choose_device(device))
+        if home is opened:
+            render_predictions(run, record.config, opened, device=choose_device(device))
+        else:
+            render_variant(run, record.config, opened, home, device=choose_device(device))
     _end(out, run=run)
 
 
@@ -190,7 +163,7 @@ def sweep(
     The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
 
     Args:
-        experiment: A file of command lines, whose name ends with .txt (see model/run/experiments.py), - for lines from
+        experiment: A file of command lines, whose name ends with .txt (see model/run/sweep.py), - for lines from
             stdin, paper-tables or one of its parts (table1, table2, square, zero-layer, claims, figure8, deepvoxels,
             larger), paper-sizes or random.
         dataset: Train on this existing dataset instead of the file's. May be repeated.
@@ -199,12 +172,13 @@ def sweep(
             many as fit in memory (about 4 GB each); a run's numbers then differ by rounding.
         dry_run: Print all commands, and do nothing.
     """
-    from model.run.experiments import read_experiment
-    from model.run.sweep import find_devices, finish, print_experiment, run_experiment, train_in_jobs
+    from model.run.sweep import find_devices, finish, read_experiment, run_experiment, train_in_jobs
 
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
-        return print_experiment(asked)
+        for line in asked.lines:
+            tell(line)
+        return say(f"sweep {asked.name}: {len(asked.runs)} runs")
     if cluster.launcher is None:
         failures = run_experiment(asked, devices=find_devices(jobs))
     else:
@@ -235,10 +209,8 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
         )
         failed = 0
         for verdict in check(name, given, place / "runs"):
-            word = "FAIL" if verdict.problem else "skip" if verdict.skipped else "ok"
-            why = verdict.problem or verdict.skipped
-            tell(f"{word:<5} {verdict.name}" + (f": {why}" if why else ""))
-            failed += bool(verdict.problem)
+            tell(f"{verdict.word:<5} {verdict.name}" + (f": {verdict.why}" if verdict.why else ""))
+            failed += verdict.word == "FAIL"
     if failed:
         raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
 

@@ -143,12 +143,6 @@ class RunFlags:
     """Seed of all random numbers."""
     device: Device = choice("auto")
     """Where to compute; auto uses a GPU if there is one."""
-    snapshots: bool = choice(True)
-    """Write a small picture of the held-out views, below the truth, at each evaluation, to the run's folder
-    snapshots."""
-    tensorboard: bool = choice(False)
-    """Write event files for TensorBoard to the run's folder tensorboard: loss, held-out PSNR and pictures. Needs the
-    extra tensorboard."""
     costs: bool = choice(False)
     """Write costs.json to the run's folder: the wall time, CPU time and memory of training, shown on the run's page of
     the report. These are the only numbers that differ between identical trainings."""

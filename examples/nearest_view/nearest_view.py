@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from datagen.data.config import Split
-from model.batches.view_batches import ViewBatch, Views, load_views
+from model.batches.rays import ViewBatch, Views, load_views
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
 from model.settings import Optimisation

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float32, Int, Int16, UInt8, UInt16
 from torch import Tensor
 
-from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
+from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
@@ -19,13 +19,10 @@ from datagen.data.layers import UV_SCALE
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.rays import PixelSource, RayBatch, black, cameras_of, read_colors, to_device
+from model.batches.rays import PixelSource, RayBatch, black, cameras_of, rays_through, read_colors, to_device
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
-
-Rays = tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]
-"""Origins and unit directions."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,18 +75,6 @@ class TracedLayerPixels(PixelSource[RayBatch]):
             samples=samples,
             grid=self.grid_of(index),
         )
-
-
-def rays_through(
-    cameras: Cameras, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator | None
-) -> Rays:
-    """Origins and unit directions of `samples` (a square number) rays through each of the pixels, pixel by pixel.
-
-    They lie in the cells of a grid that tiles the pixel: at their centres, or jittered in them by `rng`.
-    """
-    shape = (len(index), samples, 2)
-    offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
-    return subpixel_rays(cameras, index, np.broadcast_to(offsets, shape))
 
 
 def load_pixels(

@@ -1,7 +1,9 @@
 """Sources of pixels: all those of some views, and the rays of random batches of them."""
 
 import dataclasses
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Generic, Self, TypeVar
 
@@ -10,7 +12,7 @@ import torch
 from jaxtyping import Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Camera, Cameras, subpixel_offsets, subpixel_rays
 from datagen.data.config import Resolution, Split
 from datagen.data.dataset import Dataset
 
@@ -70,6 +72,72 @@ class PixelSource(Generic[Batch_co]):
         return (len(index) // self.pixels_per_view, *self.resolution.shape) if self.whole_views else None
 
 
+Draw = tuple[Int[Tensor, " pixel"], np.random.Generator]
+"""Row numbers of a batch's pixels, and the generator of its rays, which has drawn the row numbers."""
+
+Batch = TypeVar("Batch")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TracedPixels(PixelSource[Batch]):
+    """Pixels whose rays are traced for each batch, several batches at once for less."""
+
+    made: deque[tuple[object, np.random.Generator, Batch]] | None = None
+    """The batches of a step that were made ahead, each between the state of its generator before the rays were drawn
+    and the generator after that; None if batches are traced when they are asked for."""
+
+    def take_all(self, draws: Sequence[Draw], *, beside_torch: bool = False) -> list[Batch]:
+        """The batches of several draws, as `take` gives each.
+
+        Args:
+            beside_torch: on the calling thread alone, because another one computes with torch.
+        """
+        raise NotImplementedError
+
+    def take_drawn(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator) -> Batch:
+        """`take` in training: the next batch that was made ahead, if there are any."""
+        if self.made is None:
+            return self.take_all([(index, rng)])[0]
+        before, after, batch = self.made.popleft()
+        assert rng.bit_generator.state == before, "the batches made ahead are not those that are asked for"
+        rng.bit_generator.state = after.bit_generator.state
+        return batch
+
+
+TracedT = TypeVar("TracedT", bound=TracedPixels)
+
+
+def made_ahead(
+    pixels: TracedT, draw: Callable[[int], list[np.random.Generator]], steps: range, *, size: int
+) -> Generator[TracedT, None, None]:
+    """The pixels for each step; a second thread traces their batches during the step before, while torch computes.
+
+    Rays do not depend on weights, and each batch has a generator of its own, so a run that is resumed at any step gets
+    the same batches.
+
+    Args:
+        draw: fresh generators of a step's batches, by step.
+        size: pixels in each batch.
+
+    Raises:
+        Exception: what went wrong in the other thread.
+    """
+
+    def make(step: int) -> deque[tuple[object, np.random.Generator, object]]:
+        draws = [(torch.from_numpy(draw_rows(pixels, size, rng)), rng) for rng in draw(step)]
+        before = [rng.bit_generator.state for _, rng in draws]
+        batches = pixels.take_all(draws, beside_torch=True)
+        return deque((state, rng, batch) for state, (_, rng), batch in zip(before, draws, batches, strict=True))
+
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="trace ahead") as thread:
+        coming = thread.submit(make, steps.start)
+        for step in steps:
+            now = coming
+            if step + 1 < steps.stop:
+                coming = thread.submit(make, step + 1)
+            yield dataclasses.replace(pixels, made=now.result())
+
+
 SourceT = TypeVar("SourceT", bound=PixelSource)
 
 
@@ -90,6 +158,22 @@ def cameras_of(dataset: Dataset, split: Split, views: Sequence[int]) -> Cameras:
 def draw_rows(pixels: PixelSource, number: int, rng: np.random.Generator) -> Int[np.ndarray, " pixel"]:
     """Row numbers of random pixels."""
     return rng.integers(len(pixels.rgb), size=number)
+
+
+Rays = tuple[Float32[np.ndarray, "ray 3"], Float32[np.ndarray, "ray 3"]]
+"""Origins and unit directions."""
+
+
+def rays_through(
+    cameras: Cameras, index: Int[np.ndarray, " pixel"], samples: int, rng: np.random.Generator | None
+) -> Rays:
+    """Origins and unit directions of `samples` (a square number) rays through each of the pixels, pixel by pixel.
+
+    They lie in the cells of a grid that tiles the pixel: at their centres, or jittered in them by `rng`.
+    """
+    shape = (len(index), samples, 2)
+    offsets = subpixel_offsets(samples) if rng is None else subpixel_offsets(samples, rng.random(shape))
+    return subpixel_rays(cameras, index, np.broadcast_to(offsets, shape))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -221,3 +305,86 @@ def variance_of_mean(radiance: Float32[Tensor, "pixel sample 3"]) -> Float32[Ten
 def linear_curve(srgb: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
     """The inverse of `srgb_curve`."""
     return torch.where(srgb <= 0.04045, srgb / 12.92, ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4)
+
+
+NUM_NEIGHBOURS = 4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ViewBatch:
+    """Views to draw, one after the other."""
+
+    cameras: tuple[Camera, ...]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Views(PixelSource[ViewBatch]):
+    """Some views of a dataset for renderers that draw whole pictures."""
+
+    whole_views: bool = True
+
+    @property
+    def num_views(self) -> int:
+        return len(self.cameras)
+
+    def take(self, index: Int[Tensor, " ray"], rng: np.random.Generator | None) -> ViewBatch:  # noqa: ARG002
+        """The views that these pixels fill; they must be all pixels of whole views, in order."""
+        first = index[:: self.pixels_per_view]
+        assert len(index) == len(first) * self.pixels_per_view, "pixels of half a view"
+        return ViewBatch(cameras=tuple(self.cameras[int(view)] for view in first // self.pixels_per_view))
+
+    def image(self, view: int) -> Float32[Tensor, "1 3 h w"]:
+        """sRGB in [0, 1]."""
+        pixels = self.rgb[view * self.pixels_per_view : (view + 1) * self.pixels_per_view]
+        return (pixels.float() / 255).T.reshape(1, 3, *self.resolution.shape)
+
+    def neighbours(self, view: int) -> list[int]:
+        """The at most four other views whose optical axes are nearest in angle, nearest first."""
+        forward = -torch.from_numpy(self.cameras.world_from_camera).float()[:, :3, 2]
+        cosine = forward @ forward[view]
+        cosine[view] = -torch.inf
+        nearest = torch.argsort(cosine, descending=True, stable=True)
+        return nearest[: min(NUM_NEIGHBOURS, self.num_views - 1)].tolist()
+
+
+def views_of(cameras: Cameras) -> Views:
+    """Any cameras, with black pixels."""
+    return Views(cameras=cameras, rgb=black(cameras))
+
+
+def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
+    """Cameras and, with `with_images`, pictures of some views, every byte verified."""
+    return load_views_of(views_of, dataset, split, views, with_images=with_images)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainRays:
+    """The rays of some pixels."""
+
+    origins: Float32[Tensor, "ray 3"]
+    """Camera centres in world space, metres."""
+    directions: Float32[Tensor, "ray 3"]
+    """Unit vectors in world space."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainRayPixels(PixelSource[PlainRays]):
+    """Rays through the pixels' centres, jittered within the pixel while training, for methods that know only cameras.
+
+    All surfaces lie between `cameras.near` and `far`, in metres; None where that is unknown.
+    """
+
+    def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> PlainRays:
+        """One ray through each of the pixels with these row numbers."""
+        origins, directions = rays_through(self.cameras, index.flatten().cpu().numpy(), 1, rng)
+        return PlainRays(**to_device({"origins": origins, "directions": directions}, self.device))
+
+
+def rays_of(cameras: Cameras) -> PlainRayPixels:
+    """The rays of any cameras, with black pixels."""
+    return PlainRayPixels(cameras=cameras, rgb=black(cameras))
+
+
+def load_rays(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:
+    """The rays and, with `with_images`, colours of some views; no layer is read."""
+    return load_views_of(rays_of, dataset, split, views, with_images=with_images)

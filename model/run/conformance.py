@@ -8,6 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -20,13 +21,13 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
 from datagen.terminal.signals import Stopped
-from model.batches.rays import cameras_of
+from model.batches.rays import PixelSource, cameras_of
 from model.methods.protocol import METHODS, Inputs, open_inputs
 from model.methods.renderer import Renderer
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer, predict_colors, predict_pixels, render_predictions
 from model.run.run_folder import WEIGHTS, TrainConfig, parse_config
-from model.run.train import train
+from model.run.train import build_renderer, train
+from model.state import fingerprint, load_state
 
 STEPS = 4
 MOST_PIXELS = 256
@@ -34,19 +35,16 @@ MOST_PIXELS = 256
 CPU = torch.device("cpu")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Verdict:
+class Verdict(NamedTuple):
     """The result of one check."""
 
     name: str
-    problem: str
-    """What is wrong; empty if the check passed."""
-    skipped: str = ""
-    """Why the check was skipped; empty if it was not."""
+    word: Literal["ok", "skip", "FAIL"]
+    why: str = ""
 
 
-class Broken(Exception):
-    """A requirement that a method does not meet."""
+class Skipped(Exception):
+    """Why a check does not apply."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,14 +60,18 @@ class Subject:
         return self.inputs.dataset
 
     def build(self) -> Renderer:
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(self.config.seed)
-            return self.config.net.build(self.inputs)
+        return build_renderer(self.config, self.inputs, device=CPU)
 
-    def train(self, name: str, device: torch.device = CPU) -> Path:
-        out = self.folder / name
-        train(self.config, self.dataset, out, label=name, device=device)
-        return out
+    def pixels(self, split: Literal["interpolating", "extrapolating"], view: int) -> PixelSource:
+        return self.config.net.load(self.inputs, split, [view], with_images=False)
+
+    def train(self, name: str, device: torch.device = CPU) -> bytes:
+        """The weights of a new run in `folder`/`name`, or of one that goes on."""
+        train(self.config, self.dataset, self.folder / name, label=name, device=device)
+        return (self.folder / name / WEIGHTS).read_bytes()
+
+    def trained(self) -> Renderer:
+        return load_renderer(self.folder / "first", self.config, self.dataset)
 
 
 def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]:
@@ -88,39 +90,35 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]
     )
     subject = Subject(config=config, inputs=inputs, folder=folder)
     for title, check in CHECKS.items():
-        yield _verdict(title, check, subject)
-
-
-def _verdict(title: str, check: Callable[[Subject], str], subject: Subject) -> Verdict:
-    try:
-        with contextlib.redirect_stderr(io.StringIO()):
-            return Verdict(name=title, problem="", skipped=check(subject))
-    except (Broken, HyalineError) as error:
-        return Verdict(name=title, problem=str(error))
-    except Exception as error:
-        # A method is other people's code: any exception is the result of the check.
-        return Verdict(name=title, problem=f"{type(error).__name__}: {error}")
+        try:
+            with contextlib.redirect_stderr(io.StringIO()):
+                check(subject)
+            yield Verdict(title, "ok")
+        except Skipped as skipped:
+            yield Verdict(title, "skip", str(skipped))
+        except HyalineError as error:
+            yield Verdict(title, "FAIL", str(error))
+        except Exception as error:  # A method is other people's code: any exception is the result of the check.
+            yield Verdict(title, "FAIL", f"{type(error).__name__}: {error}")
 
 
 def _expect(holds: bool, problem: str) -> None:
     if not holds:
-        raise Broken(problem)
+        raise HyalineError(problem)
 
 
-def _reads_its_record(subject: Subject) -> str:
+def _reads_its_record(subject: Subject) -> None:
     again = parse_config(to_json(subject.config), where="config")
     _expect(again == subject.config, "the record changes when it is written to JSON and read back")
-    return ""
 
 
-def _starts_alike(subject: Subject) -> str:
+def _starts_alike(subject: Subject) -> None:
     first, second = (fingerprint(dict(subject.build().state_dict())) for _ in range(2))
     _expect(first == second, "two renderers built from one seed differ; use only torch's default generator")
-    return ""
 
 
-def _draws_pictures(subject: Subject) -> str:
-    pixels = subject.config.net.load(subject.inputs, "interpolating", [0], with_images=False)
+def _draws_pictures(subject: Subject) -> None:
+    pixels = subject.pixels("interpolating", 0)
     _expect(not bool(pixels.rgb.any()), "load gives a picture's colours although with_images is False")
     colors = predict_colors(subject.build(), pixels)
     count = subject.dataset.config.resolution.pixels
@@ -129,108 +127,84 @@ def _draws_pictures(subject: Subject) -> str:
     _expect(bool(colors.isfinite().all()), "a rendered colour is not finite")
     far = float(colors.abs().max())
     _expect(far < 100, f"a rendered colour is {far:.3g}; expected sRGB, about 0 to 1")
-    return ""
 
 
-def _trains_alike(subject: Subject) -> str:
+def _draws_nothing(subject: Subject) -> None:
+    if subject.dataset.config.scene != "synthetic":
+        raise Skipped("the given dataset may have no empty view")
+    for view in range(subject.dataset.num_views["extrapolating"]):
+        colors = predict_colors(subject.build(), subject.pixels("extrapolating", view))
+        _expect(bool(colors.isfinite().all()), f"extrapolating view {view}: a colour is not finite")
+
+
+def _trains_alike(subject: Subject) -> None:
     fresh = subject.build()
     before = fingerprint(dict(fresh.state_dict()))
-    first, second = subject.train("first"), subject.train("second")
-    _expect(_bytes(first) == _bytes(second), "two runs of one seed end with different weights; draw only from `rng`")
-    after = load_state(first / WEIGHTS)["renderer"]
+    same = subject.train("first") == subject.train("second")
+    _expect(same, "two runs of one seed end with different weights; draw only from `rng`")
+    after = load_state(subject.folder / "first" / WEIGHTS)["renderer"]
     has_learned = before != fingerprint(after) or not list(fresh.parameters())
     _expect(has_learned, f"no weight changed in {STEPS} steps")
-    return ""
 
 
-def _resumes(subject: Subject) -> str:
-    steps = 0
+def _resumes(subject: Subject) -> None:
+    updates = 0
 
     def stop(*_: object) -> None:
-        nonlocal steps
-        steps += 1
-        if steps == STEPS // 2 * subject.config.updates:
+        nonlocal updates
+        updates += 1
+        if updates == STEPS // 2 * subject.config.updates:
             signal.raise_signal(signal.SIGTERM)  # Training ends after the current step.
 
     hook = register_optimizer_step_post_hook(stop)
-    try:
-        with contextlib.suppress(Stopped):
-            subject.train("parts")
-    finally:
-        hook.remove()
-    out = subject.train("parts")
-    _expect(
-        _bytes(out) == _bytes(subject.folder / "first"),
-        "a stopped and resumed run ends with different weights; keep all state in parameters and buffers",
-    )
-    return ""
+    with contextlib.suppress(Stopped), contextlib.ExitStack() as stack:
+        stack.callback(hook.remove)
+        subject.train("parts")
+    same = subject.train("parts") == (subject.folder / "first" / WEIGHTS).read_bytes()
+    _expect(same, "a stopped and resumed run ends with different weights; keep all state in parameters and buffers")
 
 
-def _predicts(subject: Subject) -> str:
+def _predicts(subject: Subject) -> None:
     out = subject.folder / "first"
     render_predictions(out, subject.config, subject.dataset, device=CPU)
-    renderer = load_renderer(out, subject.config, subject.dataset)
-    pixels = subject.config.net.load(subject.inputs, "extrapolating", [0], with_images=False)
-    drawn = predict_pixels(renderer, pixels).reshape(*subject.dataset.config.resolution.shape, 3)
+    drawn = predict_pixels(subject.trained(), subject.pixels("extrapolating", 0))
     saved = read_png(out / "predictions" / "extrapolating" / "0000.png")
-    _expect(np.array_equal(drawn, saved), "saved and loaded weights render a different picture")
-    return ""
+    _expect(np.array_equal(drawn.reshape(saved.shape), saved), "saved and loaded weights render a different picture")
 
 
-def _draws_nothing(subject: Subject) -> str:
-    views = range(subject.dataset.config.split("extrapolating").views)
-    for view in views:
-        if subject.inputs.dataset.config.scene != "synthetic":
-            return "the given dataset may have no empty view"
-        pixels = subject.config.net.load(subject.inputs, "extrapolating", [view], with_images=False)
-        colors = predict_colors(subject.build(), pixels)
-        _expect(bool(colors.isfinite().all()), f"extrapolating view {view}: a colour is not finite")
-    return ""
-
-
-def _draws_any_camera(subject: Subject) -> str:
-    net, inputs = subject.config.net, subject.inputs
+def _draws_any_camera(subject: Subject) -> None:
+    net = subject.config.net
     if not net.draws_cameras:
-        return "it only draws the views of its dataset (draws_cameras is False)"
-    renderer = load_renderer(subject.folder / "first", subject.config, subject.dataset)
-    camera = cameras_of(subject.dataset, "extrapolating", [0])
-    free = predict_colors(renderer, net.load_cameras(inputs, camera))
-    stored = predict_colors(renderer, net.load(inputs, "extrapolating", [0], with_images=False))
+        raise Skipped("it only draws the views of its dataset (draws_cameras is False)")
+    renderer, camera = subject.trained(), cameras_of(subject.dataset, "extrapolating", [0])
+    free = predict_colors(renderer, net.load_cameras(subject.inputs, camera))
+    stored = predict_colors(renderer, subject.pixels("extrapolating", 0))
     # Layers may have been stored by another machine, where rays along an edge may hit its other side.
     contrast = float(stored.amax() - stored.amin())
     share = float(((free - stored).abs().amax(dim=1) > 0.02 * contrast).float().mean())
     _expect(share < 0.01, f"through a view's camera {share:.0%} of the pixels differ from the view's")
-    return ""
 
 
-def _has_a_page(subject: Subject) -> str:
+def _has_a_page(subject: Subject) -> None:
     net = subject.config.net
     if not net.page:
-        return "it has no web page (page is empty)"
-    renderer = load_renderer(subject.folder / "first", subject.config, subject.dataset)
-    page = net.draw_page(renderer, open_scene(subject.dataset))
+        raise Skipped("it has no web page (page is empty)")
+    page = net.draw_page(subject.trained(), open_scene(subject.dataset))
     _expect(re.search(r"\bvec3\s+shade\s*\(", page.shader) is not None, "its shader has no function vec3 shade(...)")
     bad = [name for name in page.defines if not re.fullmatch("[A-Z][A-Z0-9_]*", name)]
     _expect(not bad, f"its define {', '.join(bad)} is not a name in capitals")
-    rows = np.concatenate([np.zeros((0, 4), np.float32), *page.weights])
-    _expect(bool(np.isfinite(rows).all()), "its weights are not all finite")
-    return ""
+    _expect(all(np.isfinite(rows).all() for rows in page.weights), "its weights are not all finite")
 
 
-def _runs_on_a_gpu(subject: Subject) -> str:
+def _runs_on_a_gpu(subject: Subject) -> None:
     if not torch.cuda.is_available():
-        return "torch finds no GPU"
+        raise Skipped("torch finds no GPU")
     device = torch.device("cuda")
-    out = subject.train("gpu", device)
-    render_predictions(out, subject.config, subject.dataset, device=device)
-    return ""
+    subject.train("gpu", device)
+    render_predictions(subject.folder / "gpu", subject.config, subject.dataset, device=device)
 
 
-def _bytes(run: Path) -> bytes:
-    return (run / WEIGHTS).read_bytes()
-
-
-CHECKS: dict[str, Callable[[Subject], str]] = {
+CHECKS: dict[str, Callable[[Subject], None]] = {
     "its record goes to JSON and back": _reads_its_record,
     "one seed gives one start": _starts_alike,
     "pictures have their shape, type and range": _draws_pictures,
@@ -242,4 +216,4 @@ CHECKS: dict[str, Callable[[Subject], str]] = {
     "its web page has what it needs": _has_a_page,
     "it runs on a GPU": _runs_on_a_gpu,
 }
-"""Each returns why it was skipped, or an empty string; later ones use the runs of earlier ones."""
+"""Later ones use the runs of earlier ones."""

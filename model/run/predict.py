@@ -1,9 +1,4 @@
-"""Prediction: from a run's weights to 8-bit pictures of the test splits, for the dataset and its variants.
-
-RUN/predictions/SPLIT/0000.png     8-bit sRGB
-RUN/predictions.json               with checksum, written last: SHA-256 of each picture, digests of dataset and run.json
-RUN/variants/NAME/...              the same for a variant
-"""
+"""Prediction: from a run's weights to 8-bit pictures of the test splits, for the dataset and its variants."""
 
 import contextlib
 import dataclasses
@@ -24,7 +19,6 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
 from datagen.data.images import png_bytes
 from datagen.data.paths import view_name
-from datagen.data.variants import variant_root
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.ownership import remove_files
 from datagen.disk.storage import commit, sha256
@@ -34,19 +28,18 @@ from model.methods.protocol import open_inputs
 from model.methods.renderer import Renderer
 from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
 from model.nets.texture import NeuralTextures, TextureLayout, object_layout
-from model.run.checkpoint import load_state
 from model.run.run_folder import (
-    PREDICTIONS,
     WEIGHTS,
     TrainConfig,
     check_state_of,
     drawn_along,
     is_drawn,
-    prediction_seals,
-    read_prediction_hashes,
-    write_prediction_hashes,
+    predictions_folder,
+    read_predictions,
+    write_predictions,
 )
 from model.runtime import keep_freed_memory
+from model.state import load_state
 
 
 def predict_pixels(
@@ -120,26 +113,50 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
             raise HyalineError(f"{where}: {name} contains numbers that are not finite; train again with --overwrite")
 
 
-def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> None:
-    """Renders all test splits from a run's weights, including those by angle, and writes predictions.json last."""
+def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> int:
+    """Renders all test splits from a run's weights, those by angle first unless they are there already.
+
+    Returns:
+        The number of pictures.
+    """
+    homes = [*(home for home in drawn_along(dataset) if not is_drawn(run, home)), dataset]
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset).to(device)
-    for variant in drawn_along(dataset):
-        if not is_drawn(run, variant):
-            _draw(renderer, run, config, variant)
-    files = render_views(renderer, config, dataset, run)
-    write_prediction_hashes(run, files, **prediction_seals(run, dataset))
-    say(f"{run}: rendered {len(files)} views")
+    return sum(_draw(renderer, run, config, home) for home in homes)
 
 
 def render_variant(run: Path, config: TrainConfig, dataset: Dataset, variant: Dataset, *, device: torch.device) -> None:
-    """Renders all splits of a variant from the run's weights, and writes its predictions.json last."""
+    """Renders all splits of a variant from the run's weights."""
     check_can_draw(config, dataset, variant)
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset)
     if variant.edit is not None:
         show_edited_scene(renderer, dataset, variant, config.geometry)
     _draw(renderer.to(device), run, config, variant)
+
+
+def _draw(renderer: Renderer, run: Path, config: TrainConfig, home: Dataset) -> int:
+    """Commits the pictures of all splits of a dataset or variant except `train`, then their list; their number."""
+    folder = predictions_folder(run, home)
+    device = next(itertools.chain(renderer.parameters(), renderer.buffers())).device
+    inputs = open_inputs(config.net, home, config.geometry)
+    splits: list[Split] = [split for split in home.splits if split != "train"]
+    todo: list[tuple[Split, int]] = [(split, view) for split in splits for view in range(home.num_views[split])]
+    files: dict[str, str] = {}
+    for split, view in track(todo, label="render", total=len(todo)):
+        path = folder / "predictions" / split / f"{view_name(view)}.png"
+        pixels = config.net.load(inputs, split, [view], with_images=False).to(device)
+        try:
+            data = png_bytes(predict_pixels(renderer, pixels).reshape(*home.config.resolution.shape, 3))
+        except NumericsError as error:
+            raise NumericsError(f"{path}: {error}") from error
+        commit(path, data)
+        files[path.relative_to(folder).as_posix()] = sha256(data)
+    with contextlib.suppress(HyalineError):  # The variant may have had more views.
+        remove_files(folder, read_predictions(folder).keys() - files.keys())
+    write_predictions(run, home, files)
+    say(f"{folder}: rendered {len(files)} views")
+    return len(files)
 
 
 def check_can_draw(config: TrainConfig, dataset: Dataset, variant: Dataset) -> None:
@@ -186,42 +203,6 @@ def check_draws_cameras(run: Path, config: TrainConfig) -> None:
             f"{run}: {config.method} can only draw the views of its dataset, because its MethodConfig has no "
             "load_cameras (docs/adding-a-method.md)"
         )
-
-
-def _draw(renderer: Renderer, run: Path, config: TrainConfig, variant: Dataset) -> None:
-    folder = variant_root(run, variant.name)
-    with contextlib.suppress(HyalineError):  # The variant may have had more views.
-        remove_files(folder, read_prediction_hashes(folder))
-    (folder / PREDICTIONS).unlink(missing_ok=True)
-    files = render_views(renderer, config, variant, folder)
-    write_prediction_hashes(folder, files, **prediction_seals(run, variant))
-    say(f"{folder}: rendered {len(files)} views")
-
-
-def render_views(renderer: Renderer, config: TrainConfig, dataset: Dataset, out: Path) -> dict[str, str]:
-    """Commits the pictures of all splits of a dataset or variant except `train`, as `out`/predictions/SPLIT/0000.png.
-
-    Returns:
-        SHA-256 of each picture by path relative to `out`.
-    """
-    device = next(itertools.chain(renderer.parameters(), renderer.buffers())).device
-    inputs = open_inputs(config.net, dataset, config.geometry)
-    splits: list[Split] = [split for split in dataset.splits if split != "train"]
-    todo: list[tuple[Split, int]] = [
-        (split, view) for split in splits for view in range(dataset.config.split(split).views)
-    ]
-    shape = dataset.config.resolution.shape
-    files: dict[str, str] = {}
-    for split, view in track(todo, label="render", total=len(todo)):
-        path = out / "predictions" / split / f"{view_name(view)}.png"
-        pixels = config.net.load(inputs, split, [view], with_images=False).to(device)
-        try:
-            data = png_bytes(predict_pixels(renderer, pixels).reshape(*shape, 3))
-        except NumericsError as error:
-            raise NumericsError(f"{path}: {error}") from error
-        commit(path, data)
-        files[path.relative_to(out).as_posix()] = sha256(data)
-    return files
 
 
 def show_edited_scene(renderer: nn.Module, base: Dataset, edited: Dataset, geometry: str) -> None:

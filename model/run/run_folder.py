@@ -1,27 +1,21 @@
 """A run's folder: what was trained on what, its state, and its files.
 
     RUN/run.json                    with checksum, written first: the configuration and what it was trained on
-    RUN/run.next.json               the next run.json, while --overwrite deletes the files of the run before
-    RUN/metrics.jsonl               a line per evaluation: step, loss (mean since the line before), held_out_psnr
-    RUN/snapshots/000500.png        a picture per evaluation: held-out views and predictions (run/logs.py)
-    RUN/tensorboard/...             with --tensorboard: event files (run/logs.py)
-    RUN/costs.json                  with --costs: the time and memory that training took (run/logs.py)
-    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: run/checkpoint.py)
+    RUN/metrics.jsonl, snapshots/, costs.json
+                                    logs (format: model/run/logs.py)
+    RUN/checkpoint.pt               while training: everything that a resumed run needs (format: model/state.py)
     RUN/weights.pt                  after training: only the renderer, with the configuration and the digests of its
                                     data; the checkpoint is deleted then
     RUN/predictions/SPLIT/0000.png  8-bit sRGB
     RUN/predictions.json            with checksum, written last: SHA-256 of each prediction, and the digests of the
                                     dataset and of run.json; it marks a finished run
-    RUN/variants/NAME/...           predictions of variants of the dataset (format: model/run/predict.py)
+    RUN/variants/NAME/...           predictions of a variant of the dataset: both of the above
 
-Except for TensorBoard's files and costs.json, nothing depends on time, host or thread count: the same command gives the
-same bytes (on the same machine).
+Except for costs.json, nothing depends on time, host or thread count: the same command gives the same bytes (on the same
+machine).
 """
 
 import dataclasses
-import itertools
-import json
-import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -30,16 +24,15 @@ from typing import cast
 
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.geometries import describe_geometry
-from datagen.data.paths import find_dataset, view_name
-from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
-from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
+from datagen.data.geometries import NO_GEOMETRY, describe_geometry, read_materials
+from datagen.data.paths import find_dataset, is_fitted
+from datagen.data.variants import ANGLES, VARIANTS_FOLDER, has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, refuse_taken, remove_files
-from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
-from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.ownership import FolderKind, begin, is_ours, remove_files
+from datagen.disk.records import Json, from_json, shown, to_json
+from datagen.disk.storage import check_files, commit_sealed, load_sealed, seal_bytes, seal_of
 from model.methods.protocol import METHODS, Inputs, MethodConfig, open_inputs
-from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
+from model.run.logs import COSTS, METRICS, SNAPSHOTS
 from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
 
 RUN_VERSION = 5
@@ -47,8 +40,12 @@ RUN_VERSION = 5
 OPEN: dict[str, Json] = {}
 """Placeholder for a method's record while the rest of a configuration is read."""
 
-RUN, METRICS, PREDICTIONS, WEIGHTS = "run.json", "metrics.jsonl", "predictions.json", "weights.pt"
-CHECKPOINT, NEXT_RUN = "checkpoint.pt", "run.next.json"
+RUN, PREDICTIONS, WEIGHTS, CHECKPOINT = "run.json", "predictions.json", "weights.pt", "checkpoint.pt"
+
+PICTURE = rf"predictions/({'|'.join((*TEST_SPLITS, *ANGLE_SPLITS))})/[0-9]{{4,}}\.png"
+
+FOLDER = FolderKind(what="run", head=RUN, folders=("predictions", f"{VARIANTS_FOLDER}/*/predictions", SNAPSHOTS))
+"""A run of `model train`; not a folder with a foreign method's pictures and a run.json of its own."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,58 +114,73 @@ class RunRecord:
     """Version of torch."""
 
 
-def _is_run(path: Path) -> bool:
-    try:
-        _read_record(path)
-    except HyalineError:
-        return False
-    return True
+def describe_run(
+    config: TrainConfig, inputs: Inputs, *, label: str, flags: Mapping[str, str], num_parameters: Mapping[str, int]
+) -> RunRecord:
+    """The record of a run; torch is loaded by then.
+
+    Args:
+        num_parameters: of the `network`, and of its `textures`.
+    """
+    import torch
+
+    method, dataset, geometry = config.net, inputs.dataset, config.geometry
+    knowledge, told = method.knowledge, ()
+    if method.uses_geometry:
+        told = _told(config, dataset) if is_fitted(geometry) else ()
+        materials = method.knowledge if told or not is_fitted(geometry) else ""  # Else a fit has found them.
+        parts = (describe_geometry(dataset, geometry), materials, config.loss.describe())
+        knowledge = ", ".join(filter(None, parts))
+    return RunRecord(
+        version=RUN_VERSION,
+        method=config.method,
+        geometry=geometry if method.uses_geometry else NO_GEOMETRY,
+        knowledge=knowledge,
+        uses_materials=method.uses_geometry and bool(method.knowledge),
+        told=told,
+        dataset=dataset.root.as_posix(),
+        dataset_seal=dataset.seal,
+        layers_seal=inputs.layers_seal,
+        seed=config.seed,
+        num_parameters=num_parameters["network"],
+        num_texture_parameters=num_parameters["textures"],
+        num_layers=inputs.num_layers or None,
+        label=label,
+        config=config,
+        flags=dict(flags),
+        torch=torch.__version__,
+    )
 
 
-FOLDER = FolderKind(
-    what="run", head=RUN, folders=("predictions", "variants/*/predictions", SNAPSHOTS, EVENTS), holds_head=_is_run
-)
-"""A run of `model train`; not a folder with a foreign method's pictures and a run.json of its own."""
+def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
+    """Names of the objects of which a fitted geometry tells the method more than `model fit` found."""
+    from datagen.scene.folder import open_scene  # Not before: training on other geometries needs no scene.
+    from datagen.scene.materials import Diffuse
 
-
-def describe_knowledge(dataset: Dataset, geometry: str, *more: str) -> str:
-    """A method's inputs besides images and cameras, in words; empty ones are left out."""
-    return ", ".join([describe_geometry(dataset, geometry), *filter(None, more)])
+    materials = [item.material for item in open_scene(dataset, config.geometry).objects]
+    found = read_materials(dataset, config.geometry)
+    return tuple(
+        item.name
+        for item, material in zip(dataset.objects, materials, strict=True)
+        if item.name not in found and (item.is_glass or (config.net.knowledge and not isinstance(material, Diffuse)))
+    )
 
 
 def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
-    """Writes the record of a run that starts or resumes; `overwrite` first deletes the run that is there.
+    """Writes the record of a run that starts or resumes; `overwrite` first deletes the files of the run that is there.
 
-    If it is killed at any moment, the folder holds the old run or a new one: never files without a record.
+    If it is killed at any moment, the folder holds the old run's record or the new one: never files without a record.
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
-        begin(out, FOLDER, seal_bytes(content))
-    elif overwrite:
-        refuse_taken(out, FOLDER, [] if _is_run(out / NEXT_RUN) else [NEXT_RUN], [])
-        commit_sealed(out / NEXT_RUN, content)
-        finish_clearing(out)
-    else:
-        commit_sealed(out / RUN, content)
-
-
-def refuse_other_folders(out: Path) -> None:
-    """Refuses a folder that is neither a run nor empty; names a run.json that cannot be read."""
-    if os.path.lexists(out / RUN) and not _is_foreign(out):
-        try:
-            _read_record(out / RUN)
-        except HyalineError as error:
-            raise HyalineError(
-                f"{str(error).partition('; ')[0]}; restore that file, move the folder away, or choose another --out"
-            ) from error
-    refuse_others(out, FOLDER)
-
-
-def finish_clearing(out: Path) -> None:
-    """Completes an --overwrite that was killed while it deleted files; otherwise does nothing."""
-    if is_ours(out, FOLDER) and _is_run(out / NEXT_RUN):
-        clear_run(out)
-        (out / NEXT_RUN).replace(out / RUN)
+        return begin(out, FOLDER, seal_bytes(content))
+    if overwrite:
+        variant = rf"({VARIANTS_FOLDER}/[^/]+/)?"
+        others = "|".join(map(re.escape, (WEIGHTS, CHECKPOINT, METRICS, COSTS)))
+        own = re.compile(rf"{variant}({PREDICTIONS}|{PICTURE})|{others}|{SNAPSHOTS}/[0-9]{{6,}}\.png")
+        paths = (path.relative_to(out).as_posix() for path in sorted(out.rglob("*")))
+        remove_files(out, filter(own.fullmatch, paths))
+    commit_sealed(out / RUN, content)
 
 
 def list_runs(root: Path) -> list[str]:
@@ -188,29 +200,11 @@ def find_run(name: Path, root: Path = RUNS) -> Path:
 
 def read_run(out: Path) -> RunRecord:
     """The record of a run."""
-    if _is_foreign(out):
+    path = out / RUN
+    if not path.is_file():
         raise HyalineError(
-            f"{out}: holds a foreign method's pictures, and no weights; expected the folder of a run of `model train` "
-            "(`eval report` scores pictures of any method)"
+            f"{out}: holds no run; `model train paper` makes one (`eval report` also scores pictures of other programs)"
         )
-    if not (out / RUN).is_file():
-        raise HyalineError(f"{out}: holds no run; `model train paper` makes one")
-    return _read_record(out / RUN)
-
-
-def _is_foreign(out: Path) -> bool:
-    """True for a folder with a foreign method's pictures, with or without a run.json of its own."""
-    if any((out / name).exists() for name in (WEIGHTS, CHECKPOINT)):
-        return False
-    if not os.path.lexists(out / RUN):
-        return (out / "predictions").is_dir() or any(out.glob("*.png"))
-    try:
-        return SEAL not in load_json(out / RUN)
-    except HyalineError:
-        return False
-
-
-def _read_record(path: Path) -> RunRecord:
     content = load_sealed(path)
     if content.get("version") != RUN_VERSION:
         raise HyalineError(
@@ -221,12 +215,15 @@ def _read_record(path: Path) -> RunRecord:
     return dataclasses.replace(from_json(RunRecord, stand_in, where=str(path)), config=config)
 
 
-def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_seal: str) -> None:
-    """Raises a HyalineError that names the first difference between a run and a configuration or data.
+def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs:
+    """The inputs of a run from a dataset.
 
-    Labels, folder names and torch's version are not compared.
+    Labels, folder names and torch's version may differ from the run's record.
+
+    Raises:
+        HyalineError: naming the first difference between the run there and this configuration or data.
     """
-    record = read_run(out)
+    record, inputs = read_run(out), open_inputs(config.net, dataset, config.geometry)
     before, after = _entries(record.config), _entries(config)
     for key in {**after, **before}:
         if before.get(key) != after.get(key):
@@ -234,16 +231,16 @@ def check_same_run(out: Path, config: TrainConfig, *, dataset_seal: str, layers_
                 f"{out}: holds a run with another {key}: {before.get(key)} there, {after.get(key)} here; "
                 f"start over with --overwrite, or choose another --out"
             )
-    if (record.dataset_seal, record.layers_seal) != (dataset_seal, layers_seal):
-        what = "dataset" if record.dataset_seal != dataset_seal else "geometry or number of layers"
-        raise HyalineError(f"{out}: was trained on another {what} than is there now; restore that, or train again")
-
-
-def check_trained_on(out: Path, config: TrainConfig, dataset: Dataset) -> Inputs:
-    """The inputs of a run of this configuration from a dataset; checked by `check_same_run`."""
-    inputs = open_inputs(config.net, dataset, config.geometry)
-    check_same_run(out, config, dataset_seal=dataset.seal, layers_seal=inputs.layers_seal)
+    for what, key in (("dataset", "dataset_seal"), ("geometry or number of layers", "layers_seal")):
+        if getattr(record, key) != data_seals(inputs)[key]:
+            raise HyalineError(f"{out}: was trained on another {what} than is there now; restore that, or train again")
     return inputs
+
+
+def _entries(config: TrainConfig) -> dict[str, Json]:
+    """All settings by name."""
+    data = cast(dict[str, dict[str, Json]], to_json(config))
+    return {**data.pop("net"), **data.pop("loss"), **data}
 
 
 def data_seals(inputs: Inputs) -> dict[str, str]:
@@ -263,120 +260,6 @@ def check_state_of(state: Mapping[str, object], config: TrainConfig, inputs: Inp
             )
 
 
-def is_finished(out: Path, **seals: str) -> bool:
-    """True if all predictions exist and verify, and their list has these digests, or none (in older runs).
-
-    Args:
-        seals: the result of `prediction_seals`.
-    """
-    try:
-        check_files(out, read_prediction_hashes(out))
-        stored = load_sealed(out / PREDICTIONS)
-    except HyalineError:
-        return False
-    return all(stored.get(key, seal) == seal for key, seal in seals.items())
-
-
-def prediction_seals(run: Path, home: Dataset) -> dict[str, str]:
-    """The digests of dataset (or variant) and run that a list of predictions stores."""
-    return {"dataset_seal": home.seal, "run_seal": seal_of(load_sealed(run / RUN))}
-
-
-def is_drawn(run: Path, variant: Dataset) -> bool:
-    """True if all of a run's pictures of this variant exist and verify."""
-    return (run / RUN).is_file() and is_finished(variant_root(run, variant.name), **prediction_seals(run, variant))
-
-
-def is_all_drawn(run: Path, dataset: Dataset) -> bool:
-    """True if a run is finished, including the variants that `render_predictions` also draws."""
-    return is_finished(run, **prediction_seals(run, dataset)) and all(
-        is_drawn(run, variant) for variant in drawn_along(dataset)
-    )
-
-
-def drawn_along(dataset: Dataset) -> list[Dataset]:
-    """The variants with further test splits, which cost no more than the dataset's own."""
-    return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
-
-
-def told_finished(out: Path) -> str:
-    """What to say of a run that is asked for again."""
-    return f"{out}: finished before, nothing to do; --overwrite trains it again"
-
-
-def write_prediction_hashes(out: Path, files: dict[str, str], **seals: str) -> None:
-    """Commits the list of pictures in the folder of a run or of a variant in it.
-
-    Args:
-        seals: the result of `prediction_seals`.
-    """
-    commit_sealed(out / PREDICTIONS, {"version": RUN_VERSION, **seals, "files": dict(files)})
-
-
-def read_prediction_hashes(out: Path) -> dict[str, str]:
-    """SHA-256 of each prediction by path relative to the folder of the run, or of a variant in it."""
-    path = out / PREDICTIONS
-    content = load_sealed(path)
-    if content.get("version") != RUN_VERSION:
-        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
-    files = from_json(dict[str, str], content.get("files"), where=f"{path}: files")
-    for file in files:
-        if not re.fullmatch(rf"predictions/({'|'.join((*TEST_SPLITS, *ANGLE_SPLITS))})/[0-9]{{4,}}\.png", file):
-            raise HyalineError(f"{path}: lists {file!r}; expected predictions/SPLIT/0000.png")
-    return files
-
-
-def clear_run(out: Path) -> None:
-    """Deletes only the files that a run has made; its record is kept until the next one replaces it."""
-    remove_files(out, [PREDICTIONS, WEIGHTS, CHECKPOINT, METRICS, COSTS, *_pictures(out)])
-    config = read_run(out).config
-    remove_files(out, list_snapshots(out, evaluate_every=config.evaluate_every, steps=config.steps))
-    remove_files(out, list_events(out))
-    for folder in sorted(out.glob(f"{VARIANTS}/*")):
-        name = folder.relative_to(out).as_posix()
-        remove_files(out, [f"{name}/{PREDICTIONS}", *(f"{name}/{file}" for file in _pictures(folder))])
-
-
-def _pictures(folder: Path) -> list[str]:
-    """The predictions in a folder, by path relative to it, without files that others may have put there.
-
-    These are the listed ones; if rendering was stopped before the list was written, those that it makes one by one.
-    """
-    try:
-        return list(read_prediction_hashes(folder))
-    except HyalineError:
-        found = []
-    for split in (*TEST_SPLITS, *ANGLE_SPLITS):
-        names = (f"predictions/{split}/{view_name(view)}.png" for view in itertools.count())
-        found += itertools.takewhile(lambda name: (folder / name).is_file(), names)
-    return found
-
-
-def write_metrics(out: Path, metrics: list[dict[str, Json]]) -> None:
-    """Commits the lines of metrics.jsonl, or deletes it if there are none."""
-    if metrics:
-        commit(out / METRICS, "".join(json.dumps(line, allow_nan=False) + "\n" for line in metrics).encode())
-    else:
-        (out / METRICS).unlink(missing_ok=True)
-
-
-def read_metrics(out: Path) -> list[dict[str, float | None]]:
-    """The lines of metrics.jsonl, one per evaluation: step, loss, held_out_psnr in dB (None without held-out views)."""
-    path = out / METRICS
-    lines = read_regular(path).splitlines() if path.is_file() else []
-    found = []
-    for number, line in enumerate(lines, start=1):
-        where = f"{path}: line {number}"
-        found.append(from_json(dict[str, float | None], parse_json(line, where=where), where=where))
-    return found
-
-
-def _entries(config: TrainConfig) -> dict[str, Json]:
-    """All settings by name."""
-    data = cast(dict[str, dict[str, Json]], to_json(config))
-    return {**data.pop("net"), **data.pop("loss"), **data}
-
-
 def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Dataset]:
     """A run's record and its dataset: the given one, or the one that the run was trained on."""
     record = read_run(run)
@@ -388,3 +271,56 @@ def open_trained(run: Path, dataset: str | None = None) -> tuple[RunRecord, Data
     opened = open_dataset(find_dataset(dataset) if dataset else Path(record.dataset))
     check_trained_on(run, record.config, opened)
     return record, opened
+
+
+# Predictions
+
+
+def predictions_folder(run: Path, home: Dataset) -> Path:
+    """Where a run's predictions of a dataset or of a variant lie, with their list."""
+    return run if home.parent is None else variant_root(run, home.name)
+
+
+def drawn_along(dataset: Dataset) -> list[Dataset]:
+    """The variants with further test splits, which cost no more than the dataset's own."""
+    return [open_variant(dataset, ANGLES)] if has_variant(dataset, ANGLES) else []
+
+
+def is_drawn(run: Path, home: Dataset) -> bool:
+    """True if all of a run's pictures of a dataset or of a variant exist and verify; older lists have no digests."""
+    folder = predictions_folder(run, home)
+    try:
+        check_files(folder, read_predictions(folder))
+        stored, own = load_sealed(folder / PREDICTIONS), _prediction_seals(run, home)
+    except HyalineError:
+        return False
+    return all(stored.get(key, seal) == seal for key, seal in own.items())
+
+
+def is_all_drawn(run: Path, dataset: Dataset) -> bool:
+    """True if a run is finished, including the variants that `render_predictions` also draws."""
+    return all(is_drawn(run, home) for home in (dataset, *drawn_along(dataset)))
+
+
+def write_predictions(run: Path, home: Dataset, files: Mapping[str, str]) -> None:
+    """Commits the list of a run's pictures of a dataset or variant: SHA-256 by path relative to their folder."""
+    content = {"version": RUN_VERSION, **_prediction_seals(run, home), "files": dict(files)}
+    commit_sealed(predictions_folder(run, home) / PREDICTIONS, content)
+
+
+def read_predictions(folder: Path) -> dict[str, str]:
+    """SHA-256 of each prediction by path relative to the folder of the run, or of a variant in it."""
+    path = folder / PREDICTIONS
+    content = load_sealed(path)
+    if content.get("version") != RUN_VERSION:
+        raise HyalineError(f"{path}: format version {content.get('version')!r}; this program reads {RUN_VERSION}")
+    files = from_json(dict[str, str], content.get("files"), where=f"{path}: files")
+    for file in files:
+        if not re.fullmatch(PICTURE, file):
+            raise HyalineError(f"{path}: lists {file!r}; expected predictions/SPLIT/0000.png")
+    return files
+
+
+def _prediction_seals(run: Path, home: Dataset) -> dict[str, str]:
+    """The digests of dataset (or variant) and run that a list of predictions stores."""
+    return {"dataset_seal": home.seal, "run_seal": seal_of(load_sealed(run / RUN))}

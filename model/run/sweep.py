@@ -1,75 +1,227 @@
-"""Sweeps: all runs of an experiment, and the commands before and after them.
+"""Sweeps: all runs of an experiment, which is a file of command lines whose braces make grids.
+
+    # What each layer is told of the camera.
+    datagen build glass_table
+    model train paper glass_table --extrinsics {view,none,sh} --seed {0,1,2}
+    model predict $run --variant x2
+
+A line with braces means several, as in a shell: `a{b,c}` is `ab` and `ac`. Lines of `datagen`, `proxies`, `python` and
+`model fit` make what is trained on, and come first; then the runs of `model train`, in any order; then all other lines.
+`$run` is the folder of each run of the last line of `model train` above. Runs and commands that several lines ask for
+are done once. The experiments in `model/experiments/` are known by name, and so are folders of them: `model sweep
+table1` is one of `model sweep paper-tables`.
 
 Each run is trained in a process of its own, one per device or several side by side, or in a Slurm job of its own. A
-sweep keeps no state: the runs' own folders show what is finished, so a sweep that was stopped
-or killed continues when it is started again, and ends in the same bytes.
+sweep keeps no state: the runs' own folders show what is finished, so a sweep that was stopped or killed continues when
+it is started again, and ends in the same bytes.
 """
 
+import itertools
+import math
 import os
 import queue
+import re
 import shlex
 import subprocess
 import sys
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 
-from datagen.disk.errors import HyalineError
-from datagen.machine.launch import LaunchChoices, own_command, run_in_jobs
+from datagen.disk.errors import DamagedError, HyalineError
+from datagen.disk.records import read_regular, shown
+from datagen.machine.launch import LaunchChoices, own_command, raise_failures, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
-from datagen.terminal.command import say, tell
-from model.run.experiments import Experiment
+from datagen.terminal.command import choose, say
+from model.methods.protocol import METHODS
+from model.run.train_flags import folder_name, parse_train
 from model.settings import RUNS
 
-MODULES = {"hyaline-bench": "hyaline_bench"}
-"""Packages of programs that are called differently."""
+EXPERIMENTS = Path(__file__).parents[1] / "experiments"
+
+MAKERS = ("datagen", "proxies", "python")
+"""Programs that make what runs are trained on."""
+PROGRAMS = (*MAKERS, "model", "report", "hyaline-bench")
+
+MAX_RUNS = 1000
+"""Upper limit on the lines that one line means; larger grids are probably mistakes."""
+MAX_BYTES = 1_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """A run that was not finished."""
+class Experiment:
+    """The content of experiment files."""
 
-    command: str
-    reason: str
-    """Its last error, or the signal that ended it."""
+    name: str
+    needs: tuple[str, ...]
+    """Commands that make the datasets and proxies of the runs."""
+    runs: tuple[tuple[str, ...], ...]
+    """Arguments of `model train`, all different, in the file's order; the last braces of a line vary fastest."""
+    then: tuple[str, ...]
+    """Commands on finished runs."""
+
+    @property
+    def lines(self) -> list[str]:
+        """All command lines."""
+        return [*self.needs, *map(command_line, self.runs), *self.then]
 
 
-class Children:
-    """The running processes, including any that start while they are being stopped."""
+def list_experiments() -> list[str]:
+    """The names of the built-in experiments, and of folders of them."""
+    return sorted(path.stem for path in EXPERIMENTS.rglob("*"))
 
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._living: set[subprocess.Popen[str]] = set()
-        self._is_stopped = False
 
-    def add(self, child: subprocess.Popen[str]) -> None:
-        with self._lock:
-            self._living.add(child)
-            if self._is_stopped:
+def read_experiment(given: str, *, datasets: Sequence[str] = (), seeds: Sequence[int] = ()) -> Experiment:
+    """An experiment; each of its runs can be parsed by `model train`.
+
+    Args:
+        given: a file, the name of a built-in experiment, or `-` for lines from stdin.
+        datasets: replace the file's datasets, which are not made then, unless empty.
+        seeds: replace the file's seeds, unless empty.
+    """
+    needs: dict[str, None] = {}
+    runs: dict[str, tuple[str, ...]] = {}
+    then: dict[str, None] = {}
+    folders: list[Path] = []
+    for where, line in _lines(given):
+        commands = _expanded(line, where)
+        if commands and commands[0][:2] == ["model", "train"]:
+            folders = []
+            for words in itertools.chain(*(_replaced(words[2:], datasets, seeds) for words in commands)):
+                key, folder = _parsed(words, where)
+                runs.setdefault(key, words)
+                folders.append(folder)
+            continue
+        for program, *words in commands:
+            choose(f"{where}: program", program, PROGRAMS)
+            if "$run" in words:
+                of_runs = ([str(folder) if word == "$run" else word for word in words] for folder in folders)
+                then |= dict.fromkeys(shlex.join([program, *filled]) for filled in of_runs)
+            elif program not in MAKERS and [program, *words[:1]] != ["model", "fit"]:
+                then[shlex.join([program, *words])] = None
+            elif not datasets:
+                needs[shlex.join([program, *words])] = None
+    if not runs:
+        raise HyalineError(f"{given}: has no runs; expected at least one line of `model train`")
+    return Experiment(name=Path(given).stem, needs=tuple(needs), runs=tuple(runs.values()), then=tuple(then))
+
+
+def _lines(given: str) -> Iterator[tuple[str, str]]:
+    """All lines of an experiment with their places."""
+    paths = [Path(given)]
+    if given != "-" and not paths[0].suffix:
+        choose("experiment", given, list_experiments())
+        paths = sorted((EXPERIMENTS / given).glob("*.txt")) or [next(EXPERIMENTS.rglob(f"{given}.txt"))]
+    for path in paths:
+        data = sys.stdin.buffer.read(MAX_BYTES) if given == "-" else read_regular(path, at_most=MAX_BYTES)
+        try:
+            lines = data.decode().splitlines()
+        except UnicodeDecodeError as error:
+            raise DamagedError(f"{path}: not text ({error.reason})") from None
+        yield from ((f"{path}: line {number}", line) for number, line in enumerate(lines, start=1))
+
+
+def _expanded(line: str, where: str) -> list[list[str]]:
+    """The words of all command lines that a line means; none of a comment."""
+    try:
+        words = shlex.split(line, comments=True)
+    except ValueError:
+        raise HyalineError(f"{where}: is {shown(line)}; expected a command line") from None
+    parts = [re.split(r"\{([^{}]*)\}", word) for word in words]
+    count = math.prod(choices.count(",") + 1 for word in parts for choices in word[1::2])
+    if count > MAX_RUNS:
+        raise HyalineError(f"{where}: means {shown(count)} lines; expected at most {MAX_RUNS:,}")
+    choices = [[part.split(",") if place % 2 else [part] for place, part in enumerate(word)] for word in parts]
+    alternatives = [["".join(each) for each in itertools.product(*word)] for word in choices]
+    return [list(each) for each in itertools.product(*alternatives)] if words else []
+
+
+def _replaced(words: Sequence[str], datasets: Sequence[str], seeds: Sequence[int]) -> Iterator[tuple[str, ...]]:
+    """The arguments of `model train` with each of these datasets and seeds, unless there are none."""
+    method, *flags = words or [""]
+    own = [flags.pop(0)] if flags and not flags[0].startswith("-") else []
+    if seeds and "--seed" in flags:
+        place = flags.index("--seed")
+        del flags[place : place + 2]
+    for dataset in [[name] for name in datasets] or [own]:
+        for seed in [["--seed", str(seed)] for seed in seeds] or [[]]:
+            yield (method, *dataset, *flags, *seed)
+
+
+def _parsed(words: tuple[str, ...], where: str) -> tuple[str, Path]:
+    """What is the same of two lines that ask for the same run, and the run's folder."""
+    method, *flags = words
+    choose(f"{where}: method", method, METHODS.names())
+    try:
+        asked = parse_train(method, tuple(flags))
+    except HyalineError as error:
+        raise HyalineError(f"{where}: {error}") from None
+    dataset = Path(asked.dataset or "glass_table").name
+    return repr((method, asked)), asked.run.out or RUNS / dataset / folder_name(method, asked)
+
+
+# Running them
+
+
+def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> dict[str, str]:
+    """Makes what the runs need, trains every run that is not finished, and continues past those that fail.
+
+    Args:
+        devices: one process runs on each at a time, so a device that is named twice runs two; None is the CPU, whose
+            cores its processes share evenly.
+
+    Returns:
+        Why runs failed, by their command lines, in the experiment's order.
+    """
+    run_commands(experiment, experiment.needs)
+    free: queue.SimpleQueue[str | None] = queue.SimpleQueue()
+    for device in devices:
+        free.put(device)
+    threads = share_of_cores(devices.count(None))
+    children, is_stopped = set[subprocess.Popen[str]](), threading.Event()
+
+    def one_run(place: int) -> str:
+        device = free.get()
+        environment = threads if device is None else {"CUDA_VISIBLE_DEVICES": device}
+        try:
+            mark = f"[{place + 1}/{len(experiment.runs)}]"
+            return _train_in_child(experiment.runs[place], mark, environment, children, is_stopped)
+        finally:
+            free.put(device)
+
+    with ThreadPoolExecutor(len(devices)) as pool:
+        try:
+            reasons = list(pool.map(one_run, range(len(experiment.runs))))
+        except BaseException:
+            # A signal: waiting runs never start, running ones save their work, and the pool waits for them.
+            pool.shutdown(wait=False, cancel_futures=True)
+            is_stopped.set()
+            for child in tuple(children):
                 child.terminate()
+            raise
+    return {command_line(words): reason for words, reason in zip(experiment.runs, reasons, strict=True) if reason}
 
-    def remove(self, child: subprocess.Popen[str]) -> None:
-        with self._lock:
-            self._living.discard(child)
 
-    def stop(self) -> None:
-        with self._lock:
-            self._is_stopped = True
-            for child in self._living:
-                child.terminate()
+def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> dict[str, str]:
+    """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
+    run_commands(experiment, experiment.needs)
+    jobs = {command_line(words): ["train", *words] for words in experiment.runs}
+    return run_in_jobs("model", jobs, RUNS / "jobs", launch)
+
+
+def finish(experiment: Experiment, failures: Mapping[str, str]) -> None:
+    """Reports how many runs are finished; runs what follows them, or raises a HyalineError if any failed."""
+    total = len(experiment.runs)
+    say(f"sweep {experiment.name}: {total - len(failures)} of {total} runs are finished")
+    raise_failures(f"sweep {experiment.name}", failures, total)
+    run_commands(experiment, experiment.then)
 
 
 def command_line(arguments: Sequence[str]) -> str:
     """The command line of one run of an experiment."""
     return shlex.join(["model", "train", *arguments])
-
-
-def print_experiment(experiment: Experiment) -> None:
-    """Prints all command lines."""
-    for line in (*experiment.needs, *map(command_line, experiment.runs), *experiment.then):
-        tell(line)
-    say(f"sweep {experiment.name}: {len(experiment.runs)} runs")
 
 
 def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:
@@ -81,57 +233,12 @@ def run_commands(experiment: Experiment, commands: Sequence[str]) -> None:
     for command in commands:
         say(command)
         program, *words = shlex.split(command)
-        start = [sys.executable] if program == "python" else own_command(MODULES.get(program, program))
+        start = [sys.executable] if program == "python" else own_command(program.replace("-", "_"))
         if status := subprocess.run([*start, *words], stdout=subprocess.DEVNULL, check=False).returncode:
             raise HyalineError(
                 f"sweep {experiment.name}: `{command}` ended with status {status}, for the reason above; "
                 "fix it and run the same command again to continue"
             )
-
-
-def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> tuple[Failure, ...]:
-    """Makes what the runs need, trains every run that is not finished, and continues past those that fail.
-
-    Args:
-        devices: one process runs on each at a time, so a device that is named twice runs two; None is the CPU, whose
-            cores its processes share evenly.
-
-    Returns:
-        The runs that failed, in the experiment's order.
-    """
-    free: queue.SimpleQueue[str | None] = queue.SimpleQueue()
-    for device in devices:
-        free.put(device)
-    children = Children()
-    total = len(experiment.runs)
-    run_commands(experiment, experiment.needs)
-    threads = share_of_cores(devices.count(None))
-
-    def one_run(place: int) -> Failure | None:
-        device = free.get()
-        environment = threads if device is None else {"CUDA_VISIBLE_DEVICES": device}
-        try:
-            return _train_in_child(experiment.runs[place], f"[{place + 1}/{total}]", environment, children)
-        finally:
-            free.put(device)
-
-    with ThreadPoolExecutor(len(devices)) as pool:
-        try:
-            results = list(pool.map(one_run, range(total)))
-        except BaseException:
-            # A signal: waiting runs never start, running ones save their work, and the pool waits for them.
-            pool.shutdown(wait=False, cancel_futures=True)
-            children.stop()
-            raise
-    return tuple(failure for failure in results if failure is not None)
-
-
-def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> tuple[Failure, ...]:
-    """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
-    run_commands(experiment, experiment.needs)
-    jobs = {command_line(words): ["train", *words] for words in experiment.runs}
-    failures = run_in_jobs("model", jobs, RUNS / "jobs", launch)
-    return tuple(Failure(command=command, reason=reason) for command, reason in failures.items())
 
 
 def find_devices(jobs: int) -> tuple[str | None, ...]:
@@ -155,27 +262,16 @@ def share_of_cores(jobs: int) -> dict[str, str]:
     return {"OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
 
 
-def finish(experiment: Experiment, failures: Sequence[Failure]) -> None:
-    """Reports how many runs are finished; runs what follows them, or raises a HyalineError if any failed."""
-    total = len(experiment.runs)
-    say(f"sweep {experiment.name}: {total - len(failures)} of {total} runs are finished")
-    for failure in failures:
-        say(f"failed: {failure.command}: {failure.reason}")
-    if failures:
-        raise HyalineError(
-            f"sweep {experiment.name}: {len(failures)} of {total} runs failed (see above); "
-            "fix them and run the same command again to continue"
-        )
-    run_commands(experiment, experiment.then)
-
-
 def _train_in_child(
-    arguments: Sequence[str], place: str, environment: Mapping[str, str], children: Children
-) -> Failure | None:
-    """Runs `model train` to its end, and passes its messages on, prefixed with `place`."""
-    command = command_line(arguments)
+    arguments: Sequence[str],
+    place: str,
+    environment: Mapping[str, str],
+    children: set[subprocess.Popen[str]],
+    is_stopped: threading.Event,
+) -> str:
+    """Runs `model train` to its end, and passes its messages on, prefixed with `place`; why it failed, or nothing."""
     device = environment.get("CUDA_VISIBLE_DEVICES")
-    say(f"{place} {command}" + ("" if device is None else f" (CUDA device {device})"))
+    say(f"{place} {command_line(arguments)}" + ("" if device is None else f" (CUDA device {device})"))
     child = subprocess.Popen(
         [*own_command("model"), "train", *arguments],
         env=os.environ | environment,
@@ -184,6 +280,8 @@ def _train_in_child(
         errors="replace",
     )
     children.add(child)
+    if is_stopped.is_set():  # Others were told to stop while this one started.
+        child.terminate()
     assert child.stderr is not None
     last = error = ""
     for line in child.stderr:
@@ -192,10 +290,6 @@ def _train_in_child(
         if not last.startswith("next: "):
             say(f"{place} {line.rstrip()}")
     status = child.wait()
-    children.remove(child)
-    if status == 0:
-        return None
+    children.discard(child)
     ended = f"ended by signal {-status}" if status < 0 else f"exit status {status}"
-    return Failure(
-        command=command, reason=error.removeprefix("error: ") or f"{ended}; its last message: {last or 'none'}"
-    )
+    return (error.removeprefix("error: ") or f"{ended}; its last message: {last or 'none'}") if status else ""

@@ -1,9 +1,10 @@
 """Training, in run order: from a dataset to a run folder with weights."""
 
 import contextlib
+import itertools
 import math
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -13,31 +14,32 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
-from model.batches.ahead import Ahead, TracedPixels
-from model.batches.rays import PixelSource
+from model.batches.rays import PixelSource, TracedPixels, made_ahead
 from model.methods.patch_losses import Losses
 from model.methods.protocol import Inputs, open_inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.texture import NeuralTextures
-from model.run.checkpoint import load_state, save_state
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
-from model.run.logs import LogChoices, Logs
+from model.run.logs import write_metrics, write_snapshot
 from model.run.optimizer import Optimizer, make_optimizer
-from model.run.preparation import (
-    build_renderer,
-    check_losses,
-    count_parameters,
+from model.run.run_folder import (
+    CHECKPOINT,
+    WEIGHTS,
+    TrainConfig,
+    begin_run,
+    check_state_of,
+    data_seals,
     describe_run,
-    prepare_processor,
 )
-from model.run.run_folder import CHECKPOINT, WEIGHTS, TrainConfig, begin_run, check_state_of, data_seals, write_metrics
-from model.settings import decay
-from model.state import State
+from model.runtime import keep_freed_memory, sum_in_order_on_gpus, use_few_threads
+from model.settings import LEAST_PATCH, PixelOptimisation, decay
+from model.state import State, load_state, save_state
 
 CHECKPOINT_EVERY_S = 60.0
 """Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""
@@ -52,7 +54,6 @@ def train(
     device: torch.device,
     flags: Mapping[str, str] = MappingProxyType({}),
     overwrite: bool = False,
-    logs: LogChoices = LogChoices(),  # noqa: B008
 ) -> None:
     """Trains until `out` contains weights.pt; resumes from its checkpoint if there is one.
 
@@ -64,19 +65,25 @@ def train(
     Args:
         flags: those that asked for it, to be recorded.
         overwrite: first delete the existing run in `out`.
-        logs: logs to write for people to read.
 
     Raises:
         NumericsError: the loss or a gradient is not finite.
         Stopped: a signal has arrived; the message names the step.
     """
-    prepare_processor(config, device)
+    keep_freed_memory()
+    if device.type == "cuda":
+        sum_in_order_on_gpus()
+    size = config.batch // config.updates
+    if isinstance(config.net.optimisation(), PixelOptimisation):
+        use_few_threads(size)
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_losses(config, dataset.config.resolution)
 
     renderer = build_renderer(config, inputs, device=device)
     groups = renderer.groups(config)
-    sizes = count_parameters(groups)
+    sizes = {"network": 0, "textures": 0, "helper": 0}
+    for group in groups:
+        sizes[group.counts_as] += sum(value.numel() for value in group.parameters)
     begin_run(out, describe_run(config, inputs, label=label, flags=flags, num_parameters=sizes), overwrite=overwrite)
 
     views = range(dataset.config.train.views)
@@ -86,35 +93,30 @@ def train(
     testing = None
     if held_out:
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
-    losses = Losses(config.loss, steps=config.steps, seed=config.seed, device=device)
-
-    size = config.batch // config.updates
-    optimizer = make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=renderer, pixels=size)
     run = Run(
         config=config,
         inputs=inputs,
         out=out,
         renderer=renderer,
         groups=groups,
-        optimizer=optimizer,
-        losses=losses,
+        optimizer=make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=renderer, pixels=size),
+        losses=Losses(config.loss, steps=config.steps, seed=config.seed, device=device),
         training=training,
         held_out=testing,
-        logs=logs,
     )
-    progress = resume(run)
+    resume(run)
     layers = inputs.num_layers or ("traced" if config.net.uses_geometry else "no")
     say(
         f"{label} on {dataset.root}: {len(shown)} training views and {len(held_out)} held out, "
         f"{layers} layer{'s' * (layers != 1)}, "
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
-    take_steps(run, progress, overwrite=overwrite)
+    take_steps(run, overwrite=overwrite)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Run:
-    """The objects that every step of a run uses."""
+    """What every step of a run uses, and its state between steps."""
 
     config: TrainConfig
     inputs: Inputs
@@ -126,13 +128,6 @@ class Run:
     training: PixelSource
     held_out: HeldOut | None
     """None if no views are held out."""
-    logs: LogChoices
-
-
-@dataclass(kw_only=True)
-class Progress:
-    """The state of a run between steps."""
-
     step: int = 0
     """Finished steps."""
     loss_sum: float = 0.0
@@ -147,9 +142,30 @@ class Progress:
         return f"loss {self.loss:.4f}" + ("" if math.isnan(self.psnr) else f", held out {self.psnr:.2f} dB")
 
 
-def resume(run: Run) -> Progress:
-    """Loads the checkpoint, if there is one, into the run, and returns its progress."""
-    progress, path = Progress(), run.out / CHECKPOINT
+def check_losses(config: TrainConfig, resolution: Resolution) -> None:
+    """Raises a HyalineError if the method cannot be trained with the losses that were asked for."""
+    crop = getattr(config.net, "crop", None)  # Of U-Nets; 0: whole pictures.
+    side = min(config.loss.patch if crop is None else crop or resolution.shorter, resolution.shorter)
+    if config.loss.adversarial and side < LEAST_PATCH:
+        raise HyalineError(
+            f"adversarial: patches are {side} pixels wide; the discriminator needs at least {LEAST_PATCH}, so use "
+            "larger crops or pictures"
+        )
+    if config.loss.inpaint or config.loss.vgg != "vgg16":
+        raise HyalineError("loss: is one of an earlier version, with in-painting or VGG19; train without them")
+
+
+def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:
+    """The network and textures before any step; their values depend only on the seed."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(config.seed)
+        renderer = config.net.build(inputs)
+    return renderer.to(device)
+
+
+def resume(run: Run) -> None:
+    """Loads the checkpoint, if there is one, into the run."""
+    path = run.out / CHECKPOINT
     if path.is_file():
         try:
             checkpoint = load_state(path)
@@ -161,16 +177,15 @@ def resume(run: Run) -> Progress:
         run.renderer.load_state_dict(cast(dict[str, Tensor], checkpoint["renderer"]))
         run.optimizer.load_state_dict(cast(dict[str, Tensor], checkpoint["optimizer"]))
         run.losses.load_state(checkpoint.get("losses"))
-        progress.step = cast(int, checkpoint["step"])
-        progress.loss_sum = cast(float, checkpoint["loss_sum"])
-        progress.loss_count = cast(int, checkpoint["loss_count"])
-        progress.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
-        say(f"{run.out}: resuming after step {progress.step:,} of {run.config.steps:,}")
-    write_metrics(run.out, progress.metrics)  # The file may have lines that are newer than the checkpoint.
-    return progress
+        run.step = cast(int, checkpoint["step"])
+        run.loss_sum = cast(float, checkpoint["loss_sum"])
+        run.loss_count = cast(int, checkpoint["loss_count"])
+        run.metrics = cast(list[dict[str, Json]], checkpoint["metrics"])
+        say(f"{run.out}: resuming after step {run.step:,} of {run.config.steps:,}")
+    write_metrics(run.out, run.metrics)  # The file may have lines that are newer than the checkpoint.
 
 
-def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
+def take_steps(run: Run, *, overwrite: bool) -> None:
     """Takes the remaining steps and saves the weights.
 
     Raises:
@@ -178,37 +193,32 @@ def take_steps(run: Run, progress: Progress, *, overwrite: bool) -> None:
         Stopped: a signal has arrived; a checkpoint is saved.
     """
     config = run.config
-    first = progress.step
-    steps: Iterable[int] = range(first, config.steps)
+    steps = range(run.step, config.steps)
     run.renderer.train()
-    with (
-        contextlib.closing(Logs(run.out, run.logs, first_step=first)) as logs,
-        hold_signals() as held,
-        batches_ahead(run) as ahead,
-    ):
+    with hold_signals() as held, contextlib.closing(pixels_of_steps(run, steps)) as sources:
         saved_at = time.monotonic()
-        for step in track(steps, label="train", total=config.steps, done=first, status=progress.status):
-            take_step(run, progress, step, ahead)
+        shown = track(steps, label="train", total=config.steps, done=run.step, status=run.status)
+        for step, training in zip(shown, sources, strict=False):
+            take_step(run, step, training)
             number = held.number
-            logs.add_loss(progress.step, progress.loss)
-            if progress.step % config.evaluate_every == 0 or progress.step == config.steps:
-                add_metrics(run, progress, logs)
-            if progress.step == config.steps:
+            if run.step % config.evaluate_every == 0 or run.step == config.steps:
+                add_metrics(run)
+            if run.step == config.steps:
                 continue
-            is_due = progress.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
+            is_due = run.step % config.checkpoint_every == 0 or time.monotonic() - saved_at >= CHECKPOINT_EVERY_S
             if is_due or number is not None:
-                save_progress(run, progress)
+                save_progress(run)
                 saved_at = time.monotonic()
             if number is not None:
                 again = "the same command without --overwrite" if overwrite else "the same command"
                 raise Stopped(
-                    number,
-                    f"{run.out}: stopped after step {progress.step:,} of {config.steps:,}; {again} resumes it",
+                    number, f"{run.out}: stopped after step {run.step:,} of {config.steps:,}; {again} resumes it"
                 )
     run.optimizer.catch_up()
     batch, updates = config.batch // config.updates, config.steps * config.updates
     run.renderer.finish(run.training, batch=batch, updates=updates, rng=generator(config, config.steps))
-    save_weights(run)
+    save_state(run.out / WEIGHTS, _state_of(run))
+    (run.out / CHECKPOINT).unlink(missing_ok=True)
 
 
 def generator(config: TrainConfig, step: int, update: int = 0) -> np.random.Generator:
@@ -216,31 +226,23 @@ def generator(config: TrainConfig, step: int, update: int = 0) -> np.random.Gene
     return np.random.default_rng([config.seed, step, update])
 
 
-@contextlib.contextmanager
-def batches_ahead(run: Run) -> Iterator[Ahead | None]:
-    """Has the rays of coming steps traced by a second thread; None where rays are not traced, or the losses draw more
-    than random pixels."""
-    if not isinstance(run.training, TracedPixels) or not run.losses.draws_pixels_alone:
-        yield None
-        return
-    config = run.config
+def pixels_of_steps(run: Run, steps: range) -> Generator[PixelSource, None, None]:
+    """What each step draws from; where rays are traced, and a step draws random pixels alone, they are made ahead."""
+    config, training = run.config, run.training
 
     def draw(step: int) -> list[np.random.Generator]:
         return [generator(config, step, update) for update in range(config.updates)]
 
-    ahead = Ahead(run.training, draw, size=config.batch // config.updates)
-    with contextlib.closing(ahead):
-        yield ahead
+    if isinstance(training, TracedPixels) and run.losses.draws_pixels_alone:
+        yield from made_ahead(training, draw, steps, size=config.batch // config.updates)
+    else:
+        yield from itertools.repeat(training)
 
 
-def take_step(run: Run, progress: Progress, step: int, ahead: Ahead | None) -> None:
+def take_step(run: Run, step: int, training: PixelSource) -> None:
     """One step, with `config.updates` updates."""
-    config, renderer, training = run.config, run.renderer, run.training
+    config, renderer = run.config, run.renderer
     batch = config.batch // config.updates
-    if ahead is not None:
-        assert isinstance(training, TracedPixels)
-        ahead.begin(step, is_last=step + 1 == config.steps)
-        training = training.taken_from(ahead)
     terms = run.losses.patch_terms(step, training.resolution.shorter)
     for update in range(config.updates):
         rng = generator(config, step, update)
@@ -252,51 +254,45 @@ def take_step(run: Run, progress: Progress, step: int, ahead: Ahead | None) -> N
         for learning, group in zip(run.optimizer.param_groups, run.groups, strict=True):
             learning["lr"] = run.losses.limit_rate(group.lr * decay(config.lr_decay, done), step)
         run.optimizer.step()
-        progress.loss_sum += loss_value
-        progress.loss_count += 1
-    progress.step = step + 1
-    progress.loss = progress.loss_sum / progress.loss_count
+        run.loss_sum += loss_value
+        run.loss_count += 1
+    run.step = step + 1
+    run.loss = run.loss_sum / run.loss_count
 
 
-def add_metrics(run: Run, progress: Progress, logs: Logs) -> None:
+def add_metrics(run: Run) -> None:
     """Scores the held-out views, writes a line of metrics, and resets the mean loss."""
     score = None
     if run.held_out is not None:
         truth, predicted = run.held_out.truth, run.held_out.draw(run.renderer)
         score = mean_psnr(predicted, truth)
-        logs.add_evaluation(progress.step, score, truth, predicted)
-    progress.psnr = math.nan if score is None else score
-    progress.metrics.append({"step": progress.step, "loss": progress.loss, "held_out_psnr": score})
-    write_metrics(run.out, progress.metrics)
-    progress.loss_sum, progress.loss_count = 0.0, 0
+        write_snapshot(run.out, run.step, truth, predicted)
+    run.psnr = math.nan if score is None else score
+    run.metrics.append({"step": run.step, "loss": run.loss, "held_out_psnr": score})
+    write_metrics(run.out, run.metrics)
+    run.loss_sum, run.loss_count = 0.0, 0
 
 
-def save_progress(run: Run, progress: Progress) -> None:
+def save_progress(run: Run) -> None:
     """Saves a checkpoint for `resume`."""
-    state: dict[str, State] = {
-        "config": cast(State, to_json(run.config)),
-        **data_seals(run.inputs),
-        "step": progress.step,
-        "renderer": cast(State, dict(run.renderer.state_dict())),
+    state = {
         "optimizer": cast(State, run.optimizer.state_dict()),
-        "loss_sum": progress.loss_sum,
-        "loss_count": progress.loss_count,
+        "loss_sum": run.loss_sum,
+        "loss_count": run.loss_count,
         "losses": run.losses.state(),
-        "metrics": cast(State, progress.metrics),
+        "metrics": cast(State, run.metrics),
     }
-    save_state(run.out / CHECKPOINT, state)
+    save_state(run.out / CHECKPOINT, _state_of(run) | state)
 
 
-def save_weights(run: Run) -> None:
-    """Saves the result and deletes the checkpoint."""
-    weights: dict[str, State] = {
+def _state_of(run: Run) -> dict[str, State]:
+    """What weights hold, and checkpoints as well."""
+    return {
         "config": cast(State, to_json(run.config)),
         **data_seals(run.inputs),
-        "step": run.config.steps,
+        "step": run.step,
         "renderer": cast(State, dict(run.renderer.state_dict())),
     }
-    save_state(run.out / WEIGHTS, weights)
-    (run.out / CHECKPOINT).unlink(missing_ok=True)
 
 
 def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> float:

@@ -1,9 +1,11 @@
-"""From the words behind `model train` to what a run does; torch is not needed before the dataset is open."""
+"""`model train`: from its words to a finished run; torch is not needed before the dataset is open."""
 
 import dataclasses
 import functools
 import sys
+import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
 from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
+from model.runtime import choose_device
 from model.settings import RUNS, LossConfig, Optimisation, RunFlags, suffixes
 
 if TYPE_CHECKING:
@@ -104,7 +107,7 @@ def flags_asked(asked: Asked) -> dict[str, str]:
 def find_finished(method: str, asked: Asked) -> Path | None:
     """The finished run that words ask for, found without torch; None leaves the answer to `complete_run`."""
     from datagen.data.dataset import open_dataset
-    from model.run.run_folder import NEXT_RUN, is_all_drawn, read_run
+    from model.run.run_folder import is_all_drawn, read_run
 
     run = asked.run
     if run.overwrite:
@@ -117,7 +120,53 @@ def find_finished(method: str, asked: Asked) -> Path | None:
         return None
     is_same = (record.method, record.flags) == (method, flags_asked(asked))
     is_same &= (record.dataset_seal, record.layers_seal) == (opened.seal, inputs.layers_seal)
-    return out if is_same and not (out / NEXT_RUN).exists() and is_all_drawn(out, opened) else None
+    return out if is_same and is_all_drawn(out, opened) else None
+
+
+def complete_run(method: str, asked: Asked) -> Path:
+    """Trains what was asked for and renders the test splits; a run that was stopped resumes, a finished one stays.
+
+    Returns:
+        The run's folder.
+    """
+    run = asked.run
+    finished = "finished before, nothing to do; --overwrite trains it again"
+    if out := find_finished(method, asked):
+        say(f"{out}: {finished}")
+        return out
+    config, dataset = configure(method, asked)
+    out = run.out or RUNS / dataset.name / folder_name(method, asked)
+    label, device = run.label or out.name, choose_device(run.device)
+    for where, text in (("--label", label), ("dataset", dataset.root.as_posix())):
+        if not text.isprintable():  # The run's record could not be read again.
+            raise HyalineError(f"{where}: is {text!r}; expected text without control characters")
+
+    from datagen.disk.ownership import holding, is_ours, refuse_others
+    from model.run.logs import add_frames, measured
+    from model.run.predict import render_predictions
+    from model.run.run_folder import CHECKPOINT, FOLDER, WEIGHTS, check_trained_on, is_all_drawn
+    from model.run.train import train
+
+    with holding(out, FOLDER):
+        refuse_others(out, FOLDER)
+        is_new = run.overwrite or not is_ours(out, FOLDER)
+        if not is_new:
+            check_trained_on(out, config, dataset)
+            if is_all_drawn(out, dataset):
+                say(f"{out}: {finished}")
+                return out
+        if is_new or not (out / WEIGHTS).is_file():
+            with measured(out) if run.costs else nullcontext():
+                flags = flags_asked(asked)
+                train(config, dataset, out, label=label, device=device, flags=flags, overwrite=run.overwrite)
+        else:
+            (out / CHECKPOINT).unlink(missing_ok=True)
+            say(f"{out}: is trained; continuing with its predictions")
+        start = time.monotonic()
+        frames = render_predictions(out, config, dataset, device=device)
+        if run.costs:
+            add_frames(out, frames, time.monotonic() - start)
+    return out
 
 
 def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":

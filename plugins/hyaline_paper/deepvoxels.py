@@ -33,7 +33,7 @@ from hyaline_paper.voxel_nets import (
     feature_extractor,
     rendering_network,
 )
-from model.batches.view_batches import ViewBatch, Views, views_of
+from model.batches.rays import ViewBatch, Views, views_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, PatchTerms, Renderer
 from model.settings import Optimisation

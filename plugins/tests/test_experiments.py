@@ -4,7 +4,7 @@ import pytest
 from support import commands
 
 from model import cli
-from model.run.experiments import EXPERIMENTS, list_experiments, read_experiment
+from model.run.sweep import EXPERIMENTS, list_experiments, read_experiment
 
 
 @pytest.mark.parametrize("name", list_experiments())

@@ -56,7 +56,7 @@ REFUSED: dict[Callable[[], None], tuple[str, tuple[str, ...]]] = {
         "weights.pt: trained on other data (dataset_seal ",
         ("model predict runs/d1/one --overwrite", "model export runs/d1/one"),
     ),
-    foreign_pictures: ("runs/d1/splats: holds a foreign method's pictures", ("model export runs/d1/splats",)),
+    foreign_pictures: ("runs/d1/splats: holds no run; ", ("model export runs/d1/splats",)),
     circle: (
         "circle",
         (

@@ -19,7 +19,7 @@ import hyaline as hy
 from datagen.data.images import read_png
 from datagen.disk.records import to_json
 from datagen.terminal.command import track
-from model.batches.view_batches import PlainRayPixels, PlainRays, load_rays, rays_of
+from model.batches.rays import PlainRayPixels, PlainRays, load_rays, rays_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
 

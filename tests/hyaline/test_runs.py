@@ -101,7 +101,7 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(home: Path, tmp_path: Path)
         with pytest.raises(hyaline.HyalineError, match=r"^camera: "):
             dataclasses.replace(camera, **wrong)
     (tmp_path / "splats" / "predictions").mkdir(parents=True)
-    assert "holds a foreign method's pictures" in refusal(str(tmp_path / "splats"), camera)
+    assert "holds no run; " in refusal(str(tmp_path / "splats"), camera)
     assert "choose from glass_table/dnr, " in refusal("glass_table/nothing", camera)
 
 

@@ -15,8 +15,7 @@ from model.batches.rays import to_device
 from model.methods.protocol import METHODS, open_inputs
 from model.nets.texture import constant_on, places_on
 from model.run.predict import predict_pixels
-from model.run.preparation import build_renderer
-from model.run.train import train
+from model.run.train import build_renderer, train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

@@ -15,9 +15,8 @@ from model.methods.protocol import open_inputs
 from model.nets.learned_sky import LearnedSky
 from model.nets.texture import constant_on
 from model.run.predict import predict_pixels
-from model.run.preparation import build_renderer
 from model.run.run_folder import WEIGHTS
-from model.run.train import train
+from model.run.train import build_renderer, train
 
 CPU = torch.device("cpu")
 needs_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="torch finds no GPU")

@@ -34,11 +34,11 @@ from eval.score.runs import open_run, read_prediction
 from hyaline_import.datasets.choices import DatasetImportChoices
 from hyaline_import.datasets.import_dataset import plan_import
 from model.methods.paper.config import PaperConfig
-from model.run.checkpoint import CHECKPOINT_VERSION, fingerprint
-from model.run.experiments import read_experiment
 from model.run.predict import load_renderer, render_predictions
-from model.run.run_folder import TrainConfig, read_prediction_hashes, read_run
+from model.run.run_folder import TrainConfig, read_predictions, read_run
+from model.run.sweep import read_experiment
 from model.run.train import train
+from model.state import CHECKPOINT_VERSION, fingerprint
 
 DATASET, RUN, FOREIGN = "data/one", "runs/one/paper", "runs/one/foreign"
 MARK = "MARK-OF-CODE-THAT-RAN"
@@ -102,7 +102,7 @@ def _verified(root: Path) -> None:
 
 def _run(root: Path) -> None:
     config = read_run(root / RUN).config
-    read_prediction_hashes(root / RUN)
+    read_predictions(root / RUN)
     read_prediction(open_run(root / RUN, root / "data"), "interpolating", 0)
     load_renderer(root / RUN, config, open_dataset(root / DATASET))
 

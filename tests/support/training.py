@@ -15,7 +15,7 @@ from model.methods.paper.config import PaperConfig
 from model.methods.protocol import MethodConfig, open_inputs
 from model.run import train as train_module
 from model.run.predict import render_predictions
-from model.run.run_folder import TrainConfig, is_finished
+from model.run.run_folder import TrainConfig, is_drawn
 from model.run.train_flags import configure, parse_train
 
 SMALL = TrainConfig(
@@ -57,7 +57,7 @@ def assert_resumes(
     train_module.train(config, dataset, folder / "parts", label="a", device=device)
     for out in (folder / "whole", folder / "parts"):
         render_predictions(out, config, dataset, device=device)
-        assert is_finished(out)
+        assert is_drawn(out, dataset)
     assert run_bytes(folder / "whole") == run_bytes(folder / "parts")
 
 

@@ -19,9 +19,7 @@ from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import LIMITS, Limits
-from model.batches.ahead import Draw, TracedPixels
-from model.batches.layers import Rays, rays_through
-from model.batches.rays import black, to_device
+from model.batches.rays import Draw, Rays, TracedPixels, black, rays_through, to_device
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
@@ -126,7 +124,7 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> LightPathBatch:
         """The paths of the rays through these pixels; without `rng`, as many rays as for rendering."""
         if rng is not None:
-            return self.take_all([(index, rng)])[0] if self.ahead is None else self.ahead.next(rng)
+            return self.take_drawn(index, rng)
         pixels, samples = index.flatten().cpu().numpy(), self.config.render_samples
         origins, directions = rays_through(self.cameras, pixels, samples, None)
         return self._trace(origins, directions, [0, len(directions)], samples)[0]

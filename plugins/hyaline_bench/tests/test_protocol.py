@@ -12,7 +12,7 @@ from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.edits import parse_edit
 from hyaline_bench.protocol import load_protocol
 from hyaline_random.names import FAMILIES, parse_random
-from model.run.experiments import Experiment, read_experiment
+from model.run.sweep import Experiment, read_experiment
 
 PROTOCOL = load_protocol()
 

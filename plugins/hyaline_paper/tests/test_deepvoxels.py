@@ -34,11 +34,11 @@ from hyaline_paper.deepvoxels import (
 )
 from hyaline_paper.methods import DeepVoxelsConfig
 from hyaline_paper.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
-from model.batches.view_batches import Views, load_views
+from model.batches.rays import Views, load_views
 from model.methods.protocol import open_inputs
-from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
+from model.state import load_state
 
 CPU = torch.device("cpu")
 SIZE = 16

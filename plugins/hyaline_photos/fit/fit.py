@@ -52,9 +52,8 @@ from hyaline_photos.fit.materials import find_absorption
 from hyaline_photos.fit.search import alternatives, count_searches, guess, guesses, in_even_views, refine
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from model.methods.light_path.pixels import LightPathPixels
-from model.run.checkpoint import fingerprint
 from model.settings import SEED
-from model.state import State
+from model.state import State, fingerprint
 
 Skipped = Literal["grid", "search", "again"]
 Room = Literal["known", "matt"]

@@ -71,7 +71,7 @@ class FitFolder:
         Args:
             depends_on: digest of what it is found from.
         """
-        from model.run.checkpoint import load_state, save_state  # Torch, which reports of fits do without.
+        from model.state import load_state, save_state  # Torch, which reports of fits do without.
 
         path = self.root / f"{name}.pt"
         key = sha256(dump_json([self.asked, name, depends_on]))

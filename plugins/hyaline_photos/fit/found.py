@@ -20,8 +20,7 @@ from hyaline_photos.fit.lathe import Axis
 from hyaline_photos.fit.materials import ABSORPTIONS, STEPS, TINT_REACH, WORTH_IT, Found
 from hyaline_photos.fit.search import LAST, NUMBERS, reach_of
 from hyaline_photos.fit.shapes import Glass, Revolution
-from model.run.checkpoint import fingerprint
-from model.state import State
+from model.state import State, fingerprint
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

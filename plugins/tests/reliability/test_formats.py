@@ -19,9 +19,9 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.storage import SEAL, seal_bytes
 from datagen.scene.folder import load_scene
 from eval.score.runs import open_run, read_prediction
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer
-from model.run.run_folder import read_prediction_hashes, read_run
+from model.run.run_folder import read_predictions, read_run
+from model.state import fingerprint, load_state
 
 pytestmark = pytest.mark.promise("R13")
 
@@ -31,7 +31,7 @@ HEADS: dict[str, Callable[[Path], object]] = {
     f"{DATASET}/layers/straight/layers.json": lambda root: open_dataset(root / DATASET).layer_store(),
     f"{DATASET}/proxies/box/proxies.json": lambda root: read_proxy_records(open_dataset(root / DATASET), "box"),
     f"{RUN}/run.json": lambda root: read_run(root / RUN),
-    f"{RUN}/predictions.json": lambda root: read_prediction_hashes(root / RUN),
+    f"{RUN}/predictions.json": lambda root: read_predictions(root / RUN),
     f"{RUN}/weights.pt": lambda root: load_state(root / RUN / "weights.pt"),
 }
 """Each kind of file that carries a version, and what reads it."""

@@ -16,9 +16,9 @@ from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed, seal_bytes
 from eval.score.runs import open_run, read_prediction
-from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import load_renderer
 from model.run.run_folder import read_run
+from model.state import fingerprint, load_state
 
 pytestmark = pytest.mark.promise("R4")
 

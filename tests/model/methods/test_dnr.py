@@ -23,7 +23,7 @@ from model.methods.paper.dnr import DnrRenderer, UNet
 from model.methods.protocol import Inputs, open_inputs
 from model.nets.extrinsics import spherical_harmonics
 from model.run.predict import render_predictions
-from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.run_folder import TrainConfig, is_drawn, read_run
 from model.run.train import train
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -169,7 +169,7 @@ def test_it_learns_the_pane_and_the_floor(tmp_path: Path) -> None:
         scores.append(-10 * np.log10(np.mean((prediction - truth) ** 2) / 255**2))
     # The mean colour of the training images scores 14 dB.
     assert np.mean(scores) > 19
-    assert is_finished(tmp_path / "run")
+    assert is_drawn(tmp_path / "run", dataset)
 
 
 @pytest.mark.parametrize("method", ["dnr", "dnr-layers", "mlp-first"])

@@ -1,6 +1,5 @@
 """Tests the method `light-path`: its rays, its physics, its training."""
 
-import contextlib
 import dataclasses
 import math
 from pathlib import Path
@@ -19,8 +18,7 @@ from datagen.data.images import srgb_from_linear
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from model.batches.ahead import Ahead
-from model.batches.rays import linear_curve, srgb_curve
+from model.batches.rays import linear_curve, made_ahead, srgb_curve
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
 from model.methods.light_path.pixels import (
@@ -34,7 +32,7 @@ from model.methods.paper.renderer import PaperRenderer
 from model.methods.renderer import difference
 from model.nets.learned_sky import LearnedSky
 from model.run.predict import load_renderer, predict_colors, render_predictions
-from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.run_folder import TrainConfig, is_drawn, read_run
 from model.run.train import train
 
 use_mitsuba()
@@ -137,29 +135,25 @@ def test_batches_made_ahead_are_those_of_their_step_and_errors_of_the_other_thre
     def draw(step: int) -> list[np.random.Generator]:
         return [np.random.default_rng([step, update]) for update in range(2)]
 
-    with contextlib.closing(Ahead(pixels, draw, size=40)) as ahead:
-        for step in (3, 4, 5):
-            ahead.begin(step, is_last=step == 5)
-            expected_rngs = draw(step)
-            indices = [torch.from_numpy(rng.integers(len(pixels.rgb), size=40)) for rng in expected_rngs]
-            expected = pixels.take_all(list(zip(indices, expected_rngs)))
-            for index, expected_rng, batch, rng in zip(indices, expected_rngs, expected, draw(step)):
-                assert np.array_equal(rng.integers(len(pixels.rgb), size=40), index)
-                found = pixels.taken_from(ahead).take(index, rng)
-                assert rng.random() == expected_rng.random()
-                for part in ("ends", "sky", "stack"):
-                    for name, values in vars(getattr(batch, part)).items():
-                        assert values is None or torch.equal(getattr(getattr(found, part), name), values), name
+    steps = range(3, 6)
+    for step, traced in zip(steps, made_ahead(pixels, draw, steps, size=40), strict=True):
+        expected_rngs = draw(step)
+        indices = [torch.from_numpy(rng.integers(len(pixels.rgb), size=40)) for rng in expected_rngs]
+        expected = pixels.take_all(list(zip(indices, expected_rngs)))
+        for index, expected_rng, batch, rng in zip(indices, expected_rngs, expected, draw(step)):
+            assert np.array_equal(rng.integers(len(pixels.rgb), size=40), index)
+            found = traced.take(index, rng)
+            assert rng.random() == expected_rng.random()
+            for part in ("ends", "sky", "stack"):
+                for name, values in vars(getattr(batch, part)).items():
+                    assert values is None or torch.equal(getattr(getattr(found, part), name), values), name
 
     def fail(*_: object, **__: object) -> None:
         raise NumericsError("no paths today")
 
     monkeypatch.setattr(pixels.tracer, "trace_ends", fail)
-    with (
-        contextlib.closing(Ahead(pixels, draw, size=40)) as ahead,
-        pytest.raises(NumericsError, match="no paths today"),
-    ):
-        ahead.begin(0, is_last=False)
+    with pytest.raises(NumericsError, match="no paths today"):
+        next(made_ahead(pixels, draw, range(9), size=40))
 
 
 @pytest.mark.parametrize("paired", [True, False])
@@ -558,4 +552,4 @@ def test_the_papers_renderer_takes_several_rays_a_pixel(dataset: Dataset, tmp_pa
     config = dataclasses.replace(SMALL, method="paper", net=many, steps=3)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
-    assert is_finished(tmp_path / "run")
+    assert is_drawn(tmp_path / "run", dataset)

@@ -17,7 +17,7 @@ from model.batches.layers import load_pixels
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.nets.texture import TexturePyramid
-from model.run.run_folder import is_finished, read_run
+from model.run.run_folder import is_drawn, read_run
 from model.run.train_flags import configure, folder_name, parse_train
 from model.settings import LossConfig, PixelOptimisation
 
@@ -82,7 +82,7 @@ def test_finer_levels_cannot_count_more_than_coarser_ones_or_nothing(share: floa
 def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:
     run(f"model train paper-best {dataset.root} --steps 3 --batch 64 --device cpu")
     (out,) = (tmp_path / "runs" / "synthetic").iterdir()
-    assert out.name == "paper-best-batch64-3-steps" and is_finished(out)
+    assert out.name == "paper-best-batch64-3-steps" and is_drawn(out, dataset)
     record = read_run(out)
     assert record.label == out.name
     assert record.config.net == configured(dataset, "paper-best").net

@@ -30,7 +30,7 @@ from eval.page.report import make_report
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.run.predict import render_predictions, render_variant
-from model.run.run_folder import TrainConfig, is_drawn, read_prediction_hashes, write_prediction_hashes
+from model.run.run_folder import TrainConfig, is_drawn, read_predictions, write_predictions
 from model.run.train import train
 
 use_mitsuba()
@@ -152,10 +152,9 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     picture.unlink()
     # A picture of an earlier version of the variant, which had more views.
     folder = picture.parents[2]
-    files = read_prediction_hashes(folder) | {f"predictions/{SPLIT}/0007.png": sha256(drawn)}
+    files = read_predictions(folder) | {f"predictions/{SPLIT}/0007.png": sha256(drawn)}
     picture.with_name("0007.png").write_bytes(drawn)
-    seals = {key: load_sealed(folder / "predictions.json")[key] for key in ("dataset_seal", "run_seal")}
-    write_prediction_hashes(folder, files, **seals)  # pyright: ignore[reportArgumentType]
+    write_predictions(folder.parents[1], datasets(made)[1], files)
     assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn and not picture.with_name("0007.png").exists()
     tiny = "--preset tiny --resolution 16 --views 1 --test-views 1 --spp 2 --test-spp 2"

@@ -12,7 +12,7 @@ from datagen.data.dataset import Dataset
 from model.methods.protocol import open_inputs
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.predict import predict_pixels
-from model.run.preparation import build_renderer
+from model.run.train import build_renderer
 
 VIEWS = [1, 3]
 SIZE = 33

@@ -18,8 +18,8 @@ from datagen.disk.errors import DamagedError, HyalineError
 from datagen.terminal.signals import Stopped, hold_signals, signal_within
 from model import cli
 from model.run import train as train_module
-from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
+from model.state import load_state, save_state
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
@@ -164,7 +164,7 @@ def test_checkpoints_by_the_clock_change_no_byte(
     assert train("whole") == 0
     saved: list[object] = []
     save = train_module.save_progress
-    monkeypatch.setattr(train_module, "save_progress", lambda *given: (saved.append(given[1].step), save(*given)))
+    monkeypatch.setattr(train_module, "save_progress", lambda *given: (saved.append(given[0].step), save(*given)))
     monkeypatch.setattr(train_module, "CHECKPOINT_EVERY_S", 0.0)
     assert train("often") == 0
     assert saved == [1, 2, 3, 4, 5]
@@ -179,10 +179,9 @@ def test_overwriting_that_is_killed_while_data_loads_leaves_a_run_that_any_comma
     with monkeypatch.context() as patch, pytest.raises(Killed):
         patch.setattr(train_module, "choose_held_out", lambda *_: (_ for _ in ()).throw(Killed))
         train("run", "--overwrite")
-    assert [path.name for path in (tmp_path / "run").rglob("*") if path.is_file()] == ["run.json"]
+    assert list(run_bytes(tmp_path / "run")) == ["run.json"]
     shutil.copytree(tmp_path / "run", tmp_path / "anew")
     assert train("run") == train("anew", "--overwrite") == 0
-    assert "run: was stopped before its first checkpoint; starting at step 0\n" in capsys.readouterr().err
     assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "anew") == run_bytes(tmp_path / "whole")
 
 
@@ -237,7 +236,7 @@ def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
 
 
 def test_a_checkpoint_of_another_version_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.run.checkpoint.CHECKPOINT_VERSION", 2)
+    monkeypatch.setattr("model.state.CHECKPOINT_VERSION", 2)
     with pytest.raises(HyalineError, match="another format version; this program reads 2"):
         load_state(checkpoint)
 

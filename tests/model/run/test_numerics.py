@@ -15,10 +15,10 @@ from datagen.data.dataset import Dataset
 from model.batches.layers import Pixels
 from model.batches.rays import RayBatch
 from model.methods import renderer as losses
-from model.run import complete, predict
+from model.run import predict
 from model.run import train as train_module
-from model.run.checkpoint import load_state
 from model.run.run_folder import TrainConfig
+from model.state import load_state
 
 pytestmark = pytest.mark.promise("R10")
 
@@ -144,16 +144,16 @@ def test_training_stops_before_it_keeps_a_number_that_is_not_finite(
 def test_a_renderer_that_predicts_no_number_writes_no_picture(
     call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    draw = complete.render_predictions
+    draw = predict.render_predictions
 
-    def poisoned(*given: object, **named: object) -> None:
+    def poisoned(*given: object, **named: object) -> int:
         colors = predict.predict_colors
         with monkeypatch.context() as patch:
             patch.setattr(predict, "predict_colors", lambda *those: poison_image(colors(*those).clone()))
-            draw(*given, **named)  # pyright: ignore[reportArgumentType]
+            return draw(*given, **named)  # pyright: ignore[reportArgumentType]
 
     with monkeypatch.context() as patch:
-        patch.setattr(complete, "render_predictions", poisoned)
+        patch.setattr(predict, "render_predictions", poisoned)
         assert call("train") == 3
     out = tmp_path / "runs/synthetic/paper"
     assert (

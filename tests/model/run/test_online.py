@@ -15,7 +15,7 @@ from datagen.disk.errors import HyalineError
 from model.batches.layers import load_pixels
 from model.methods.paper.config import PaperConfig
 from model.run.predict import load_renderer, predict_pixels, render_predictions
-from model.run.run_folder import TrainConfig, is_finished, read_run
+from model.run.run_folder import TrainConfig, is_drawn, read_run
 from model.run.train import train
 
 CPU = torch.device("cpu")
@@ -68,7 +68,7 @@ def test_online_training_reads_no_stored_layer(
     config = TrainConfig(method="paper", geometry=TRUTH, net=NET, steps=4, batch=128)
     train(config, dataset, tmp_path / "run", label="a", device=CPU)
     render_predictions(tmp_path / "run", config, dataset, device=CPU)
-    assert is_finished(tmp_path / "run")
+    assert is_drawn(tmp_path / "run", dataset)
 
 
 def train_few(dataset: Dataset, out: Path, layers: str) -> Answer:

@@ -19,7 +19,7 @@ from support.training import call
 
 from datagen.disk.errors import HyalineError
 from model.run import sweep
-from model.run.experiments import read_experiment
+from model.run.sweep import read_experiment
 from model.run.train_flags import parse_train
 
 
@@ -153,7 +153,7 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_to_the_bytes_of_train_
     assert lines[-3] == "sweep grid: 2 of 3 runs are finished"
     assert lines[-2].startswith("failed: model train paper --steps 200 ") and "--geometry box: " in lines[-2]
     assert "no box proxies; make them with `proxies make`" in lines[-2]
-    assert lines[-1].startswith("error: sweep grid: 1 of 3 runs failed")
+    assert lines[-1].startswith("error: sweep grid: 1 of 3 jobs failed")
     assert {path: path.stat().st_mtime_ns for path in first} == first
 
     threads = torch.get_num_threads()
@@ -175,8 +175,8 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     lock, all_three = threading.Lock(), threading.Barrier(3, timeout=120)
 
     def train(
-        arguments: tuple[str, ...], place: str, environment: dict[str, str], children: object
-    ) -> sweep.Failure | None:
+        arguments: tuple[str, ...], place: str, environment: dict[str, str], children: object, is_stopped: object
+    ) -> str:
         (device,) = environment.values()
         with lock:
             busy[device] += 1
@@ -184,11 +184,11 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
         all_three.wait()  # Breaks, and with it the sweep, unless every device is busy.
         with lock:
             busy[device] -= 1
-        return sweep.Failure(command=arguments[-1], reason=place) if int(arguments[-1]) % 5 == 3 else None
+        return place if int(arguments[-1]) % 5 == 3 else ""
 
     monkeypatch.setattr(sweep, "_train_in_child", train)
     failures = sweep.run_experiment(experiment, devices=("0", "GPU-b", "2"))
-    assert [(failure.command, failure.reason) for failure in failures] == [("3", "[4/12]"), ("8", "[9/12]")]
+    assert failures == {f"model train paper --seed {seed}": f"[{seed + 1}/12]" for seed in (3, 8)}
     assert set(busy) == {"0", "GPU-b", "2"}
 
 
@@ -199,12 +199,13 @@ def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, mo
     met = threading.Barrier(2, timeout=120)
     environments: list[dict[str, str]] = []
 
-    def train(_: object, place: str, environment: dict[str, str], children: object) -> None:
+    def train(_: object, place: str, environment: dict[str, str], children: object, is_stopped: object) -> str:
         environments.append(environment)
         met.wait()  # Breaks, and with it the sweep, unless two are there at once.
+        return ""
 
     monkeypatch.setattr(sweep, "_train_in_child", train)
-    assert sweep.run_experiment(experiment, devices=sweep.find_devices(2)) == ()
+    assert sweep.run_experiment(experiment, devices=sweep.find_devices(2)) == {}
     assert environments == [{"OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "2"}] * 4
     # More jobs than cores leave each a thread; a single one keeps what its user has set.
     assert set(sweep.share_of_cores(6).values()) == {"1"} and sweep.share_of_cores(1) == {}

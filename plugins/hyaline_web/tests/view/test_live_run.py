@@ -14,9 +14,9 @@ from datagen.disk.errors import HyalineError
 from hyaline_web.view.live_run import LiveRun, MovedOn
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import DnrConfig, PaperConfig
-from model.run.checkpoint import load_state, save_state
 from model.run.run_folder import TrainConfig
 from model.run.train import train
+from model.state import load_state, save_state
 
 CPU = torch.device("cpu")
 CONFIG = dataclasses.replace(SMALL, steps=8)
