@@ -40,6 +40,10 @@ class Watched:
     requests: list[str] = field(default_factory=list)
     """Addresses that were asked for, the page's own first."""
 
+    def hear(self, said: str) -> None:
+        if "OpenGL, Performance" not in said:  # The driver's remarks on its speed come on busy machines.
+            self.complaints.append(said)
+
     def evaluate(self, script: str, argument: object = None, *, patience_ms: int = PATIENCE_MS) -> Any:
         """What a function of the page answers, awaited for so long."""
         late = f"new Promise((_, no) => setTimeout(() => no(new Error('no answer')), {patience_ms}))"
@@ -96,18 +100,12 @@ def watched_page(browser: "Browser", *, width: int = 400, height: int = 300, dar
     try:
         page.set_default_timeout(PATIENCE_MS)
         watched = Watched(page=page)
-        page.on("console", lambda message: _hear(watched, f"{message.type}: {message.text}"))
+        page.on("console", lambda it: watched.hear(f"{it.type}: {it.text}"))
         page.on("pageerror", lambda error: watched.complaints.append(str(error)))
         page.on("request", lambda request: watched.requests.append(request.url))
         yield watched
     finally:
         page.close()
-
-
-def _hear(watched: Watched, said: str) -> None:
-    """Keeps a message of the console, but for the driver's about its speed, which a busy machine brings."""
-    if "GL Driver Message (OpenGL, Performance" not in said:
-        watched.complaints.append(said)
 
 
 def open_file(watched: Watched, path: Path, *, link: str = "") -> None:

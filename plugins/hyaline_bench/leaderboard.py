@@ -12,6 +12,8 @@ from hyaline_bench.protocol import ALL, Protocol
 from hyaline_bench.score import COSTS, Scored, Summary, summarise
 
 NOTES = (
+    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
+    "docs/bench.md says.",
     "PSNR: the mean over a split's pictures, then over a scene's splits, then over scenes. Interval: 95 %, from a "
     "percentile bootstrap over scenes. Below ceiling: distance to the PSNR that the noise of the truth allows. Median "
     "and worst: of the scenes. 10°, 20°, 40° and edits: of all built-in scenes. Hidden: of all hidden scenes; everyone "
@@ -20,13 +22,6 @@ NOTES = (
     "costs.json has them; on the participant's machine, so compare them within a factor of two. Rows with other scenes "
     "than the first come after those with the same: their averages cannot be compared.",
 )
-
-
-OTHERS = (
-    "The sweep trains built-in methods on public scenes. Hidden scenes and other people's methods are run by hand, as "
-    "docs/bench.md says."
-)
-"""What the command of a page does not make."""
 
 
 def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
@@ -38,21 +33,16 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
         f"```\nhyaline-bench commands --preset {preset} | model sweep -",
         f"hyaline-bench commands --preset {preset} --fitted | model sweep -",
         f"hyaline-bench leaderboard --preset {preset}\n```\n",
-        f"{OTHERS}\n",
         *(f"{markdown_escaped(note)}\n" for note in NOTES),
     ]
     for track in protocol.tracks:
         if inside := [scored for scored in found if scored.track == track]:
             parts += [f"## Track: {track}\n", "Allowed inputs:\n"]
             parts += [*(f"- {markdown_escaped(told)}" for told in protocol.allowed(track)), ""]
-            parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in _grids(inside, protocol)]
+            grids = (track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol))
+            each = (scene_grid(scored, protocol) for scored in inside)
+            parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in (*grids, *each)]
     return "\n".join(parts)
-
-
-def _grids(inside: Sequence[Scored], protocol: Protocol) -> list[Grid]:
-    """A track's tables: the methods, each scene's PSNR, and every score with dataset, seed and processor time."""
-    scenes = [scene_grid(scored, protocol) for scored in inside]
-    return [track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol), *scenes]
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
@@ -76,7 +66,12 @@ def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
 
 def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
     """One row a submission: the most scenes first, those with the same scenes together, then the highest PSNR."""
-    ranked = _ranked(found, protocol)
+
+    def rank(scored: Scored) -> tuple[int, list[str], float, str]:
+        summary = summarise(scored, ALL, protocol.bootstrap)
+        return -len(scored.scenes), sorted(scored.scenes), 0.0 if summary is None else -summary.mean, scored.name
+
+    ranked = sorted(found, key=rank)
     equal = [scored for scored in ranked if set(scored.scenes) == set(ranked[0].scenes)]
     others = {key: short for key, short in protocol.columns().items() if key != ALL}
     numbers = ("PSNR dB ↑", "below ceiling dB ↓", "median dB ↑", "worst dB ↑")
@@ -99,14 +94,6 @@ def track_grid(title: str, found: Sequence[Scored], protocol: Protocol) -> Grid:
         rows=tuple(_row(scored, list(others), protocol) for scored in ranked),
         best=frozenset({(0, 2)}) if len(equal) > 1 else frozenset(),
     )
-
-
-def _ranked(found: Sequence[Scored], protocol: Protocol) -> list[Scored]:
-    def rank(scored: Scored) -> tuple[int, list[str], float, str]:
-        summary = summarise(scored, ALL, protocol.bootstrap)
-        return -len(scored.scenes), sorted(scored.scenes), 0.0 if summary is None else -summary.mean, scored.name
-
-    return sorted(found, key=rank)
 
 
 def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str, ...]:

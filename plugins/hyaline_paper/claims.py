@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -70,9 +71,8 @@ class Interval:
         return f"{self.mean:+.2f} ({self.low:+.2f} to {self.high:+.2f})"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Finding:
-    """A claim tried on one pair of runs."""
+class Finding(NamedTuple):
+    """A claim tried on one pair of runs: a row of the table."""
 
     claim: str
     data: str
@@ -203,10 +203,7 @@ def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr])
     return Grid(
         title="The paper's claims",
         columns=tuple(Column(group=text, is_number=False) for text in texts),
-        rows=tuple(
-            (finding.claim, finding.data, finding.pair, finding.numbers, finding.verdict)
-            for finding in find_claims(scenes, edited)
-        ),
+        rows=tuple(find_claims(scenes, edited)),
         notes=(
             f"Intervals: bootstrap over scenes where at least {LEAST} have the pair, otherwise over the pictures of a "
             "scene and the runs' seeds. An interval that contains 0 decides nothing, nor do fewer than "
@@ -295,7 +292,7 @@ def _shared_edits(edited: EditedPsnr, entries: Sequence[Entry]) -> EditedPsnr:
 def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Finding:
     one, other = ([np.array([[row.value_db(split)]]) for split in TEST_SPLITS] for row in (first, second))
     found = finding_of(claim, "published", f"{first.method} against {second.method}", one, other)
-    return Finding(claim=found.claim, data=found.data, pair=found.pair, numbers=found.numbers, verdict=MISSING)
+    return found._replace(verdict=MISSING)
 
 
 CLAIMS_TABLE = Table(

@@ -135,9 +135,9 @@ def test_no_name_imports_a_module_of_the_working_folder(tmp_path: Path) -> None:
     (tmp_path / "evil").mkdir()
     write_synthetic_dataset(tmp_path / "data" / "one", train_views=1)
     lines = (
-        *("datagen export one --format evil", "datagen export one --format evil:evil", "report --table evil"),
+        *("datagen export one --format evil:evil", "report --table evil"),
         *("datagen import scene.evil", "datagen import-dataset evil", "model check-method evil"),
-        *("datagen build --scene random --family evil", "datagen build --scene random-evil-0001"),
+        "datagen build --scene random-evil-0001",
     )
     # As in an installed program, the working folder is not among the paths that modules are imported from (-P).
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}

@@ -81,7 +81,6 @@ def test_a_dataset_with_variants_proxies_and_edit_masks_comes_back_whole(here: P
     write_synthetic_dataset(Path("data/whole"), scene_name="synthetic")
     run("proxies make whole --kind box")
     run("datagen add whole --edit remove:pane")
-    run("datagen add whole --larger 2")
     run("datagen pack whole --out whole.tar")
     run("datagen unpack whole.tar --out again")
     assert tree(Path("again")) == tree(Path("data/whole"))

@@ -24,15 +24,18 @@ FIRST_RATE = 50_000.0
 """Initial estimate of quick pixels per second."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(kw_only=True, eq=False)
 class Pose:
-    """The pose of a browser's camera, in viser's convention, and its window size."""
+    """The pose of a browser's camera, in viser's convention, and what is still to be drawn for it."""
 
     position: Float[np.ndarray, "3"]
     wxyz: Float[np.ndarray, "4"]
     fov_y: float
     window: tuple[int, int]
     """Width and height in pixels."""
+    moved_at: float = 0.0
+    sides: list[int] | None = None
+    """The longer sides of the full pictures that are still to be drawn; None before the quick one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,14 +50,6 @@ class Job:
     """True to draw with one ray per pixel."""
 
 
-@dataclass
-class _Viewer:
-    pose: Pose
-    moved_at: float
-    sides: list[int] | None = None
-    """The longer sides of the full pictures that are still to be drawn; None before the quick one."""
-
-
 class Schedule:
     """Chooses the next picture: for each pose a quick one, then full ones from the quick one's size to the window's.
 
@@ -63,47 +58,46 @@ class Schedule:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._viewers: dict[int, _Viewer] = {}
+        self._poses: dict[int, Pose] = {}
         self._rate = FIRST_RATE
 
     def move(self, client: int, pose: Pose, now: float) -> None:
         """Records a browser's new camera."""
         with self._lock:
-            self._viewers[client] = _Viewer(pose=pose, moved_at=now)
+            self._poses[client] = dataclasses.replace(pose, moved_at=now, sides=None)
 
     def forget(self, client: int) -> None:
         """Removes a browser that has disconnected."""
         with self._lock:
-            self._viewers.pop(client, None)
+            self._poses.pop(client, None)
 
     def redraw(self) -> None:
         """Marks every picture as outdated, because the scene has changed."""
-        for client, viewer in list(self._viewers.items()):
-            self.move(client, dataclasses.replace(viewer.pose), viewer.moved_at)
+        for client, pose in list(self._poses.items()):
+            self.move(client, pose, pose.moved_at)
 
     @property
     def is_watched(self) -> bool:
         """True while a browser is connected."""
-        return bool(self._viewers)
+        return bool(self._poses)
 
     def is_wanted(self, job: Job) -> bool:
         """False as soon as the camera has moved on, or another browser waits for its quick picture."""
-        viewer = self._viewers.get(job.client)
-        is_current = viewer is not None and viewer.pose is job.pose
-        return is_current and (job.is_quick or all(other.sides is not None for other in list(self._viewers.values())))
+        is_current = self._poses.get(job.client) is job.pose
+        return is_current and (job.is_quick or all(other.sides is not None for other in list(self._poses.values())))
 
     def next_job(self, now: float) -> Job | None:
         """The picture to draw now, outdated ones first, then the coarsest; None if no browser waits for one."""
         with self._lock:
             waiting = [
-                (0 if viewer.sides is None else viewer.sides[0], client)
-                for client, viewer in self._viewers.items()
-                if viewer.sides is None or (viewer.sides and now - viewer.moved_at >= STILL_S)
+                (0 if pose.sides is None else pose.sides[0], client)
+                for client, pose in self._poses.items()
+                if pose.sides is None or (pose.sides and now - pose.moved_at >= STILL_S)
             ]
             if not waiting:
                 return None
             side, client = min(waiting)
-            pose = self._viewers[client].pose
+            pose = self._poses[client]
             wide, tall = (max(1, pixels) for pixels in pose.window)
             scale = (side or self._quick_side(wide, tall)) / max(wide, tall)
             width, height = max(1, round(wide * scale)), max(1, round(tall * scale))
@@ -115,10 +109,9 @@ class Schedule:
         with self._lock:
             if job.is_quick:
                 self._rate = 0.5 * (self._rate + job.camera.width * job.camera.height / max(seconds, 1e-6))
-            viewer = self._viewers.get(job.client)
-            if viewer is not None and viewer.pose is job.pose:
-                side, most = max(job.camera.width, job.camera.height), max(*viewer.pose.window, SIDES[0])
-                viewer.sides = [other for other in SIDES if side + (not job.is_quick) <= other <= most]
+            # Of a pose that was replaced meanwhile, nobody looks at the rest.
+            side, most = max(job.camera.width, job.camera.height), max(*job.pose.window, SIDES[0])
+            job.pose.sides = [other for other in SIDES if side + (not job.is_quick) <= other <= most]
 
     def _quick_side(self, width: int, height: int) -> int:
         """The longest of SIDES that fits the window and probably takes no longer than MOVING_S to draw."""

@@ -72,8 +72,7 @@ class Stage:
         cameras = gui.add_checkbox("cameras", not has_run)
         cameras.on_update(lambda _: self._show_cameras(cameras.value))
         self._show_cameras(cameras.value)
-        self._caption = gui.add_markdown("Click a camera to look through it.")
-        self._truth: viser.GuiImageHandle | None = None
+        gui.add_markdown("Click a camera to look through it.")
 
     @property
     def shows_prediction(self) -> bool:
@@ -149,18 +148,8 @@ class Stage:
                     looking = event.client.camera
                     looking.position, looking.look_at = position, self._ahead(camera)
                     looking.wxyz, looking.fov = wxyz, fov_y
-                self._show_truth(view)
 
         return frame
-
-    def _show_truth(self, view: View) -> None:
-        """Shows the true picture of a view in the panel."""
-        self._caption.content = f"{view.split} view {view.index}: not built"
-        with contextlib.suppress(HyalineError):
-            picture = view.image
-            self._truth = self._truth or self._server.gui.add_image(picture, format="png")
-            self._truth.image = picture
-            self._caption.content = f"{view.split} view {view.index}: truth"
 
     def _ahead(self, camera: Camera) -> np.ndarray:
         """The point on a camera's axis to orbit: as far away as the centre of the scene."""

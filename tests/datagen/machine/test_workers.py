@@ -40,7 +40,7 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     command = subprocess.Popen(start, stderr=subprocess.PIPE, text=True, start_new_session=True)
     while command.poll() is None and len(list(out.glob("records/*/*.json"))) < 2:
         time.sleep(0.002)
-    os.killpg(command.pid, signal.SIGSTOP)  # However slow this process is, views are left.
+    os.killpg(command.pid, signal.SIGSTOP)  # So that no view is finished meanwhile.
     os.kill(children(command.pid)[0], signal.SIGKILL)
     os.killpg(command.pid, signal.SIGCONT)
     said = command.communicate()[1]

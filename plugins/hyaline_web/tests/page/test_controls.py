@@ -140,28 +140,21 @@ Fingers = list[tuple[float, float]]
 """Where each finger is, in pixels from the middle of the picture."""
 
 
-@pytest.fixture(scope="module")
-def touched(browser: "Browser", small_page: Path) -> Iterator[Watched]:
-    """A page on a screen that is touched, in which nothing is drawn."""
-    with watched_page(browser, width=390, height=700) as page:
-        open_file(page, small_page)
-        page.evaluate("async () => { (await hyaline).frames.held = true; }")
-        yield page
-
-
 @pytest.fixture
-def screen(touched: Watched) -> Iterator["CDPSession"]:
-    touched.evaluate("async () => { (await hyaline).reset(); }")
-    session = touched.page.context.new_cdp_session(touched.page)
+def screen(opened: Watched) -> Iterator["CDPSession"]:
+    """The same page on a screen that is opened."""
+    opened.evaluate("async () => { const page = await hyaline; page.frames.held = true; page.reset(); }")
+    session = opened.page.context.new_cdp_session(opened.page)
     session.send("Emulation.setTouchEmulationEnabled", {"enabled": True, "maxTouchPoints": 2})
     yield session
+    session.send("Emulation.setTouchEmulationEnabled", {"enabled": False})
     session.detach()
-    assert touched.complaints == []
+    assert opened.complaints == []
 
 
-def touch(touched: Watched, screen: "CDPSession", start: Fingers, end: Fingers, steps: int = 8) -> None:
+def touch(opened: Watched, screen: "CDPSession", start: Fingers, end: Fingers, steps: int = 8) -> None:
     """Puts fingers down, moves them and lifts them."""
-    box = touched.page.locator("#view").bounding_box()
+    box = opened.page.locator("#view").bounding_box()
     assert box is not None
     middle = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
 
@@ -176,9 +169,9 @@ def touch(touched: Watched, screen: "CDPSession", start: Fingers, end: Fingers, 
     send("touchEnd", np.empty((0, 2)))
 
 
-def view_of(touched: Watched) -> tuple[np.ndarray, np.ndarray]:
+def view_of(opened: Watched) -> tuple[np.ndarray, np.ndarray]:
     """The place of the camera, and the point that it turns about."""
-    place, pivot = touched.evaluate(
+    place, pivot = opened.evaluate(
         "async () => { const { camera } = await hyaline; return [camera.place, camera.pivot]; }"
     )
     return np.array(place), np.array(pivot)
@@ -188,10 +181,10 @@ def distance(state: tuple[np.ndarray, np.ndarray]) -> float:
     return float(np.linalg.norm(state[0] - state[1]))
 
 
-def test_one_finger_turns_the_camera_about_what_it_looks_at(touched: Watched, screen: "CDPSession") -> None:
-    before = view_of(touched)
-    touch(touched, screen, [(0, 0)], [(60, 0)])
-    after = view_of(touched)
+def test_one_finger_turns_the_camera_about_what_it_looks_at(opened: Watched, screen: "CDPSession") -> None:
+    before = view_of(opened)
+    touch(opened, screen, [(0, 0)], [(60, 0)])
+    after = view_of(opened)
     assert np.allclose(after[1], before[1])
     assert distance(after) == pytest.approx(distance(before))
     assert after[0][2] == pytest.approx(before[0][2])
@@ -200,10 +193,10 @@ def test_one_finger_turns_the_camera_about_what_it_looks_at(touched: Watched, sc
 
 @pytest.mark.parametrize(("start", "end"), [(40, 80), (80, 40)], ids=["apart", "together"])
 def test_two_fingers_zoom_by_as_much_as_they_part(
-    touched: Watched, screen: "CDPSession", start: float, end: float
+    opened: Watched, screen: "CDPSession", start: float, end: float
 ) -> None:
-    before = view_of(touched)
-    touch(touched, screen, [(-start, 0), (start, 0)], [(-end, 0), (end, 0)])
-    after = view_of(touched)
+    before = view_of(opened)
+    touch(opened, screen, [(-start, 0), (start, 0)], [(-end, 0), (end, 0)])
+    after = view_of(opened)
     assert distance(after) == pytest.approx(distance(before) * start / end, rel=0.02)
     assert np.linalg.norm(after[1] - before[1]) < 0.05 * distance(before)
