@@ -254,20 +254,14 @@ def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
     padded_uv = torch.cat([rays.uv, rays.uv.new_zeros(num_rays, 1, 2)], dim=1)
     layer = torch.arange(num_layers + 1, device=place.device)[None]
     source = torch.where(layer == place[:, None], num_layers, layer - (layer > place[:, None]).long())
-    return RayBatch(
-        uv=padded_uv.gather(1, source[..., None].expand(-1, -1, 2)),
-        object_id=padded_id.gather(1, source),
-        p_camera=rays.p_camera,
-        samples=rays.samples,
-        grid=rays.grid,
-    )
+    uv = padded_uv.gather(1, source[..., None].expand(-1, -1, 2))
+    return dataclasses.replace(rays, uv=uv, object_id=padded_id.gather(1, source))
 
 
 def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
     """The rays with one more empty layer: at a random position in each ray, or after all others without `rng`."""
     num_rays, num_layers = rays.object_id.shape
-    last = np.full(num_rays, num_layers)
-    place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
+    place = np.full(num_rays, num_layers) if rng is None else rng.integers(num_layers + 1, size=num_rays)
     return insert_empty_layer(rays, to_device({"place": place}, rays.object_id.device)["place"])
 
 

@@ -50,7 +50,7 @@ def test_flags_override_the_best_preset(dataset: Dataset) -> None:
         "--lr-decay", "none", "--steps", "2500",
     )  # fmt: skip
     asked = parse_train("paper-best", words)
-    config, _ = configure("paper-best", asked)
+    config = configure("paper-best", asked, dataset)
     net = config.net
     assert isinstance(net, PaperConfig)
     assert (net.width, net.norm, net.texture_size, net.texture_levels) == (64, "batch", 24, 2)
