@@ -28,8 +28,8 @@ from hyaline_web.page.export import export_run
 from hyaline_web.page.packing import Quality
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
+from model.methods.protocol import open_inputs
 from model.methods.renderer import Renderer
-from model.methods.table import open_inputs
 from model.run.predict import check_can_draw, load_renderer, predict_pixels, show_edited_scene
 from model.run.run_folder import RunRecord, read_run
 

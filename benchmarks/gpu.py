@@ -19,7 +19,7 @@ from datagen.render.truth import Renderer
 from datagen.trace.light_path import LightPathTracer, Limits
 from model.batches.rays import RayBatch
 from model.methods.light_path.config import LightPathConfig
-from model.methods.table import open_inputs
+from model.methods.protocol import open_inputs
 from model.run.predict import predict_pixels
 
 FRAME, STEP = 1920 * 1080, 1 << 18

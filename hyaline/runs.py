@@ -170,7 +170,7 @@ def train(
         NumericsError: training diverged.
         KeyboardInterrupt: training was interrupted; a checkpoint is saved.
     """
-    from model.methods.table import METHODS, name_of
+    from model.methods.protocol import METHODS, name_of
     from model.run.train_flags import Asked, complete_run
     from model.runtime import leaving_settings
 

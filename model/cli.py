@@ -12,7 +12,7 @@ from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
-from model.methods.table import METHODS, about
+from model.methods.protocol import METHODS, about
 from model.run.train_flags import Asked, complete_run, make_command
 from model.runtime import choose_device, wait_briefly
 from model.settings import RUNS, Device

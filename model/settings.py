@@ -101,8 +101,6 @@ Norm = Literal["batch", "none"]
 
 UNetNorm = Literal["instance", "batch"]
 
-VggKind = Literal["vgg16", "vgg19"]
-
 
 MOST_RAYS = 1024
 """Rays per pixel, in training and in rendering."""
@@ -169,8 +167,8 @@ class LossConfig:
     vgg_weights: str = choice(NO_VGG, {"random": "random-vgg", "auto": "vgg", "": "vgg"})
     """Weights of the network of a perceptual loss (section 4.4): none, auto (from torch's cache; downloads nothing), a
     path, or random (a stand-in, labelled as such in tables)."""
-    vgg: VggKind = choice("vgg16", "{}")
-    """Network of the perceptual loss."""
+    vgg: Literal["vgg16", "vgg19"] = unflagged("vgg16")
+    """Network of the perceptual loss; runs of earlier versions may have VGG19."""
     perceptual: float = choice(0.05, "perceptual{}", limits=AMOUNT)
     """Weight of the perceptual loss; the paper names none."""
     # At 0.05, measured with random weights on a blurred prediction, the gradient at a patch's colours has a sixth of
@@ -181,11 +179,10 @@ class LossConfig:
     adversarial_from: float = choice(0.6, "from{}", limits=SHARE)
     """Fraction of the steps after which the adversarial loss begins (section 4.4 warms up without it); from then on no
     learning rate is above 0.0004."""
-    inpaint: bool = choice(False, "inpaint")
-    """Let the discriminator judge poses without ground truth instead; only texels that no training ray reached
-    learn."""
+    inpaint: bool = unflagged(False)
+    """In-painting of texels that no training ray reached: runs of earlier versions may have it."""
     patch: int = choice(64, "patch{}", limits=(LEAST_PATCH, math.inf))
-    """Height and width in pixels of the patches for these losses (U-Nets: only at poses without ground truth)."""
+    """Height and width in pixels of the patches for these losses; U-Nets judge their crops."""
     patches: int = unflagged(1, limits=COUNT)
     """Patches in each step, besides the random pixels."""
     adversarial_lr: float = unflagged(0.0004, limits=RATE)
@@ -199,14 +196,11 @@ class LossConfig:
     def __post_init__(self) -> None:
         check_limits(self)
         for name, is_used, flag in (
-            ("vgg", self.has_vgg, "--vgg-weights"),
             ("adversarial_from", self.adversarial > 0, "--adversarial"),
             ("patch", self.has_vgg or self.adversarial > 0, "--vgg-weights or --adversarial"),
         ):
             if not is_used and getattr(self, name) != getattr(type(self), name):
                 raise HyalineError(f"{name}: has no effect without {flag}")
-        if self.inpaint and not self.adversarial:
-            raise HyalineError("inpaint: needs the discriminator's judgement; give --adversarial, such as 0.01")
         if self.perceptual != type(self).perceptual and not self.has_vgg:
             raise HyalineError(
                 "perceptual: there is no network to compare with; give --vgg-weights auto, random or a path"

@@ -15,7 +15,7 @@ from support.soon import soon
 from datagen.scene.sources import SOURCES
 from datagen.terminal.plugins import COMMANDS
 from eval.tables.plugins import REPORT_PARTS, TABLES
-from model.methods.table import METHODS
+from model.methods.protocol import METHODS
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("datagen", "proxies", "model", "eval")
@@ -60,7 +60,7 @@ FLOORS = {
         "disk",
     ),
     "proxies": ("cli", "make", "kinds", "meshing"),
-    "model": ("cli", "run", "methods", "losses", "batches", "nets", "runtime", "settings", "state"),
+    "model": ("cli", "run", "methods", "batches", "nets", "runtime", "settings", "state"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
     "eval": ("cli", "page", "variants", "tables", "score"),
 }

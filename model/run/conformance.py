@@ -22,9 +22,8 @@ from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
 from datagen.terminal.signals import Stopped
 from model.batches.rays import PixelSource, cameras_of
-from model.methods.protocol import Inputs
+from model.methods.protocol import METHODS, Inputs, open_inputs
 from model.methods.renderer import Renderer
-from model.methods.table import METHODS, open_inputs
 from model.run.predict import load_renderer, predict_colors, predict_pixels, render_predictions
 from model.run.run_folder import WEIGHTS, TrainConfig, parse_config
 from model.run.train import build_renderer, train

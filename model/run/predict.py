@@ -24,8 +24,8 @@ from datagen.disk.ownership import remove_files
 from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
+from model.methods.protocol import open_inputs
 from model.methods.renderer import Renderer
-from model.methods.table import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
 from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.run_folder import (

@@ -31,8 +31,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, remove_files
 from datagen.disk.records import Json, from_json, shown, to_json
 from datagen.disk.storage import check_files, commit_sealed, load_sealed, seal_bytes, seal_of
-from model.methods.protocol import Inputs, MethodConfig
-from model.methods.table import METHODS, open_inputs
+from model.methods.protocol import METHODS, Inputs, MethodConfig, open_inputs
 from model.run.logs import COSTS, METRICS, SNAPSHOTS
 from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
 

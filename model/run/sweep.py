@@ -35,7 +35,7 @@ from datagen.disk.records import read_regular, shown
 from datagen.machine.launch import LaunchChoices, own_command, raise_failures, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say
-from model.methods.table import METHODS
+from model.methods.protocol import METHODS
 from model.run.train_flags import folder_name, parse_train
 from model.settings import RUNS
 

@@ -1,7 +1,6 @@
 """Training, in run order: from a dataset to a run folder with weights."""
 
 import contextlib
-import functools
 import itertools
 import math
 import time
@@ -22,10 +21,9 @@ from datagen.disk.records import Json, to_json
 from datagen.terminal.command import say, track
 from datagen.terminal.signals import Stopped, hold_signals
 from model.batches.rays import PixelSource, TracedPixels, made_ahead
-from model.losses.patch_losses import Inpainter, Losses
-from model.methods.protocol import Inputs
+from model.methods.patch_losses import Losses
+from model.methods.protocol import Inputs, open_inputs
 from model.methods.renderer import ParameterGroup, Renderer
-from model.methods.table import open_inputs
 from model.nets.texture import NeuralTextures
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.logs import write_metrics, write_snapshot
@@ -95,19 +93,14 @@ def train(
     testing = None
     if held_out:
         testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
-    choices = {"seed": config.seed, "device": device}
-    inpainter = functools.partial(
-        Inpainter, renderer, training, dataset, config.geometry, num_layers=inputs.num_layers, **choices
-    )
-    lazy_in = None if config.loss.inpaint else renderer  # In-painting masks the gradients of whole tables.
     run = Run(
         config=config,
         inputs=inputs,
         out=out,
         renderer=renderer,
         groups=groups,
-        optimizer=make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=lazy_in, pixels=size),
-        losses=Losses(config.loss, steps=config.steps, make_inpainter=inpainter, **choices),
+        optimizer=make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=renderer, pixels=size),
+        losses=Losses(config.loss, steps=config.steps, seed=config.seed, device=device),
         training=training,
         held_out=testing,
     )
@@ -158,11 +151,8 @@ def check_losses(config: TrainConfig, resolution: Resolution) -> None:
             f"adversarial: patches are {side} pixels wide; the discriminator needs at least {LEAST_PATCH}, so use "
             "larger crops or pictures"
         )
-    if config.loss.inpaint and config.net.traces_layers:
-        raise HyalineError(
-            "inpaint: needs stored layers to count which texels are visited; use paper with one ray per pixel, or "
-            "another method that reads straight layers"
-        )
+    if config.loss.inpaint or config.loss.vgg != "vgg16":
+        raise HyalineError("loss: is one of an earlier version, with in-painting or VGG19; train without them")
 
 
 def build_renderer(config: TrainConfig, inputs: Inputs, *, device: torch.device) -> Renderer:
@@ -253,9 +243,10 @@ def take_step(run: Run, step: int, training: PixelSource) -> None:
     """One step, with `config.updates` updates."""
     config, renderer = run.config, run.renderer
     batch = config.batch // config.updates
+    terms = run.losses.patch_terms(step, training.resolution.shorter)
     for update in range(config.updates):
         rng = generator(config, step, update)
-        loss = run.losses.loss(renderer.loss, renderer, training, batch, rng, step=step)
+        loss = renderer.loss(training, batch, rng, softness=config.loss.softness, patch_terms=terms)
         run.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         loss_value = read_finite(loss.detach(), renderer, step=step, out=run.out)

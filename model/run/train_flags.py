@@ -14,8 +14,7 @@ from datagen.data.paths import TRUTH, find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
-from model.methods.protocol import MethodConfig
-from model.methods.table import METHODS, about, open_inputs
+from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
 from model.runtime import choose_device
 from model.settings import RUNS, Optimisation, RunFlags, suffixes
 
@@ -187,7 +186,7 @@ def configure(method: str, asked: Asked, opened: "Dataset") -> "TrainConfig":
         **{item.name: getattr(asked.optimisation, item.name) for item in dataclasses.fields(asked.optimisation)},
     )
     if config.loss.has_vgg:
-        from model.losses.patch_losses import find_vgg
+        from model.methods.patch_losses import find_vgg
 
         config = dataclasses.replace(config, loss=find_vgg(config.loss))
     return config

@@ -12,7 +12,7 @@ from support.training import configured
 
 from datagen.data.dataset import Dataset
 from model.batches.rays import to_device
-from model.methods.table import METHODS, open_inputs
+from model.methods.protocol import METHODS, open_inputs
 from model.nets.texture import constant_on, places_on
 from model.run.predict import predict_pixels
 from model.run.train import build_renderer, train

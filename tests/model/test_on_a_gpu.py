@@ -11,7 +11,7 @@ from support.traced_dataset import write_traced_dataset
 from support.training import configured
 
 from datagen.data.dataset import Dataset
-from model.methods.table import open_inputs
+from model.methods.protocol import open_inputs
 from model.nets.learned_sky import LearnedSky
 from model.nets.texture import constant_on
 from model.run.predict import predict_pixels

@@ -12,8 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from model import cli
 from model.methods.paper.config import PaperConfig
-from model.methods.protocol import MethodConfig
-from model.methods.table import open_inputs
+from model.methods.protocol import MethodConfig, open_inputs
 from model.run import train as train_module
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_drawn
@@ -82,9 +81,9 @@ def build(net: MethodConfig, dataset: Dataset, geometry: str = TRUTH) -> Any:
     return net.build(open_inputs(net, dataset, geometry))
 
 
-def load(net: MethodConfig, dataset: Dataset, views: Sequence[int]) -> Any:
+def load(net: MethodConfig, dataset: Dataset, views: Sequence[int], geometry: str = TRUTH) -> Any:
     """The pixels of training views, as a method takes them."""
-    return net.load(open_inputs(net, dataset, TRUTH), "train", views, with_images=True)
+    return net.load(open_inputs(net, dataset, geometry), "train", views, with_images=True)
 
 
 def configured(dataset: Dataset, method: str, *flags: str) -> TrainConfig:

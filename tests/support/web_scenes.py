@@ -29,7 +29,8 @@ from datagen.trace.light_path import LightPathTracer
 from datagen.trace.surface_tables import tints_of
 from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import LightPathRenderer
-from model.methods.light_path.pixels import LightPathPixels, load_light_path_pixels
+from model.methods.light_path.pixels import LightPathPixels
+from model.methods.protocol import open_inputs
 from model.nets.texture import TexturePyramid
 from model.run.predict import predict_pixels
 
@@ -172,7 +173,7 @@ def drawn_by_python(
 ) -> np.ndarray:
     """The product's own picture, (h, w, 3), of the scene or of other objects."""
     config = dataclasses.replace(renderer.config, render_samples=samples)
-    pixels = load_light_path_pixels(config, dataset, TRUTH, "interpolating", [0], False)
+    pixels = config.load(open_inputs(config, dataset, TRUTH), "interpolating", [0], with_images=False)
     if objects is not None:
         tints = tints_of(dataclasses.replace(every_surface(), objects=objects), own_uv=True)
         meshes, materials = (tuple(getattr(item, part) for item in objects) for part in ("mesh", "material"))

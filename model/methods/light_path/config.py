@@ -33,8 +33,8 @@ RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
 class LightPathConfig(MethodConfig):
     """Ours: neural textures where light paths through the glass end, composited by physics."""
 
-    room: ClassVar[str] = "model.methods.light_path.method"
-    page: ClassVar[str] = "model.methods.light_path.method"
+    room: ClassVar[str] = "model.methods.light_path.net"
+    page: ClassVar[str] = "model.methods.light_path.page"
     knowledge: ClassVar[str] = "materials (all but diffuse colours)"
     draws_cameras: ClassVar[bool] = True
     has_radiance: ClassVar[bool] = True
@@ -106,6 +106,11 @@ class LightPathConfig(MethodConfig):
     def needs_details(self) -> bool:
         """True if the ends of paths need a mirrored direction and a slope of uv."""
         return self.relief or self.directions
+
+    @property
+    def seen_straight(self) -> int:
+        """Straight layers that matter: only the stack network uses them."""
+        return self.straight_layers if self.stack_hidden else 0
 
     @property
     def paired_rays(self) -> bool:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -10,13 +11,26 @@ from jaxtyping import Bool, Float32, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.data.cameras import subpixel_offsets
+from datagen.data.cameras import Cameras, subpixel_offsets
+from datagen.data.dataset import check_has_meshes
+from datagen.disk.errors import HyalineError
+from datagen.scene.description import EnvironmentMap, Scene, image_bytes
+from datagen.scene.folder import open_scene
+from datagen.scene.images import read_map
 from datagen.terminal.command import track
 from model.batches.rays import LEAST_PAIRED, mean_color, srgb_curve
-from model.losses.pixel_losses import PatchTerms, pixel_loss
-from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES, LightPathBatch, LightPathPixels, Stack
-from model.methods.renderer import ParameterGroup, Renderer
+from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
+from model.methods.light_path.pixels import (
+    MANY_RAYS,
+    STACKED_VERTICES,
+    LightPathBatch,
+    LightPathPixels,
+    Stack,
+    share_texels,
+    trace_light_paths,
+)
+from model.methods.protocol import Inputs
+from model.methods.renderer import ParameterGroup, PatchTerms, Renderer, pixel_loss
 from model.nets.extrinsics import spherical_harmonics
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
@@ -127,8 +141,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         """The usual groups, but the sky has its own learning rate."""
         net, textures = super().groups(optimisation)
         sky = self.parameters_of(LearnedSky)
-        apart = {id(value) for value in sky}
-        others = [value for value in net.parameters if id(value) not in apart]
+        others = self.all_but([*sky, *textures.parameters])
         return [
             dataclasses.replace(net, parameters=others),
             textures,
@@ -314,3 +327,32 @@ def _off_plane(samples: int, device: torch.device) -> Float32[Tensor, "sample sa
     plane = np.column_stack([np.ones(samples), subpixel_offsets(samples)])
     with torch.inference_mode(False):
         return torch.from_numpy(np.eye(samples) - plane @ np.linalg.pinv(plane)).float().to(device)
+
+
+def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
+    """The same with the sky's height and the objects' texture sizes, which depend on traced paths."""
+    check_has_meshes(inputs.dataset)
+    size = config.texture_size or inputs.dataset.config.resolution.mean_side
+    if config.environment_size == SKY_HEIGHT:
+        config = dataclasses.replace(config, environment_size=sky_height(open_scene(inputs.dataset)))
+    return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
+
+
+def sky_height(scene: Scene) -> int:
+    """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
+    if isinstance(scene.environment, EnvironmentMap):
+        height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
+    else:
+        height = max((math.ceil(180 / card.softness_deg) for card in scene.environment.cards), default=0)
+    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << max(height.bit_length() - 1, 0)))
+
+
+def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:
+    sizes, objects = config.texture_sizes, inputs.dataset.objects
+    if len(sizes) != len(objects):
+        raise HyalineError(f"texture_sizes: are {len(sizes)}; expected one for each of {len(objects)} objects")
+    return LightPathRenderer(config)
+
+
+def load_cameras(config: LightPathConfig, inputs: Inputs, cameras: Cameras) -> LightPathPixels:
+    return trace_light_paths(config, inputs.dataset, inputs.geometry, cameras)

@@ -5,7 +5,7 @@ import functools
 import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import torch
@@ -13,14 +13,13 @@ from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
 from datagen.data.cameras import Cameras, subpixel_rays
-from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh, r2_steps
 from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import LIMITS, Limits
-from model.batches.rays import Draw, Rays, TracedPixels, black, load_views_of, rays_through, to_device
+from model.batches.rays import Draw, Rays, TracedPixels, black, rays_through, to_device
 from model.methods.light_path.config import LightPathConfig, default_light_path
 
 if TYPE_CHECKING:
@@ -75,6 +74,9 @@ class Stack:
     """The ray's direction, mirrored at the surface of each straight layer; None without straight layers."""
     uv_slope: Float32[Tensor, "ray straight 2"] | None = None
     """Change of uv per metre of depth below the surface of each straight layer."""
+
+
+Part = TypeVar("Part", Ends, Sky, Stack)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -177,47 +179,44 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
                 seed=seed,
                 facets=facets,
             )
-            if config.stack_hidden and config.straight_layers:
+            if config.seen_straight:
                 assert self.straight_tracer is not None
-                straight = _straight(self.straight_tracer, origins, directions, config.straight_layers)
-        moved: dict[str, dict[str, Tensor]] = {"ends": {}, "sky": {}, "stack": {}}
-        columns = self._columns(paths, starts, self._stack(paths, directions, straight))
-        for (part, name), values in to_device(columns, self.device).items():
-            moved[part][name] = values
+                layers = Limits(1, max_vertices=config.straight_layers, max_depth=config.straight_layers)
+                straight = self.straight_tracer.trace(origins, directions, layers)
+        columns = {
+            Ends: {
+                "ray": _in_batch(paths.ray, starts),
+                "surface": _surface_of(paths.object_id, config.shells),
+                "uv": paths.uv,
+                "throughput": paths.throughput,
+                "cosine": paths.cosine,
+                "reflected": paths.reflected,
+                "uv_slope": paths.uv_slope,
+            },
+            Sky: {
+                "ray": _in_batch(paths.exit_ray, starts),
+                "direction": paths.exit_direction,
+                "throughput": paths.exit_throughput,
+            },
+            Stack: self._stack(paths, directions, straight),
+        }
+        given = {(kind, name): values for kind in columns for name, values in columns[kind].items()}
+        moved = to_device({key: values for key, values in given.items() if values is not None}, self.device)
+
+        def part(kind: type[Part], first: int, last: int) -> Part:
+            return kind(**{name: values[first:last] for (owner, name), values in moved.items() if owner is kind})
+
         ends, exits = (itertools.pairwise(np.searchsorted(rays, starts)) for rays in (paths.ray, paths.exit_ray))
         return [
             LightPathBatch(
                 num_pixels=(rows[1] - rows[0]) // samples,
                 samples=samples,
-                ends=Ends(**_rows(moved["ends"], *end_rows)),
-                sky=Sky(**_rows(moved["sky"], *exit_rows)),
-                stack=Stack(**_rows(moved["stack"], *rows)) if moved["stack"] else None,
+                ends=part(Ends, *end_rows),
+                sky=part(Sky, *exit_rows),
+                stack=part(Stack, *rows) if columns[Stack] else None,
             )
             for rows, end_rows, exit_rows in zip(itertools.pairwise(starts), ends, exits, strict=True)
         ]
-
-    def _columns(
-        self, paths: "PathEnds", starts: list[int], stack: dict[str, np.ndarray]
-    ) -> dict[tuple[str, str], np.ndarray]:
-        """The arrays of `Ends`, `Sky` and `Stack` by part and name; rays are counted in each batch on its own."""
-        details = {"reflected": paths.reflected, "uv_slope": paths.uv_slope}
-        parts: dict[str, dict[str, np.ndarray]] = {
-            "ends": {
-                "ray": _in_batch(paths.ray, starts),
-                "surface": _surface_of(paths.object_id, self.config.shells),
-                "uv": paths.uv,
-                "throughput": paths.throughput,
-                "cosine": paths.cosine,
-                **{name: values for name, values in details.items() if values is not None},
-            },
-            "sky": {
-                "ray": _in_batch(paths.exit_ray, starts),
-                "direction": paths.exit_direction,
-                "throughput": paths.exit_throughput,
-            },
-            "stack": stack,
-        }
-        return {(part, name): values for part, columns in parts.items() for name, values in columns.items()}
 
     def _facets(self, num_pixels: int, samples: int, rng: np.random.Generator) -> Float32[np.ndarray, "ray 2"]:
         """Random numbers by which each pixel's rays choose facets of rough surfaces: in pairs half a period apart, or
@@ -276,14 +275,8 @@ def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
     An object where many paths end (a floor) gets a wide texture, one seen in few pixels a narrow one, but at least a
     third of `size`; one where no path ends (glass) gets an eighth. On proxies, straight hits count, too.
     """
-    pixels = load_light_path_pixels(
-        default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(geometry)),
-        dataset,
-        geometry,
-        "train",
-        range(dataset.config.train.views),
-        False,
-    )
+    config = default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(geometry))
+    pixels = trace_light_paths(config, dataset, geometry, dataset.cameras("train"))
     return texel_widths(pixels, len(dataset.objects), size)
 
 
@@ -305,23 +298,16 @@ def texel_widths(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[
     return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())
 
 
-def load_light_path_pixels(
-    config: LightPathConfig, dataset: Dataset, geometry: str, split: Split, views: Sequence[int], with_images: bool
-) -> LightPathPixels:
-    """Reads cameras and, with `with_images`, pictures of some views, and loads the scene for tracing."""
-    make = functools.partial(trace_light_paths, config, dataset, geometry)
-    return load_views_of(make, dataset, split, views, with_images=with_images)
-
-
 def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, cameras: Cameras) -> LightPathPixels:
     """The pixels of any cameras, black, with the scene loaded for tracing."""
-    surfaces = _load_surfaces(geometry_key(dataset, geometry), config.shells if config.straight_layers else 0)
+    shells = config.shells if config.straight_layers else 0
+    tracer, straight_tracer = _load_surfaces(geometry_key(dataset, geometry), shells)
     return LightPathPixels(
-        tracer=surfaces.tracer,
-        straight_tracer=surfaces.straight_tracer,
+        tracer=tracer,
+        straight_tracer=straight_tracer,
         cameras=cameras,
         rgb=black(cameras),
-        num_objects=surfaces.num_objects,
+        num_objects=len(dataset.objects),
         config=config,
     )
 
@@ -336,10 +322,6 @@ def _scaled(mesh: Mesh, scale: float) -> Mesh:
         return mesh
     center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)) / 2
     return dataclasses.replace(mesh, vertices=center + np.float32(scale) * (mesh.vertices - center))
-
-
-def _rows(columns: dict[str, Tensor], first: int, last: int) -> dict[str, Tensor]:
-    return {name: values[first:last] for name, values in columns.items()}
 
 
 def _in_batch(rays: Int[np.ndarray, " end"], starts: list[int]) -> Int[np.ndarray, " end"]:
@@ -362,22 +344,10 @@ def _mirrored(
     return np.clip(cosine, 0, 1), direction + 2 * cosine[..., None] * normal
 
 
-def _straight(tracer: "LightPathTracer", origins: np.ndarray, directions: np.ndarray, num_layers: int) -> "TracedPaths":
-    return tracer.trace(origins, directions, Limits(1, max_vertices=num_layers, max_depth=num_layers))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Surfaces:
-    """The loaded part of `LightPathPixels`."""
-
-    tracer: "LightPathTracer"
-    straight_tracer: "LightPathTracer | None"
-    num_objects: int
-
-
 # Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.
 @functools.lru_cache(maxsize=1)
-def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
+def _load_surfaces(key: GeometryKey, shells: int) -> "tuple[LightPathTracer, LightPathTracer | None]":
+    """The tracer of light paths, and that of straight layers if there are shells."""
     from datagen.scene.folder import open_scene
 
     # The tracer's module can be imported only when Mitsuba has its variant.
@@ -387,11 +357,7 @@ def _load_surfaces(key: GeometryKey, shells: int) -> _Surfaces:
 
     scene = open_scene(key.dataset, key.geometry)
     materials = tuple(item.material for item in scene.objects)
-    tints = tints_of(scene, own_uv=follows_light(key.geometry))
     meshes = read_meshes(key.dataset, key.geometry)
+    tracer = LightPathTracer(meshes, materials, tints_of(scene, own_uv=follows_light(key.geometry)))
     nested = nest_shells(meshes, shells)
-    return _Surfaces(
-        tracer=LightPathTracer(meshes, materials, tints),
-        straight_tracer=LightPathTracer(nested, (None,) * len(nested)) if nested else None,
-        num_objects=len(materials),
-    )
+    return tracer, LightPathTracer(nested, (None,) * len(nested)) if nested else None

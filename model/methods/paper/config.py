@@ -143,6 +143,7 @@ class DnrConfig(MethodConfig):
 
     room: ClassVar[str] = "model.methods.paper.dnr"
     reads_layers: ClassVar[bool] = True
+    whole_views: ClassVar[bool] = True
     max_layers: ClassVar[int | None] = 1
     draws_cameras: ClassVar[bool] = True
 

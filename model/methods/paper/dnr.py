@@ -1,7 +1,6 @@
 """The renderer of `dnr` and `dnr-layers`: Deferred Neural Rendering, on the first layer alone and on all of them."""
 
 import dataclasses
-from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -9,16 +8,12 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
-from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
-from model.losses.pixel_losses import PatchTerms
 from model.methods.paper.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, DnrConfig
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import TexturePyramid, object_layout
 from model.settings import UNetNorm
@@ -173,26 +168,3 @@ def build(config: DnrConfig, inputs: Inputs) -> DnrRenderer:
     return DnrRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
-
-
-def load(
-    config: DnrConfig,  # noqa: ARG001
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-) -> PixelSource[RayBatch]:
-    return load_pixels(
-        inputs.dataset,
-        inputs.geometry,
-        split,
-        views,
-        with_images=with_images,
-        max_layers=inputs.num_layers,
-        whole_views=True,
-    )
-
-
-def load_cameras(config: DnrConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
-    return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras, whole_views=True)

@@ -1,8 +1,6 @@
 """The renderer of `paper`: neural textures on straight layers, stacked into a per-pixel residual MLP."""
 
 import dataclasses
-from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,9 +10,8 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import Split
-from model.batches.layers import load_pixels, peel_cameras, trace_cameras
-from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, load_views_of, srgb_curve
+from model.batches.layers import trace_cameras
+from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
@@ -137,19 +134,7 @@ def build(config: PaperConfig, inputs: Inputs) -> PaperRenderer:
     )
 
 
-def load(
-    config: PaperConfig, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool
-) -> PixelSource[RayBatch]:
-    if not config.traces_layers:
-        return load_pixels(
-            inputs.dataset, inputs.geometry, split, views, with_images=with_images, max_layers=inputs.num_layers
-        )
-    return load_views_of(partial(load_cameras, config, inputs), inputs.dataset, split, views, with_images=with_images)
-
-
 def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:
-    if not config.traces_layers:
-        return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras)
     return trace_cameras(
         inputs.dataset,
         inputs.geometry,

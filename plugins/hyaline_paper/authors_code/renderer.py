@@ -7,7 +7,7 @@ its dispatcher (which drops the width that the scripts ask for, so that 64 is le
 import dataclasses
 import itertools
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -16,15 +16,11 @@ from jaxtyping import Float32
 from torch import Tensor, nn
 from torch.nn import functional
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import Split
 from hyaline_paper.authors_code.config import LEAST_WIDTH, AuthorsConfig
-from model.batches.layers import load_pixels, peel_cameras
 from model.batches.rays import PixelSource, RayBatch, insert_random_layer
-from model.losses.pixel_losses import PatchTerms
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer
 from model.nets.extrinsics import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
@@ -156,20 +152,3 @@ def build(config: AuthorsConfig, inputs: Inputs) -> AuthorsRenderer:
     return AuthorsRenderer(
         config, num_layers=inputs.num_layers, num_objects=len(inputs.dataset.objects), positions=positions
     )
-
-
-def load(
-    config: AuthorsConfig,  # noqa: ARG001
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-) -> PixelSource[RayBatch]:
-    return load_pixels(
-        inputs.dataset, inputs.geometry, split, views, with_images=with_images, max_layers=inputs.num_layers
-    )
-
-
-def load_cameras(config: AuthorsConfig, inputs: Inputs, cameras: Cameras) -> PixelSource[RayBatch]:  # noqa: ARG001
-    return peel_cameras(inputs.dataset, inputs.geometry, inputs.num_layers, cameras)

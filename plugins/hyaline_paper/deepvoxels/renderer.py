@@ -5,7 +5,7 @@ in this paper section 5.1. No geometry is known: the method gets images, cameras
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from datagen.data.cameras import Camera, Cameras
-from datagen.data.config import Resolution, Split, square
+from datagen.data.config import Resolution, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -31,10 +31,9 @@ from hyaline_paper.deepvoxels.voxel_nets import (
     feature_extractor,
     rendering_network,
 )
-from model.batches.rays import ViewBatch, Views, load_views, views_of
-from model.losses.pixel_losses import PatchTerms
+from model.batches.rays import ViewBatch, Views, views_of
 from model.methods.protocol import Inputs
-from model.methods.renderer import ParameterGroup, Renderer
+from model.methods.renderer import ParameterGroup, PatchTerms, Renderer
 from model.settings import Optimisation
 
 BORDER = 5
@@ -208,18 +207,6 @@ def _check_size(config: DeepVoxelsConfig, found: Resolution) -> None:
         raise HyalineError(
             f"camera: is {found} pixels; deepvoxels draws {size}, the size that its networks were made for"
         )
-
-
-def load(
-    config: DeepVoxelsConfig,
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-) -> Views:
-    _check_size(config, inputs.dataset.config.resolution)
-    return load_views(inputs.dataset, split, views, with_images=with_images)
 
 
 def load_cameras(config: DeepVoxelsConfig, inputs: Inputs, cameras: Cameras) -> Views:  # noqa: ARG001

@@ -23,8 +23,7 @@ from hyaline_photos.fit.search import penalty
 from hyaline_photos.fit.shapes import Glass
 from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.method import sky_height
-from model.methods.light_path.net import LightPathRenderer
+from model.methods.light_path.net import LightPathRenderer, sky_height
 from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
 from model.nets.filling import add_visits, filled_layout
 from model.nets.learned_sky import LearnedSky

@@ -23,7 +23,7 @@ import hyaline
 from benchmarks.browser import running_browser, watched_page
 from datagen.disk.errors import UsageError
 from datagen.scene.folder import load_scene
-from model.methods import table
+from model.methods import protocol
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])
@@ -236,7 +236,7 @@ def test_the_complete_method_passes_the_checks_that_its_page_lists(
     (tmp_path / "alpha_blend.py").write_text(source[1])
     monkeypatch.syspath_prepend(tmp_path)
     ((name, record),) = tomllib.loads(entry[1])["project"]["entry-points"]["hyaline.methods"].items()
-    monkeypatch.setitem(table.BUILT_IN, name, record)
+    monkeypatch.setitem(protocol.BUILT_IN, name, record)
     answer = call(f"model check-method {name}")
     sys.modules.pop("alpha_blend", None)
     lines = answer.out.splitlines()

@@ -9,7 +9,7 @@ from support.commands import call
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.parsing import flag_words, flags_of
 from model.cli import main
-from model.methods.table import BUILT_IN, METHODS
+from model.methods.protocol import BUILT_IN, METHODS
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings import RunFlags
 
@@ -59,7 +59,7 @@ def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geomet
         "paper",
         "paper --geometry box --extrinsics none --hidden 256 --blocks 0 --norm none --seed 7",
         "paper-best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
-        "paper --vgg-weights random --adversarial 0.01 --inpaint",
+        "paper --vgg-weights random --adversarial 0.01",
         "light-path --geometry box --no-relief --straight-layers 2 --environment 1 --sky-lr 0.5 --debias 0.5",
         "dnr-authors --crop 8",
     ],

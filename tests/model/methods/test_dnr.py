@@ -20,8 +20,7 @@ from model.batches.rays import draw_patches
 from model.methods.paper import dnr
 from model.methods.paper.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig, MlpFirstConfig
 from model.methods.paper.dnr import DnrRenderer, UNet
-from model.methods.protocol import Inputs
-from model.methods.table import open_inputs
+from model.methods.protocol import Inputs, open_inputs
 from model.nets.extrinsics import spherical_harmonics
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_drawn, read_run

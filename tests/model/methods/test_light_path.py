@@ -12,7 +12,6 @@ from support.synthetic import write_synthetic_dataset
 from support.training import assert_resumes, load
 
 from datagen.data.cameras import subpixel_offsets
-from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.images import srgb_from_linear
@@ -20,18 +19,17 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import linear_curve, made_ahead, srgb_curve
-from model.losses.pixel_losses import difference
 from model.methods.light_path.config import LightPathConfig, default_light_path
 from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
 from model.methods.light_path.pixels import (
     STACKED_VERTICES,
     LightPathPixels,
-    load_light_path_pixels,
     nest_shells,
     share_texels,
 )
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
+from model.methods.renderer import difference
 from model.nets.learned_sky import LearnedSky
 from model.run.predict import load_renderer, predict_colors, render_predictions
 from model.run.run_folder import TrainConfig, is_drawn, read_run
@@ -59,9 +57,7 @@ SMALL = TrainConfig(
 
 
 def pixels_of(dataset: Dataset, **config: float) -> LightPathPixels:
-    return load_light_path_pixels(
-        LightPathConfig(texture_sizes=(8, 8), **config), dataset, TRUTH, "train", [2, 5], True
-    )
+    return load(LightPathConfig(texture_sizes=(8, 8), **config), dataset, [2, 5])
 
 
 def test_no_worker_of_drjit_spins_beside_torch_after_a_batch_is_traced(dataset: Dataset) -> None:
@@ -404,7 +400,7 @@ def test_it_learns_what_it_sees(dataset: Dataset, tmp_path: Path) -> None:
 
 def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> None:
     config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
-    pixels = load_light_path_pixels(dataclasses.replace(config, render_samples=1), dataset, TRUTH, "train", [2], True)
+    pixels = load(dataclasses.replace(config, render_samples=1), dataset, [2])
     stack = pixels.take(torch.arange(1024), None).stack
     layers = dataset.view("train", 2).layers()
     assert np.array_equal(stack.surface[:, -8:-4].numpy().T.reshape(4, 32, 32), layers.object_id)
@@ -422,7 +418,7 @@ def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -
     assert share_texels(dataset, TRUTH, 24)[0] == 3
     assert 8 <= pane < floor
     config = default_light_path((pane, floor), is_proxy=True)
-    pixels = load_light_path_pixels(config, dataset, "box", "train", [2], True)
+    pixels = load(config, dataset, [2], "box")
     colors = LightPathRenderer(config)(pixels.take(torch.arange(256), None))
     assert colors.shape == (256, 3)
     assert torch.isfinite(colors).all()
@@ -433,19 +429,18 @@ def test_surfaces_are_loaded_once_as_long_as_meshes_and_shells_stay(tmp_path: Pa
     truth = read_meshes(dataset, TRUTH)
     statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
 
-    def tracer(split: Split, geometry: str, shells: int) -> object:
+    def tracer(geometry: str, shells: int) -> object:
         config = LightPathConfig(texture_sizes=(8, 8), render_samples=1, shells=shells, straight_layers=2)
-        return load_light_path_pixels(config, dataset, geometry, split, [1], False).tracer
+        return load(config, dataset, [1], geometry).tracer
 
-    first = tracer("train", TRUTH, 1)
-    assert tracer("interpolating", TRUTH, 1) is first
-    assert tracer("train", TRUTH, 2) is not first
+    first = tracer(TRUTH, 1)
+    assert tracer(TRUTH, 1) is first and tracer(TRUTH, 2) is not first
     write_proxies(dataset, "box", truth, statistics)
-    of_boxes = tracer("train", "box", 2)
-    assert tracer("train", "box", 2) is of_boxes
+    of_boxes = tracer("box", 2)
+    assert tracer("box", 2) is of_boxes
     higher = dataclasses.replace(truth[1], vertices=truth[1].vertices + np.float32(0.01))
     write_proxies(dataset, "box", (truth[0], higher), statistics)
-    assert tracer("train", "box", 2) is not of_boxes
+    assert tracer("box", 2) is not of_boxes
 
 
 def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dataset) -> None:
@@ -456,7 +451,7 @@ def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dat
         outer = truth[copy // 3].vertices.astype(np.float64)
         center = (outer.min(axis=0) + outer.max(axis=0)) / 2
         assert np.allclose(mesh.vertices, center + (1 - copy % 3 / 3) * (outer - center), atol=1e-6)
-    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(1024), None)
+    batch = load(config, dataset, [2]).take(torch.arange(1024), None)
     assert batch.stack is not None
     met = batch.stack.surface[:, sum(STACKED_VERTICES) :]
     assert set(met.flatten().tolist()) == {0, 1, 2, 3, 4, 5, 6}
@@ -474,7 +469,7 @@ def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dat
 def test_a_relief_shifts_look_ups_by_its_depth_and_learns(dataset: Dataset) -> None:
     config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
     assert config.relief
-    batch = load_light_path_pixels(config, dataset, TRUTH, "train", [2], True).take(torch.arange(64), None)
+    batch = load(config, dataset, [2]).take(torch.arange(64), None)
     assert batch.stack is not None and batch.stack.uv_slope is not None
     torch.manual_seed(0)
     renderer = LightPathRenderer(config)

@@ -11,7 +11,7 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import EnvironmentMap
-from model.methods.light_path import method
+from model.methods.light_path import net
 from model.methods.light_path.config import LightPathConfig
 from model.methods.protocol import Inputs
 
@@ -23,13 +23,13 @@ def test_the_learned_sky_has_the_rows_of_the_environment_map_within_bounds_unles
 ) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=8)
     inputs = Inputs(dataset=dataset, geometry="truth", num_layers=0, layers_seal=dataset.seal)
-    assert method.complete(LightPathConfig(), inputs).environment_size == 32
+    assert net.complete(LightPathConfig(), inputs).environment_size == 32
     scene = dataclasses.replace(synthetic_scene(), environment=EnvironmentMap(path="sky.exr"), folder=tmp_path)
-    monkeypatch.setattr(method, "open_scene", lambda _: scene)
+    monkeypatch.setattr(net, "open_scene", lambda _: scene)
     for rows, expected in ((8, 32), (100, 64), (128, 128), (600, 256)):
         plane = np.ones((rows, 16), np.float16)
         buffer = io.BytesIO()
         OpenEXR.File({"type": OpenEXR.scanlineimage}, {"R": plane, "G": plane, "B": plane}).write(buffer)
         (tmp_path / "sky.exr").write_bytes(buffer.getvalue())
-        assert method.complete(LightPathConfig(), inputs).environment_size == expected
-    assert method.complete(LightPathConfig(environment_size=16), inputs).environment_size == 16
+        assert net.complete(LightPathConfig(), inputs).environment_size == expected
+    assert net.complete(LightPathConfig(environment_size=16), inputs).environment_size == 16

@@ -15,7 +15,7 @@ from model.batches.layers import load_pixels
 from model.batches.rays import insert_empty_layer
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, default_texture_size
-from model.methods.table import open_inputs
+from model.methods.protocol import open_inputs
 from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
 from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
 from model.nets.texture import TexturePyramid
@@ -109,8 +109,9 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
 def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
     rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(400, 404), None)
-    place = torch.tensor([0, 1, 2, 3])
-    more = insert_empty_layer(rays, place)
+    more = insert_empty_layer(rays, np.random.default_rng(0))
+    place = np.random.default_rng(0).integers(4, size=4)
+    assert len(set(place)) > 2
     for ray in range(4):
         kept = [layer for layer in range(4) if layer != int(place[ray])]
         assert more.object_id[ray, place[ray]] == 0

@@ -18,8 +18,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource
 from model.methods.paper.config import PaperConfig
-from model.methods.protocol import Inputs
-from model.methods.table import open_inputs
+from model.methods.protocol import Inputs, open_inputs
 from model.run.conformance import CHECKS, Subject
 
 ROOT = Path(__file__).parents[3]

@@ -9,7 +9,7 @@ from support.traced_dataset import write_traced_dataset
 from support.training import configured
 
 from datagen.data.dataset import Dataset
-from model.methods.table import open_inputs
+from model.methods.protocol import open_inputs
 from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.predict import predict_pixels
 from model.run.train import build_renderer

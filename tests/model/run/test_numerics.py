@@ -15,7 +15,7 @@ import model.cli
 from datagen.data.dataset import Dataset
 from model.batches.layers import Pixels
 from model.batches.rays import RayBatch
-from model.losses import pixel_losses as losses
+from model.methods import renderer as losses
 from model.run import predict
 from model.run import train as train_module
 from model.run.run_folder import TrainConfig

@@ -44,8 +44,8 @@ from datagen.scene.modelling import transformed
 from datagen.trace import branches, surface_hits, surface_tables
 from hyaline_web.page import scene
 from hyaline_web.page.export import scene_page
-from model.methods.light_path import method as page_of_light_path
 from model.methods.light_path import net, pixels
+from model.methods.light_path import page as page_of_light_path
 from model.methods.light_path.net import LightPathRenderer
 from model.methods.page import package_text
 from model.nets import pixel_mlp

@@ -1,79 +1,20 @@
-"""How `light-path` is made: what the dataset decides, the renderer, the pixels, and the web page."""
-
-import dataclasses
-import math
-from collections.abc import Sequence
+"""The web page of `light-path`: its shaders, the numbers that they share with Python, and its weights."""
 
 import numpy as np
 from torch import nn
 
-from datagen.data.cameras import Cameras
-from datagen.data.config import Split
-from datagen.data.dataset import check_has_meshes
-from datagen.disk.errors import HyalineError
-from datagen.scene.description import EnvironmentMap, Scene, image_bytes
-from datagen.scene.folder import open_scene
-from datagen.scene.images import read_map
+from datagen.scene.description import Scene
 from datagen.scene.media import MAX_NESTED, SAME_INDEX
 from datagen.trace.branches import FIRST_MIRROR, SPARE_STEPS
 from datagen.trace.surface_tables import LIMITS
-from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
+from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRenderer
-from model.methods.light_path.pixels import (
-    MANY_RAYS,
-    STACKED_VERTICES,
-    LightPathPixels,
-    load_light_path_pixels,
-    share_texels,
-    trace_light_paths,
-)
+from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES
 from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
-from model.methods.protocol import Inputs
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
-from model.nets.texture import FINER_COUNTS, NeuralTextures, level_scales
+from model.nets.texture import FINER_COUNTS, level_scales
 
 SHADERS = ("optics.glsl", "light_ends.glsl", "light_path.glsl", "straight.glsl")
-
-
-def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
-    """The same with the objects' texture sizes, which depend on traced paths."""
-    check_has_meshes(inputs.dataset)
-    size = config.texture_size or inputs.dataset.config.resolution.mean_side
-    if config.environment_size == SKY_HEIGHT:
-        scene = open_scene(inputs.dataset)
-        config = dataclasses.replace(config, environment_size=sky_height(scene))
-    return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
-
-
-def sky_height(scene: Scene) -> int:
-    """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
-    if isinstance(scene.environment, EnvironmentMap):
-        height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
-    else:
-        height = max((math.ceil(180 / card.softness_deg) for card in scene.environment.cards), default=0)
-    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << max(height.bit_length() - 1, 0)))
-
-
-def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:
-    sizes, objects = config.texture_sizes, inputs.dataset.objects
-    if len(sizes) != len(objects):
-        raise HyalineError(f"texture_sizes: are {len(sizes)}; expected one for each of {len(objects)} objects")
-    return LightPathRenderer(config)
-
-
-def load(
-    config: LightPathConfig,
-    inputs: Inputs,
-    split: Split,
-    views: Sequence[int],
-    *,
-    with_images: bool,
-) -> LightPathPixels:
-    return load_light_path_pixels(config, inputs.dataset, inputs.geometry, split, views, with_images)
-
-
-def load_cameras(config: LightPathConfig, inputs: Inputs, cameras: Cameras) -> LightPathPixels:
-    return trace_light_paths(config, inputs.dataset, inputs.geometry, cameras)
 
 
 def draw_page(config: LightPathConfig, renderer: LightPathRenderer, scene: Scene) -> MethodPage:
@@ -81,7 +22,8 @@ def draw_page(config: LightPathConfig, renderer: LightPathRenderer, scene: Scene
     weights = _networks(renderer)
     relief = None
     if renderer.relief is not None:
-        relief = _relief_places(renderer.relief, sum(map(len, weights)))
+        layout, first = renderer.relief.layout, 4 * sum(map(len, weights))
+        relief = [[first + base, size, size, 0] for base, size in zip(layout.bases, layout.sizes)]
         depths = renderer.relief.table.detach().cpu().numpy().astype(np.float32).ravel()
         weights.append(np.pad(depths, (0, fours(len(depths)) - len(depths))).reshape(-1, 4))
     return MethodPage(
@@ -118,7 +60,7 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "SKY_HEIGHT": config.environment_size,
         "SKY_LEVELS": config.environment_size.bit_length() + 1,
         "LOBES": config.sky_lobes,
-        "STRAIGHT": _straight(config),
+        "STRAIGHT": config.seen_straight,
         "RELIEF_DEPTH": RELIEF_DEPTH,
         "MAX_NESTED": MAX_NESTED,
         # In the page any solid may be moved into any other.
@@ -126,11 +68,6 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "DISPERSES": int(any(len(set(medium.iors)) > 1 for medium in media)),
         "ROUGH_GLASS": int(any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces)),
     }
-
-
-def _straight(config: LightPathConfig) -> int:
-    """Straight layers that matter: only the stack network uses them."""
-    return config.straight_layers if config.stack_hidden else 0
 
 
 def _networks(renderer: LightPathRenderer) -> list[Rows]:
@@ -145,15 +82,10 @@ def _networks(renderer: LightPathRenderer) -> list[Rows]:
         parts += mlp_rows(renderer.stack_net, columns)
     else:
         parts.append(np.zeros((1, 4), np.float32))  # The biases of a last layer that nothing reads.
-    if _straight(config):
+    if config.seen_straight:
         assert renderer.cover is not None
         parts += mlp_rows(renderer.cover, feature_columns(features, 10))
     return [*parts, *_sky(renderer.environment)]
-
-
-def _relief_places(relief: NeuralTextures, first_row: int) -> list[list[int]]:
-    layout = relief.layout
-    return [[4 * first_row + base, size, size, 0] for base, size in zip(layout.bases, layout.sizes)]
 
 
 def _sky(sky: LearnedSky) -> list[Rows]:

@@ -1,7 +1,6 @@
-"""Tests of the perceptual and the adversarial loss and of in-painting."""
+"""Tests of the perceptual and the adversarial loss."""
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -12,32 +11,26 @@ from scipy.signal import correlate2d
 from support.synthetic import write_synthetic_dataset
 from support.training import assert_resumes, build, load
 
-from datagen.data.config import Resolution, square
+from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256_file
-from datagen.machine.mitsuba_variant import use_mitsuba
 from model.batches.layers import load_pixels
-from model.batches.rays import RayBatch, take_colors
-from model.losses.patch_losses import (
+from model.batches.rays import RayBatch
+from model.methods.paper.config import DnrConfig, PaperConfig
+from model.methods.patch_losses import (
     IMAGENET_MEAN,
     IMAGENET_STD,
     Adversary,
-    Inpainter,
-    Losses,
     PatchDiscriminator,
     PerceptualLoss,
-    count_visits,
     find_vgg,
-    patches_around,
     vgg_layers,
 )
-from model.losses.pixel_losses import PatchTerms, difference, pixel_loss
-from model.methods.paper.config import DnrConfig, PaperConfig
-from model.methods.renderer import Renderer
+from model.methods.renderer import PatchTerms, Renderer, difference, pixel_loss
 from model.run.run_folder import TrainConfig, check_trained_on, read_run
-from model.run.train import check_losses, train
+from model.run.train import check_losses
 from model.settings import LossConfig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -56,8 +49,11 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 # The perceptual loss.
 
 
-def test_its_first_layers_equal_scipy() -> None:
-    loss = PerceptualLoss("vgg16", "random")
+def test_it_compares_what_scipy_computes_after_the_last_activation_of_three_stages() -> None:
+    loss = PerceptualLoss("random")
+    assert [place for place, layer in enumerate(loss.features) if isinstance(layer, torch.nn.Conv2d)] == [
+        0, 2, 5, 7, 10, 12, 14,
+    ]  # As torchvision counts.  # fmt: skip
     picture = torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     x = (picture[0].double().numpy() - np.array(IMAGENET_MEAN)[:, None, None]) / np.array(IMAGENET_STD)[:, None, None]
     for place in (0, 2):
@@ -70,20 +66,8 @@ def test_its_first_layers_equal_scipy() -> None:
     found = loss.compare_layers(picture)
     np.testing.assert_allclose(found[0][0].numpy(), x, atol=1e-4)
     assert [layer.shape[1:] for layer in found] == [(64, 8, 8), (128, 4, 4), (256, 2, 2)]
-
-
-def test_it_compares_after_the_last_activation_of_three_stages() -> None:
-    convolutions = {"vgg16": [0, 2, 5, 7, 10, 12, 14], "vgg19": [0, 2, 5, 7, 10, 12, 14, 16]}  # As torchvision counts.
-    for kind, places in convolutions.items():
-        loss = PerceptualLoss(kind, "random")  # pyright: ignore[reportArgumentType]
-        layers = list(loss.features)
-        assert [place for place, layer in enumerate(layers) if isinstance(layer, torch.nn.Conv2d)] == places
-        assert isinstance(layers[-1], torch.nn.ReLU) and not any(value.requires_grad for value in loss.parameters())
-    generator = torch.Generator().manual_seed(0)
-    truth = torch.rand(2, 32, 32, 3, generator=generator)
-    assert float(loss(truth, truth)) == 0
-    off = truth + 0.1 * torch.randn(truth.shape, generator=generator)
-    assert 0 < float(loss(0.5 * (truth + off), truth)) < float(loss(off, truth))
+    truth, noise = torch.rand(2, 2, 32, 32, 3, generator=torch.Generator().manual_seed(0))
+    assert float(loss(truth, truth)) == 0 < float(loss(truth + 0.05 * noise, truth)) < float(loss(noise, truth))
 
 
 def test_weights_come_from_a_file_and_only_the_features_are_read(
@@ -91,9 +75,9 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     place = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
-    with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights; put torchvision's"):
+    with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights"):
         find_vgg(LossConfig(vgg_weights="auto"))
-    trained = vgg_layers("vgg16")
+    trained = vgg_layers()
     state = {f"features.{name}": value for name, value in trained.state_dict().items()}
     place.parent.mkdir(parents=True)
     torch.save({**state, "classifier.0.weight": "whatever"}, place)
@@ -101,14 +85,13 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
         find_vgg(LossConfig(vgg_weights="auto"))  # Not the file that the name promises.
     source = find_vgg(LossConfig(vgg_weights=str(place)))
     assert source.vgg_sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
-    loss = PerceptualLoss("vgg16", str(place))
+    loss = PerceptualLoss(str(place))
     assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
-    with pytest.raises(HyalineError, match="not the weights of these layers"):
-        PerceptualLoss("vgg19", str(place))
-    place.write_bytes(b"no weights")
-    with pytest.raises(HyalineError, match="not the weights of these layers"):
-        PerceptualLoss("vgg16", str(place))
-    assert LossConfig(vgg="vgg19", vgg_weights="random").describe() == "VGG19 of random weights (a stand-in)"
+    torch.save({"features.0.weight": torch.zeros(3)}, tmp_path / "other")
+    (tmp_path / "none").write_bytes(b"no weights")
+    for name in ("other", "none"):
+        with pytest.raises(HyalineError, match=f"{name}: not the weights of these layers"):
+            PerceptualLoss(str(tmp_path / name))
 
 
 def test_a_colour_beyond_white_costs_nothing_where_the_picture_clips() -> None:
@@ -200,7 +183,6 @@ def test_a_run_with_all_losses_resumes_to_the_bit(
 @pytest.mark.parametrize(
     ("terms", "error"),
     [
-        ({"inpaint": True}, "inpaint: needs the discriminator"),
         ({"perceptual": 0.1}, "perceptual: there is no network"),
         ({"patch": 16}, "patch: is 16; expected at least 32"),
         ({"patch": 32}, "patch: has no effect without"),
@@ -213,87 +195,9 @@ def test_impossible_losses_are_refused(terms: dict[str, Any], error: str) -> Non
     small = dataclasses.replace(SMALL, method="dnr", net=DnrConfig(crop=16), loss=LossConfig(adversarial=0.01))
     with pytest.raises(HyalineError, match="adversarial: patches are 16 pixels wide"):
         check_losses(small, square(32))
-
-
-# In-painting.
-
-
-def test_visits_are_where_gradients_arrive(dataset: Dataset) -> None:
-    renderer = build(NET, dataset)
-    pixels = load_pixels(dataset, TRUTH, "train", range(5))
-    rays = pixels.take(torch.arange(len(pixels.rgb)), None)
-    renderer.textures(rays.uv, rays.object_id).sum().backward()
-    gradient = renderer.get_parameter("textures.table").grad
-    assert gradient is not None
-    visits = count_visits(renderer.textures, pixels)  # pyright: ignore[reportArgumentType]
-    assert torch.equal(visits > 0, gradient[:, 0] > 0)
-    assert 0 < (visits == 0).sum() < len(visits)
-    assert (rays.object_id > 0).sum() < visits.sum() <= 4 * (rays.object_id > 0).sum()
-
-
-def test_patches_lie_around_their_pixels_inside_their_views() -> None:
-    pixel = torch.tensor([0, 24 * 16 - 1, 24 * 16 + 8 * 24 + 12])  # Two corners of one view, the middle of the next.
-    index = patches_around(pixel, 5, Resolution(width=24, height=16))
-    assert [int(part.min()) for part in index] == [0, 11 * 24 + 19, 24 * 16 + 6 * 24 + 10]
-    assert [int(part.max()) for part in index] == [4 * 24 + 4, 24 * 16 - 1, 24 * 16 + 10 * 24 + 14]
-    assert all(place in part for place, part in zip(pixel, index))
-
-
-def make_inpainter(dataset: Dataset, renderer: torch.nn.Module) -> Inpainter:
-    use_mitsuba()
-    training = load_pixels(dataset, TRUTH, "train", range(5))
-    return Inpainter(renderer, training, dataset, TRUTH, num_layers=4, seed=0, device=CPU)
-
-
-def test_only_texels_without_visits_get_a_gradient(dataset: Dataset) -> None:
-    torch.manual_seed(0)
-    renderer = build(dataclasses.replace(NET, texture_levels=2), dataset).train()
-    for parameter in renderer.parameters():
-        torch.nn.init.normal_(parameter, std=0.3)
-    inpainter = make_inpainter(dataset, renderer)
-    before = {name: value.clone() for name, value in renderer.state_dict().items()}
-    colors = inpainter.render(renderer, 2, 32, np.random.default_rng(0))
-    colors.sum().backward()
-    assert colors.shape == (2, 32, 32, 3) and renderer.training
-    assert all(torch.equal(value, before[name]) for name, value in renderer.state_dict().items())  # Running statistics.
-    for name, parameter in renderer.named_parameters():
-        if not name.startswith("textures."):
-            assert parameter.grad is None
-    table = renderer.get_parameter("textures.0.table")
-    assert table.grad is not None
-    visits = inpainter.visits["textures.0.table"]
-    assert (table.grad[visits > 0] == 0).all() and table.grad[visits == 0].abs().sum() > 0
-    # What is seen is what the renderer itself draws there.
-    index = patches_around(
-        inpainter.showing[torch.from_numpy(np.random.default_rng(0).integers(len(inpainter.showing), size=2))],
-        32,
-        square(32),
-    )
-    with torch.no_grad():
-        expected = renderer.eval()(inpainter.pixels.take(index, None)).view(2, 32, 32, 3)
-    torch.testing.assert_close(colors, expected)
-    assert (take_colors(inpainter.pixels, index.flatten()) == 0).all()  # Poses without truth.
-
-
-def test_in_painting_fills_what_training_never_saw_and_resumes_to_the_bit(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    make_inpainter(dataset, build(NET, dataset))  # Skips where Mitsuba cannot.
-    # Textures of any size are moved as a whole: lazy moves would also reach the texels that training has seen.
-    monkeypatch.setattr("model.run.optimizer.TEXELS_A_PIXEL", 0)
-    monkeypatch.setattr("model.run.optimizer.LazyAdam", None)
-    terms = LossConfig(adversarial=0.01, adversarial_from=0.3, inpaint=True, patch=32)
-    config = dataclasses.replace(SMALL, loss=terms)
-    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=4)
-    weights = torch.load(tmp_path / "whole/weights.pt", weights_only=True)["renderer"]["textures.table"]
-    training = load(NET, dataset, [0, 1, 3, 4])
-    visits = count_visits(build(NET, dataset).textures, training)  # pyright: ignore
-    assert (weights[visits == 0] != 0).any()  # Without in-painting they would still be the zeros of the start.
-    with pytest.raises(HyalineError, match="inpaint: needs stored layers to count which texels are visited"):
-        many = dataclasses.replace(config, net=dataclasses.replace(NET, train_samples=4))
-        train(many, dataset, tmp_path / "many", label="a", device=CPU)
-    assert not (tmp_path / "many").exists()
-    assert json.loads((tmp_path / "whole/run.json").read_text())["config"]["loss"]["inpaint"]
+    for earlier in (LossConfig(inpaint=True), LossConfig(vgg="vgg19")):
+        with pytest.raises(HyalineError, match="loss: is one of an earlier version"):
+            check_losses(dataclasses.replace(SMALL, loss=earlier), square(32))
 
 
 # The difference of each pixel
@@ -313,8 +217,7 @@ class OneColor(Renderer):
 @pytest.mark.parametrize("softness", [0.0, 0.03, 0.5])
 def test_differences_below_the_softness_count_by_their_squares(dataset: Dataset, softness: float) -> None:
     training, renderer = load(NET, dataset, [0, 1]), OneColor()
-    losses = Losses(LossConfig(softness=softness), steps=1, seed=0, device=CPU, make_inpainter=lambda: pytest.fail(""))
-    loss = losses.loss(renderer.loss, renderer, training, 500, np.random.default_rng(3), step=0)
+    loss = renderer.loss(training, 500, np.random.default_rng(3), softness=softness)
     index = np.random.default_rng(3).integers(len(training.rgb), size=500)
     missed = renderer.color.detach().double().numpy() - training.rgb.numpy()[index] / 255
     assert loss.item() == pytest.approx(np.mean(np.hypot(missed, softness) - softness), rel=1e-4)

@@ -11,8 +11,8 @@ from torch import Tensor
 from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource, mean_color, srgb_curve, variance_of_mean
-from model.losses.pixel_losses import noise_penalty, pixel_loss
 from model.methods.light_path.config import LightPathConfig
+from model.methods.renderer import noise_penalty, pixel_loss
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
