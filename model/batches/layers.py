@@ -17,7 +17,6 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layers import UV_SCALE
-from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import PixelSource, RayBatch, black, cameras_of, rays_through, read_colors, to_device
@@ -157,18 +156,9 @@ def trace_cameras(
     )
 
 
-def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
-    """The pixels of any cameras, black, with one ray each through their centres."""
-    return TracedLayerPixels(cameras=cameras, rgb=black(cameras), peeler=_make_peeler(meshes), num_layers=num_layers)
-
-
 @functools.lru_cache(maxsize=1)
 def _load_peeler(key: GeometryKey) -> "Peeler":
-    return _make_peeler(read_meshes(key.dataset, key.geometry))
-
-
-def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
     use_mitsuba()
     from datagen.trace.peel import Peeler
 
-    return Peeler(meshes)
+    return Peeler(read_meshes(key.dataset, key.geometry))

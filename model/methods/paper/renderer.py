@@ -11,7 +11,7 @@ from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from model.batches.layers import trace_cameras
-from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
+from model.batches.rays import PixelSource, RayBatch, insert_empty_layer, linear_curve, srgb_curve
 from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
@@ -84,7 +84,7 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
         """
         if self.zero_layer:
-            rays = insert_random_layer(rays, rng)
+            rays = insert_empty_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             stack = _Beside.apply(stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera))
