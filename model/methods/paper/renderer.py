@@ -16,8 +16,7 @@ from model.methods.page import MethodPage, feature_columns, layer_rows, package_
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.nets.extrinsics import ExtrinsicInputs, positions_for
-from model.nets.pixel_mlp import PixelMlp, width_for_34k
+from model.nets.pixel_mlp import ExtrinsicInputs, PixelMlp, positions_for, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
 from model.settings import EXTRINSIC_CHANNELS, Extrinsics
 

@@ -21,7 +21,7 @@ from model.methods.paper import dnr
 from model.methods.paper.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig, MlpFirstConfig
 from model.methods.paper.dnr import DnrRenderer, UNet
 from model.methods.protocol import Inputs, open_inputs
-from model.nets.extrinsics import spherical_harmonics
+from model.nets.pixel_mlp import spherical_harmonics
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_finished, read_run
 from model.run.train import train

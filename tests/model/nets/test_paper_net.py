@@ -16,8 +16,15 @@ from model.batches.rays import insert_empty_layer
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer, default_texture_size
 from model.methods.protocol import open_inputs
-from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
-from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
+from model.nets.pixel_mlp import (
+    ExtrinsicInputs,
+    Extrinsics,
+    PixelMlp,
+    bake_position_table,
+    count_parameters,
+    spherical_harmonics,
+    width_for_34k,
+)
 from model.nets.texture import TexturePyramid
 from model.settings import EXTRINSIC_CHANNELS
 
