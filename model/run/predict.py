@@ -26,7 +26,7 @@ from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
 from model.methods.protocol import open_inputs
 from model.methods.renderer import Renderer
-from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
+from model.nets.pixel_mlp import ExtrinsicInputs, bake_position_table
 from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.run_folder import (
     WEIGHTS,

@@ -21,7 +21,7 @@ from model.batches.rays import PixelSource, RayBatch, insert_empty_layer
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import PatchTerms, Renderer
-from model.nets.extrinsics import ExtrinsicInputs, positions_for
+from model.nets.pixel_mlp import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
 LOSS_SCALE = 100 * 2

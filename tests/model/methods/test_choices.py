@@ -6,9 +6,8 @@ import math
 import pytest
 from support.commands import call
 
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.terminal.parsing import flag_words, flags_of
-from model.cli import main
 from model.methods.protocol import BUILT_IN, METHODS
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings import RunFlags
@@ -114,9 +113,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     [
         ("papr", 2, "no model train method 'papr'; did you mean 'paper'? Choose from "),
         ("paper --sedd 3", 2, "model train paper: Unrecognized options: --sedd, 3; did you mean --seed INT"),
-        ("paper --steps many", 2, "model train paper: Error parsing --steps: "),
         ("paper --norm bach", 2, "model train paper: invalid choice 'bach' for argument '--norm'. Expected one of ("),
-        ("paper --steps", 2, "model train paper: Missing value for argument '--steps'"),
         ("paper one two", 2, "model train paper: Unrecognized options: two. See `model train paper --help`"),
         ("paper --steps 0", 1, "--steps: is 0; expected at least 1"),
     ],
@@ -125,25 +122,3 @@ def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str
     answer = call(f"model train {words}")
     assert answer.status == status
     assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
-
-
-def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UsageError, match="Error parsing --blocks: "):
-        parse_train("paper", ("--blocks", "two"))
-    with pytest.raises(UsageError, match="Unrecognized options: --unheard"):
-        parse_train("paper", ("--unheard", "of"))
-    assert capsys.readouterr() == ("", "")
-
-
-def test_help_flows_over_the_lines_of_a_docstring(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", "dnr", "--help"])
-    with pytest.raises(SystemExit):
-        main()
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    start = next(place for place, line in enumerate(lines) if line.startswith("--batch"))
-    end = next(place for place, line in enumerate(lines) if line.startswith("--updates"))
-    shown = lines[start + 1 : end - 1]  # The last line ends where the text does.
-    assert len(shown) > 2
-    assert min(map(len, shown)) > 40  # Where a line of the docstring ended, only a word or two stood.

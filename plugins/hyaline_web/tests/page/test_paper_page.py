@@ -22,7 +22,7 @@ from model.batches.rays import black
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.methods.protocol import Inputs
-from model.nets.extrinsics import positions_for
+from model.nets.pixel_mlp import positions_for
 from model.nets.texture import NeuralTextures
 from model.run.predict import predict_pixels
 

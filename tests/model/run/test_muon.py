@@ -9,8 +9,7 @@ from torch import nn
 
 from datagen.disk.errors import HyalineError
 from model.methods.renderer import ParameterGroup
-from model.nets.muon import MOMENTUM, Muon, matrices_of, orthogonalized
-from model.run.optimizer import Optimizer, make_optimizer
+from model.run.optimizer import MOMENTUM, Muon, Optimizer, make_optimizer, matrices_of, orthogonalized
 from model.settings import Optimisation
 
 pytestmark = pytest.mark.usefixtures("one_thread")
