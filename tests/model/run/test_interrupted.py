@@ -97,15 +97,7 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
 
 
-@pytest.mark.parametrize(
-    ("flags", "number"),
-    [
-        pytest.param((), signal.SIGTERM, id="fresh-SIGTERM"),
-        pytest.param(("--overwrite",), signal.SIGINT, id="overwrite-SIGINT"),
-        pytest.param((), signal.SIGINT, id="fresh-SIGINT", marks=pytest.mark.full),
-        pytest.param(("--overwrite",), signal.SIGTERM, id="overwrite-SIGTERM", marks=pytest.mark.full),
-    ],
-)
+@pytest.mark.parametrize(("flags", "number"), [((), signal.SIGTERM), (("--overwrite",), signal.SIGINT)])
 def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
     train: Train,
     tmp_path: Path,
