@@ -13,7 +13,6 @@ from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words, flags_of
-from model.methods.paper.config import PaperConfig
 from model.methods.protocol import BUILT_IN, METHODS
 from model.run.run_folder import is_finished, read_run
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
@@ -129,12 +128,6 @@ def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str
     answer = call(f"model train {words}")
     assert answer.status == status
     assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
-
-
-def test_paper_is_the_published_method(dataset: Dataset) -> None:
-    config = configured(dataset, "paper")
-    assert config.net == PaperConfig(width=dataclasses.asdict(config.net)["width"], texture_size=16)
-    assert (config.batch, config.lr, config.texture_lr, config.lr_decay) == (8192, 0.001, None, "linear")
 
 
 def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Tests of the optimizer: Adam is torch's to the bit, without its compiler; Muon against an SVD and torch's bfloat16."""
+"""Tests of the optimizer: Adam is torch's to the bit, without its compiler; Muon moves as an SVD and torch say."""
 
 import copy
 import subprocess
