@@ -1,14 +1,20 @@
 """Tests of what `model train` can be told: flags, configurations, names of run folders."""
 
 import dataclasses
+import json
 import math
+from pathlib import Path
 
 import pytest
-from support.commands import call
+from support.commands import call, run
+from support.training import build, configured
 
+from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words, flags_of
 from model.methods.protocol import BUILT_IN, METHODS
+from model.run.run_folder import read_run
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings import RunFlags
 
@@ -122,3 +128,30 @@ def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str
     answer = call(f"model train {words}")
     assert answer.status == status
     assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
+
+
+def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:
+    run(f"model train paper-best {dataset.root} --steps 3 --batch 64 --device cpu")
+    (out,) = (tmp_path / "runs" / "synthetic").iterdir()
+    assert out.name == "paper-best-batch64-3-steps"
+    record = read_run(out)
+    assert record.label == out.name
+    assert record.config.net == configured(dataset, "paper-best").net
+    assert json.loads((out / "run.json").read_text())["config"] == to_json(record.config)
+    net = build(record.config.net, dataset).net
+    assert record.num_parameters == sum(value.numel() for value in net.parameters())
+
+
+@pytest.mark.parametrize(
+    ("words", "defaults"),
+    [
+        ("paper", {"--steps": 2500, "--batch": 8192, "--rays": 1, "--norm": "batch", "--lr": 0.001}),
+        ("paper-best", {"--steps": 3500, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
+        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief,": "on"}),
+    ],
+)
+def test_help_tells_the_defaults_of_the_method_and_its_preset(words: str, defaults: dict[str, object]) -> None:
+    told = " ".join(call(f"model train {words} --help").out.replace("│", " ").split())
+    for flag, default in defaults.items():
+        text = told[told.index(f" {flag} ", told.index("options")) :]
+        assert text[text.index("(default: ") :].startswith(f"(default: {default})"), flag

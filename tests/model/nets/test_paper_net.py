@@ -12,8 +12,9 @@ from support.training import build
 from torch import nn
 from torch.nn import functional
 
+from datagen.data.dataset import Dataset
 from model.batches.layers import load_pixels
-from model.batches.rays import insert_empty_layer
+from model.batches.rays import insert_empty_layer, take_colors
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.methods.protocol import open_inputs
@@ -82,8 +83,7 @@ def test_spherical_harmonics_equal_scipy() -> None:
     np.testing.assert_allclose(spherical_harmonics(torch.from_numpy(direction).float()).numpy(), expected, atol=1e-6)
 
 
-def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
-    dataset = write_synthetic_dataset(tmp_path / "data")
+def test_view_vectors_point_back_along_the_pixels_rays(dataset: Dataset) -> None:
     pixels = load_pixels(dataset, "truth", "train", [3, 5])
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     positions = bake_position_table(dataset, "truth", 128)
@@ -140,9 +140,9 @@ def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_e
         torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
 
 
-def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path) -> None:
+def test_the_papers_textures_can_be_a_pyramid_whose_finer_levels_count_less(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
-    net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64)
+    net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64, finer_counts=0.5)
     config = net.complete(open_inputs(net, dataset, "truth"))
     renderer = build(config, dataset).eval()
     assert isinstance(renderer.textures, TexturePyramid)
@@ -157,14 +157,11 @@ def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path) -> None:
     seen = []
     renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     renderer(rays)
-    expected = 111.0 * (rays.object_id != 0).repeat_interleave(64, dim=1)
+    expected = (100 + 10 / 2 + 1 / 4) * (rays.object_id != 0).repeat_interleave(64, dim=1)
     torch.testing.assert_close(seen[0], expected)
 
 
-def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
-    from model.batches.rays import take_colors
-
-    dataset = write_synthetic_dataset(tmp_path / "data")
+def test_stored_uv_and_colors_come_back_exactly(dataset: Dataset) -> None:
     pixels = load_pixels(dataset, "truth", "train", [1, 6])
     row, column = 20, 9
     index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
