@@ -49,7 +49,7 @@ def draw_turntable(
     for folder in runs:
         config = read_run(folder).config
         check_trained_on(folder, config, dataset)
-        columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))(0)))
+        columns.append(list(film_pictures(folder, config, dataset, cameras, device=torch.device("cpu"))))
     pages = _side_by_side(columns, ("truth, path-traced", *names))
     write_film(out, pages, fps)
 

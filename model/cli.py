@@ -3,22 +3,19 @@
 import os
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datagen.builder.choices import FilmChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
-from datagen.terminal.parsing import Command, CommandGroup, group
+from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
+from model.methods.protocol import METHODS, about
+from model.run.train_flags import Asked, complete_run, make_command
 from model.runtime import choose_device, wait_briefly
 from model.settings import RUNS, Device
-
-if TYPE_CHECKING:
-    from model.run.train_flags import Asked
 
 TRAIN = "Train a method on a dataset, then predict its test splits."
 
@@ -32,7 +29,13 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
+        "train": CommandGroup(
+            about=TRAIN,
+            names=METHODS.names,
+            line=about,
+            choose=lambda method, words: make_command(method, words, _train_method),
+            word="method",
+        ),
         "predict": predict,
         "film": film,
         "sweep": sweep,
@@ -45,27 +48,7 @@ def commands() -> CommandGroup:
     )
 
 
-def _methods() -> Sequence[str]:
-    from model.methods.protocol import METHODS
-
-    return METHODS.names()
-
-
-def _describe(method: str) -> str:
-    from model.methods.protocol import about
-
-    return about(method)
-
-
-def _train_command(method: str, words: Sequence[str]) -> Command:
-    from model.run.train_flags import make_command
-
-    return make_command(method, words, _train_method)
-
-
-def _train_method(method: str, asked: "Asked") -> None:
-    from model.run.train_flags import complete_run
-
+def _train_method(method: str, asked: Asked) -> None:
     out = complete_run(method, asked)
     _end(out, run=out)
 
@@ -143,8 +126,8 @@ def film(
     say(f"{run}: rendering {out}")
     from model.run.predict import film_pictures
 
-    draw = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    write_film(out, draw(0), choices.fps)
+    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    write_film(out, pictures, choices.fps)
     tell(str(out))
 
 

@@ -24,6 +24,7 @@ Limits = tuple[float, float]
 COUNT: Limits = (1, math.inf)
 AMOUNT: Limits = (0, math.inf)
 SHARE: Limits = (0, 1)
+RATE: Limits = (1e-9, 1)
 SEED: Limits = (0, 2**32 - 1)
 
 
@@ -184,7 +185,7 @@ class LossConfig:
     """Height and width in pixels of the patches for these losses; U-Nets judge their crops."""
     patches: int = unflagged(1, limits=COUNT)
     """Patches in each step, besides the random pixels."""
-    adversarial_lr: float = unflagged(0.0004)
+    adversarial_lr: float = unflagged(0.0004, limits=RATE)
     """Learning rate of the discriminator, and from then on the upper limit of all others (section 4.4)."""
     softness: float = unflagged(0.0, limits=AMOUNT)
     """Scale of the Charbonnier loss (less its value at 0): smaller pixel differences count by their squares, larger
@@ -194,8 +195,6 @@ class LossConfig:
 
     def __post_init__(self) -> None:
         check_limits(self)
-        if not 0 < self.adversarial_lr <= 1:
-            raise HyalineError(f"adversarial_lr: is {self.adversarial_lr}; expected a learning rate in (0, 1]")
         for name, is_used, flag in (
             ("adversarial_from", self.adversarial > 0, "--adversarial"),
             ("patch", self.has_vgg or self.adversarial > 0, "--vgg-weights or --adversarial"),
@@ -237,14 +236,14 @@ class Optimisation:
     better."""
     optimizer: OptimizerKind = choice("adam", "{}")
     """adam (section 4.4), or muon: Muon for the network's matrices, Adam for the rest."""
-    lr: float = choice(0.001, "lr{}")
+    lr: float = choice(0.001, "lr{}", limits=RATE)
     """Learning rate (section 4.4)."""
-    texture_lr: float | None = choice(None, "texture-lr{}")
+    texture_lr: float | None = choice(None, "texture-lr{}", limits=RATE)
     """Learning rate of the textures. Default: the network's, as in the paper."""
     lr_decay: LrDecay = choice("linear", {"none": "no-decay", "": "{}-decay"})
     """Decay of the learning rate: none, linear (constant for the first half of the steps, then down to 0) or cosine.
     The paper's text names none; the authors' scripts use linear (100 epochs constant, 100 epochs linear)."""
-    beta1: float = unflagged(0.9)
+    beta1: float = unflagged(0.9, limits=(0, 0.9999))
     """Adam's first decay rate; 0.5 in the authors' code."""
     weight_decay: float = unflagged(0.0, limits=AMOUNT)
     """Weight decay of the network alone, added to the gradient as Adam does; 0.0001 in the authors' code. Not with
@@ -260,12 +259,8 @@ class Optimisation:
                 f"batch: is {self.batch}; expected at least 2 pixels for each of {self.updates} updates a step, "
                 "batch norm needs a spread"
             )
-        for name in ("lr", "texture_lr"):
-            check_rate(name, getattr(self, name))
         if self.optimizer == "muon" and self.weight_decay:
             raise HyalineError("optimizer: is muon, which has no weight decay here; use adam")
-        if not 0 <= self.beta1 < 1:
-            raise HyalineError(f"beta1: is {self.beta1}; expected at least 0 and below 1")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -273,12 +268,6 @@ class PixelOptimisation(Optimisation):
     """Optimisation, for methods that accept extra loss terms."""
 
     loss: LossConfig = field(default_factory=LossConfig)
-
-
-def check_rate(name: str, rate: float | None) -> None:
-    """Raises a HyalineError where Adam cannot learn at a rate; None stands for another one's."""
-    if rate is not None and not 0 < rate <= 1:
-        raise HyalineError(f"{name}: is {rate}; expected a learning rate in (0, 1], 0.001 in the paper")
 
 
 def decay(kind: LrDecay, progress: float) -> float:

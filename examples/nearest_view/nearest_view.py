@@ -1,6 +1,5 @@
 """The method `nearest-view`: training pictures, blended by how near their cameras are. It learns how sharply."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -8,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from datagen.data.config import Split
-from model.batches.rays import ViewBatch, Views, load_views
+from datagen.data.cameras import Cameras
+from model.batches.rays import ViewBatch, Views, load_views_of, views_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
 from model.settings import Optimisation
@@ -53,7 +52,7 @@ class NearestViewConfig(MethodConfig):
 
     def build(self, inputs: Inputs) -> NearestView:
         views = range(inputs.dataset.config.train.views)
-        return NearestView(self.sharpness, load_views(inputs.dataset, "train", views, with_images=True))
+        return NearestView(self.sharpness, load_views_of(views_of, inputs.dataset, "train", views, with_images=True))
 
-    def load(self, inputs: Inputs, split: Split, views: Sequence[int], *, with_images: bool):
-        return load_views(inputs.dataset, split, views, with_images=with_images)
+    def load_cameras(self, inputs: Inputs, cameras: Cameras) -> Views:
+        return views_of(cameras)

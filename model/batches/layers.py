@@ -1,5 +1,6 @@
 """Pixels with the straight layers along their rays: stored ones, or traced for every batch."""
 
+import dataclasses
 import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +17,6 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layers import UV_SCALE
-from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import PixelSource, RayBatch, black, cameras_of, rays_through, read_colors, to_device
@@ -93,32 +93,39 @@ def load_pixels(
         max_layers: number of nearest layers to keep; None: all.
         whole_views: the renderer needs neighbouring pixels.
     """
-    cameras = cameras_of(dataset, split, views)
-    stacks = [read_stack(dataset, geometry, split, view, max_layers) for view in views]
+    store = dataset.layer_store(geometry)
+    stacks = []
+    for view in views:
+        layers = store.read(split, view, only=["uv", "object_id"])
+        if (most := layers["object_id"].max(initial=0)) > len(dataset.objects):
+            raise HyalineError(
+                f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {most}; "
+                f"expected at most {len(dataset.objects)}, peel it again"
+            )
+        # Two planes of uv are stored.
+        stacks.append((np.moveaxis(layers["uv"], 0, -1)[:max_layers], layers["object_id"][:max_layers]))
+    pixels = _stored(cameras_of(dataset, split, views), stacks, whole_views=whole_views)
+    return dataclasses.replace(pixels, rgb=read_colors(dataset, split, views)) if with_images else pixels
+
+
+def _stored(
+    cameras: Cameras,
+    stacks: Sequence[tuple[UInt16[np.ndarray, "layer h w 2"], UInt8[np.ndarray, "layer h w"]]],
+    *,
+    whole_views: bool,
+) -> Pixels:
+    """Black pixels with the uv and object ids of their views' layers."""
+    num_layers = len(stacks[0][1])
+    # Contiguous layers per pixel: otherwise a random batch misses the cache once per layer.
+    uv = np.concatenate([np.moveaxis(uv, 0, 2).reshape(-1, num_layers, 2) for uv, _ in stacks])
+    object_id = np.concatenate([np.moveaxis(object_id, 0, 2).reshape(-1, num_layers) for _, object_id in stacks])
     return Pixels(
         cameras=cameras,
-        rgb=read_colors(dataset, split, views) if with_images else black(cameras),
-        uv=torch.from_numpy(np.concatenate([uv for uv, _ in stacks]).view(np.int16)),
-        object_id=torch.from_numpy(np.concatenate([object_id for _, object_id in stacks])),
+        rgb=black(cameras),
+        uv=torch.from_numpy(uv.view(np.int16)),
+        object_id=torch.from_numpy(object_id),
         whole_views=whole_views,
     )
-
-
-def read_stack(
-    dataset: Dataset, geometry: str, split: Split, view: int, max_layers: int | None
-) -> tuple[UInt16[np.ndarray, "pixel layer 2"], UInt8[np.ndarray, "pixel layer"]]:
-    """uv and object ids of a view's pixels in its nearest layers, every byte verified."""
-    layers = dataset.layer_store(geometry).read(split, view, only=["uv", "object_id"])
-    uv, object_id = np.moveaxis(layers["uv"], 0, -1), layers["object_id"]
-    if object_id.max(initial=0) > len(dataset.objects):
-        raise HyalineError(
-            f"{dataset.root}: layers of {geometry}, {split} view {view}, name object {object_id.max()}; "
-            f"expected at most {len(dataset.objects)}, peel it again"
-        )
-    kept_id = object_id[:max_layers]
-    uv = np.moveaxis(uv[:max_layers], 0, 2).reshape(-1, len(kept_id), 2)
-    # Contiguous layers per pixel: otherwise a random batch misses the cache once per layer.
-    return np.ascontiguousarray(uv), np.ascontiguousarray(np.moveaxis(kept_id, 0, 2).reshape(-1, len(kept_id)))
 
 
 def peel_cameras(
@@ -132,15 +139,7 @@ def peel_cameras(
     peeler = _load_peeler(geometry_key(dataset, geometry))
     with short_lived_workers():
         views = [peeler.peel(cameras, view, num_layers)[0] for view in range(len(cameras))]
-    uv = np.concatenate([np.moveaxis(layers.uv, 0, 2).reshape(-1, num_layers, 2) for layers in views])
-    object_id = np.concatenate([np.moveaxis(layers.object_id, 0, 2).reshape(-1, num_layers) for layers in views])
-    return Pixels(
-        cameras=cameras,
-        rgb=black(cameras),
-        uv=torch.from_numpy(uv.view(np.int16)),
-        object_id=torch.from_numpy(object_id),
-        whole_views=whole_views,
-    )
+    return _stored(cameras, [(layers.uv, layers.object_id) for layers in views], whole_views=whole_views)
 
 
 def trace_cameras(
@@ -157,18 +156,9 @@ def trace_cameras(
     )
 
 
-def trace_layers(meshes: tuple[Mesh, ...], cameras: Cameras, num_layers: int) -> TracedLayerPixels:
-    """The pixels of any cameras, black, with one ray each through their centres."""
-    return TracedLayerPixels(cameras=cameras, rgb=black(cameras), peeler=_make_peeler(meshes), num_layers=num_layers)
-
-
 @functools.lru_cache(maxsize=1)
 def _load_peeler(key: GeometryKey) -> "Peeler":
-    return _make_peeler(read_meshes(key.dataset, key.geometry))
-
-
-def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
     use_mitsuba()
     from datagen.trace.peel import Peeler
 
-    return Peeler(meshes)
+    return Peeler(read_meshes(key.dataset, key.geometry))

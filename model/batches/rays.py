@@ -244,31 +244,20 @@ def take_colors(pixels: PixelSource, index: Int[Tensor, " ray"]) -> Float32[Tens
     return pixels.rgb.index_select(0, index).to(pixels.device).float() / 255
 
 
-def insert_empty_layer(rays: RayBatch, place: Int[Tensor, " ray"]) -> RayBatch:
-    """The rays with one more, empty layer as layer `place` (0 to num_layers) of its ray.
+def insert_empty_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
+    """The rays with one more, empty layer: at a random position in each ray, or after all others without `rng`.
 
     An empty layer's features and extrinsics are zeros, so this is the paper's random zero layer (section 4.4).
     """
     num_rays, num_layers = rays.object_id.shape
+    places = np.full(num_rays, num_layers) if rng is None else rng.integers(num_layers + 1, size=num_rays)
+    place = to_device({"place": places}, rays.object_id.device)["place"]
     padded_id = torch.cat([rays.object_id, rays.object_id.new_zeros(num_rays, 1)], dim=1)
     padded_uv = torch.cat([rays.uv, rays.uv.new_zeros(num_rays, 1, 2)], dim=1)
     layer = torch.arange(num_layers + 1, device=place.device)[None]
     source = torch.where(layer == place[:, None], num_layers, layer - (layer > place[:, None]).long())
-    return RayBatch(
-        uv=padded_uv.gather(1, source[..., None].expand(-1, -1, 2)),
-        object_id=padded_id.gather(1, source),
-        p_camera=rays.p_camera,
-        samples=rays.samples,
-        grid=rays.grid,
-    )
-
-
-def insert_random_layer(rays: RayBatch, rng: np.random.Generator | None) -> RayBatch:
-    """The rays with one more empty layer: at a random position in each ray, or after all others without `rng`."""
-    num_rays, num_layers = rays.object_id.shape
-    last = np.full(num_rays, num_layers)
-    place = last if rng is None else rng.integers(num_layers + 1, size=num_rays)
-    return insert_empty_layer(rays, to_device({"place": place}, rays.object_id.device)["place"])
+    uv = padded_uv.gather(1, source[..., None].expand(-1, -1, 2))
+    return dataclasses.replace(rays, uv=uv, object_id=padded_id.gather(1, source))
 
 
 def srgb_curve(linear: Float32[Tensor, "*b"]) -> Float32[Tensor, "*b"]:
@@ -352,11 +341,6 @@ def views_of(cameras: Cameras) -> Views:
     return Views(cameras=cameras, rgb=black(cameras))
 
 
-def load_views(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> Views:
-    """Cameras and, with `with_images`, pictures of some views, every byte verified."""
-    return load_views_of(views_of, dataset, split, views, with_images=with_images)
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlainRays:
     """The rays of some pixels."""
@@ -383,8 +367,3 @@ class PlainRayPixels(PixelSource[PlainRays]):
 def rays_of(cameras: Cameras) -> PlainRayPixels:
     """The rays of any cameras, with black pixels."""
     return PlainRayPixels(cameras=cameras, rgb=black(cameras))
-
-
-def load_rays(dataset: Dataset, split: Split, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:
-    """The rays and, with `with_images`, colours of some views; no layer is read."""
-    return load_views_of(rays_of, dataset, split, views, with_images=with_images)

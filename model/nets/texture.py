@@ -15,8 +15,7 @@ from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
 from datagen.disk.errors import NumericsError
-from model.nets.lazy_adam import LazyAdam
-from model.nets.texels import add_gradient, add_look_ups, add_uv_gradient
+from model.nets.texels import LazyAdam, add_gradient, add_look_ups, add_uv_gradient
 
 FINER_COUNTS = 0.5
 """Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at

@@ -4,7 +4,7 @@ import contextlib
 import dataclasses
 import itertools
 import shlex
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
@@ -26,7 +26,7 @@ from datagen.terminal.command import say, track
 from model.batches.rays import PixelSource
 from model.methods.protocol import open_inputs
 from model.methods.renderer import Renderer
-from model.nets.extrinsics import ExtrinsicInputs, bake_position_table
+from model.nets.pixel_mlp import ExtrinsicInputs, bake_position_table
 from model.nets.texture import NeuralTextures, TextureLayout, object_layout
 from model.run.run_folder import (
     WEIGHTS,
@@ -100,17 +100,15 @@ def check_parameters(expected: Mapping[str, Tensor], found: object, *, where: st
     """Raises a HyalineError unless these are a renderer's parameters, all finite; torch would cast other types."""
     values = found if isinstance(found, dict) else {}
     for name in sorted(expected.keys() | values.keys(), key=str):
-        value, wanted = values.get(name), expected.get(name)
-        what = f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, Tensor) else repr(value)[:40]
-        if (
-            wanted is None
-            or not isinstance(value, Tensor)
-            or (value.shape, value.dtype) != (wanted.shape, wanted.dtype)
-        ):
-            needed = "nothing" if wanted is None else f"{tuple(wanted.shape)} of {wanted.dtype}"
-            raise HyalineError(f"{where}: {name} is {what}; expected {needed}, train again with --overwrite")
-        if not bool(torch.isfinite(value).all()):
+        value, (is_there, needed) = values.get(name), map(_form, (values.get(name), expected.get(name)))
+        if is_there != needed:
+            raise HyalineError(f"{where}: {name} is {is_there}; expected {needed}, train again with --overwrite")
+        if not bool(torch.isfinite(cast(Tensor, value)).all()):
             raise HyalineError(f"{where}: {name} contains numbers that are not finite; train again with --overwrite")
+
+
+def _form(value: object) -> str:
+    return f"{tuple(value.shape)} of {value.dtype}" if isinstance(value, Tensor) else f"no tensor ({value!r:.40})"
 
 
 def render_predictions(run: Path, config: TrainConfig, dataset: Dataset, *, device: torch.device) -> int:
@@ -180,20 +178,16 @@ def check_draws_edits(config: TrainConfig) -> None:
 
 def film_pictures(
     run: Path, config: TrainConfig, dataset: Dataset, cameras: Cameras, *, device: torch.device
-) -> Callable[[int], Iterator[UInt8[np.ndarray, "h w 3"]]]:
-    """Draws a run's pictures through these cameras from a number on, 8-bit sRGB, one by one."""
+) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
+    """Draws a run's pictures through these cameras, 8-bit sRGB, one by one."""
     inputs = open_inputs(config.net, dataset, config.geometry)
     check_draws_cameras(run, config)
     keep_freed_memory()
     renderer = load_renderer(run, config, dataset).to(device)
-
-    def draw(first: int) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
-        for view in track(range(first, len(cameras)), label="render", total=len(cameras), done=first):
-            one = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[view : view + 1])
-            pixels = config.net.load_cameras(inputs, one).to(device)
-            yield predict_pixels(renderer, pixels).reshape(cameras.height, cameras.width, 3)
-
-    return draw
+    for view in track(range(len(cameras)), label="render", total=len(cameras)):
+        one = dataclasses.replace(cameras, world_from_camera=cameras.world_from_camera[view : view + 1])
+        pixels = config.net.load_cameras(inputs, one).to(device)
+        yield predict_pixels(renderer, pixels).reshape(cameras.height, cameras.width, 3)
 
 
 def check_draws_cameras(run: Path, config: TrainConfig) -> None:

@@ -16,7 +16,7 @@ from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
 from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
 from model.runtime import choose_device
-from model.settings import RUNS, LossConfig, Optimisation, RunFlags, suffixes
+from model.settings import RUNS, Optimisation, RunFlags, suffixes
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -104,38 +104,20 @@ def flags_asked(asked: Asked) -> dict[str, str]:
     return dict(flag for pair in pairs for flag in changed_flags(*pair))
 
 
-def find_finished(method: str, asked: Asked) -> Path | None:
-    """The finished run that words ask for, found without torch; None leaves the answer to `complete_run`."""
-    from datagen.data.dataset import open_dataset
-    from model.run.run_folder import is_all_drawn, read_run
-
-    run = asked.run
-    if run.overwrite:
-        return None
-    try:
-        opened = open_dataset(find_dataset(asked.dataset))
-        out = run.out or RUNS / opened.name / folder_name(method, asked)
-        record, inputs = read_run(out), open_inputs(asked.method, opened, run.geometry)
-    except HyalineError:
-        return None
-    is_same = (record.method, record.flags) == (method, flags_asked(asked))
-    is_same &= (record.dataset_seal, record.layers_seal) == (opened.seal, inputs.layers_seal)
-    return out if is_same and is_all_drawn(out, opened) else None
-
-
 def complete_run(method: str, asked: Asked) -> Path:
     """Trains what was asked for and renders the test splits; a run that was stopped resumes, a finished one stays.
 
     Returns:
         The run's folder.
     """
-    run = asked.run
-    finished = "finished before, nothing to do; --overwrite trains it again"
-    if out := find_finished(method, asked):
-        say(f"{out}: {finished}")
-        return out
-    config, dataset = configure(method, asked)
+    from datagen.data.dataset import open_dataset
+
+    run, dataset = asked.run, open_dataset(find_dataset(asked.dataset))
     out = run.out or RUNS / dataset.name / folder_name(method, asked)
+    if not run.overwrite and _is_finished(method, asked, dataset, out):
+        say(f"{out}: finished before, nothing to do; --overwrite trains it again")
+        return out
+    config = configure(method, asked, dataset)
     label, device = run.label or out.name, choose_device(run.device)
     for where, text in (("--label", label), ("dataset", dataset.root.as_posix())):
         if not text.isprintable():  # The run's record could not be read again.
@@ -144,7 +126,7 @@ def complete_run(method: str, asked: Asked) -> Path:
     from datagen.disk.ownership import holding, is_ours, refuse_others
     from model.run.logs import add_frames, measured
     from model.run.predict import render_predictions
-    from model.run.run_folder import CHECKPOINT, FOLDER, WEIGHTS, check_trained_on, is_all_drawn
+    from model.run.run_folder import CHECKPOINT, FOLDER, WEIGHTS, check_trained_on
     from model.run.train import train
 
     with holding(out, FOLDER):
@@ -152,9 +134,6 @@ def complete_run(method: str, asked: Asked) -> Path:
         is_new = run.overwrite or not is_ours(out, FOLDER)
         if not is_new:
             check_trained_on(out, config, dataset)
-            if is_all_drawn(out, dataset):
-                say(f"{out}: {finished}")
-                return out
         if is_new or not (out / WEIGHTS).is_file():
             with measured(out) if run.costs else nullcontext():
                 flags = flags_asked(asked)
@@ -169,17 +148,27 @@ def complete_run(method: str, asked: Asked) -> Path:
     return out
 
 
-def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
-    """The configuration that flags make on their dataset, which is opened.
+def _is_finished(method: str, asked: Asked, dataset: "Dataset", out: Path) -> bool:
+    """True if `out` holds all of such a run, which is found without torch."""
+    from model.run.run_folder import is_all_drawn, read_run
+
+    try:
+        record, inputs = read_run(out), open_inputs(asked.method, dataset, asked.run.geometry)
+    except HyalineError:  # `configure` names it.
+        return False
+    found = (record.method, record.flags, record.dataset_seal, record.layers_seal)
+    return found == (method, flags_asked(asked), dataset.seal, inputs.layers_seal) and is_all_drawn(out, dataset)
+
+
+def configure(method: str, asked: Asked, opened: "Dataset") -> "TrainConfig":
+    """The configuration that flags make on a dataset.
 
     Raises:
-        HyalineError: a choice that cannot be, no such dataset or geometry.
+        HyalineError: a choice that cannot be, or no such geometry.
     """
-    from datagen.data.dataset import open_dataset
     from datagen.data.geometries import check_geometry
     from model.run.run_folder import TrainConfig
 
-    opened = open_dataset(find_dataset(asked.dataset))
     if opened.parent is not None:
         raise HyalineError(f"{opened.root}: is a variant, without training views; train on {opened.parent.root}")
     if "torch" not in sys.modules:
@@ -196,12 +185,8 @@ def configure(method: str, asked: Asked) -> "tuple[TrainConfig, Dataset]":
         seed=asked.run.seed,
         **{item.name: getattr(asked.optimisation, item.name) for item in dataclasses.fields(asked.optimisation)},
     )
-    return dataclasses.replace(config, loss=_find_weights(config.loss)), opened
+    if config.loss.has_vgg:
+        from model.methods.patch_losses import find_vgg
 
-
-def _find_weights(loss: LossConfig) -> LossConfig:
-    if not loss.has_vgg:
-        return loss
-    from model.methods.patch_losses import find_vgg
-
-    return find_vgg(loss)
+        config = dataclasses.replace(config, loss=find_vgg(config.loss))
+    return config

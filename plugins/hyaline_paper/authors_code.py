@@ -17,11 +17,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hyaline_paper.methods import LEAST_WIDTH, AuthorsConfig
-from model.batches.rays import PixelSource, RayBatch, insert_random_layer
+from model.batches.rays import PixelSource, RayBatch, insert_empty_layer
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import PatchTerms, Renderer
-from model.nets.extrinsics import ExtrinsicInputs, positions_for
+from model.nets.pixel_mlp import ExtrinsicInputs, positions_for
 from model.nets.texture import NeuralTextures, object_layout
 
 LOSS_SCALE = 100 * 2
@@ -97,7 +97,7 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
             rng: draws zero layers and dropout while training; without it, dropout at test is drawn from the rays' uv.
         """
         if self.config.zero_layer:
-            rays = insert_random_layer(rays, rng)
+            rays = insert_empty_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             away = -self.extrinsics(rays.uv, rays.object_id, rays.p_camera)

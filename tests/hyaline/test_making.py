@@ -1,7 +1,6 @@
 """Tests what Python makes: scenes of meshes from anywhere, datasets, proxies, runs and reports of them."""
 
 import shutil
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +18,7 @@ import hyaline as hy
 from datagen.data.images import read_png
 from datagen.disk.records import to_json
 from datagen.terminal.command import track
-from model.batches.rays import PlainRayPixels, PlainRays, load_rays, rays_of
+from model.batches.rays import PlainRayPixels, PlainRays, load_views_of, rays_of
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.renderer import Renderer
 
@@ -165,9 +164,6 @@ class PlainSkyConfig(MethodConfig):
     def build(self, inputs: Inputs) -> Sky:
         return Sky()
 
-    def load(self, inputs: Inputs, split: Any, views: Sequence[int], *, with_images: bool) -> PlainRayPixels:
-        return load_rays(inputs.dataset, split, views, with_images=with_images)
-
     def load_cameras(self, inputs: Inputs, cameras: hy.Cameras) -> PlainRayPixels:
         return rays_of(cameras)
 
@@ -181,7 +177,7 @@ def test_a_method_may_be_an_object_of_ones_own_that_sees_rays_alone(dataset: hy.
     drawn = read_png(out / "predictions" / "interpolating" / "0000.png")
     assert np.array_equal(run.render(view.camera), drawn)
     origin, directions = view.camera.rays()
-    rays = load_rays(dataset, "interpolating", [0], with_images=True).take(torch.arange(256), None)
+    rays = load_views_of(rays_of, dataset, "interpolating", [0], with_images=True).take(torch.arange(256), None)
     assert np.allclose(rays.directions.numpy(), directions.reshape(-1, 3), atol=1e-6)
     assert np.allclose(rays.origins.numpy(), origin)
     listed = " ".join(call("model train --help").out.split())  # Another test may find it there, too.

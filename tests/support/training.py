@@ -88,4 +88,4 @@ def load(net: MethodConfig, dataset: Dataset, views: Sequence[int], geometry: st
 
 def configured(dataset: Dataset, method: str, *flags: str) -> TrainConfig:
     """What `model train METHOD --flags` would train."""
-    return configure(method, parse_train(method, (str(dataset.root), *flags)))[0]
+    return configure(method, parse_train(method, (str(dataset.root), *flags)), dataset)

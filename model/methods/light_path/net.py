@@ -31,10 +31,9 @@ from model.methods.light_path.pixels import (
 )
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, PatchTerms, Renderer, pixel_loss
-from model.nets.extrinsics import spherical_harmonics
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
-from model.nets.pixel_mlp import LEAKY_SLOPE
+from model.nets.pixel_mlp import LEAKY_SLOPE, spherical_harmonics
 from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
 from model.settings import Optimisation
 

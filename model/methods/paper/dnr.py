@@ -14,7 +14,7 @@ from model.methods.paper.config import LEAST_CROP, LEVEL_WEIGHTS, SH_CHANNELS, D
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import PatchTerms, Renderer
-from model.nets.extrinsics import ExtrinsicInputs, positions_for
+from model.nets.pixel_mlp import ExtrinsicInputs, positions_for
 from model.nets.texture import TexturePyramid, object_layout
 from model.settings import UNetNorm
 

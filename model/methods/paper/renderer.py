@@ -7,22 +7,20 @@ import numpy as np
 import torch
 from jaxtyping import Float32
 from torch import Tensor
-from torch.autograd.function import FunctionCtx
 
 from datagen.data.cameras import Cameras
 from model.batches.layers import trace_cameras
-from model.batches.rays import PixelSource, RayBatch, insert_random_layer, linear_curve, srgb_curve
-from model.methods.page import MethodPage, feature_columns, layer_rows, package_text
+from model.batches.rays import PixelSource, RayBatch, insert_empty_layer, linear_curve, srgb_curve
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer
-from model.nets.extrinsics import ExtrinsicInputs, positions_for
-from model.nets.pixel_mlp import PixelMlp, width_for_34k
+from model.nets.pixel_mlp import ExtrinsicInputs, PixelMlp, positions_for, width_for_34k
 from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
 from model.settings import EXTRINSIC_CHANNELS, Extrinsics
 
 if TYPE_CHECKING:
     from datagen.scene.description import Scene
+    from model.methods.page import MethodPage
 
 START_ALONE = 0.5
 """Initial texel value when textures are the network's only input (the authors' code always uses it). From zeros the
@@ -84,33 +82,15 @@ class PaperRenderer(Renderer[PixelSource[RayBatch]]):
             rng: draws the place of each ray's zero layer while training; without it that layer comes last.
         """
         if self.zero_layer:
-            rays = insert_random_layer(rays, rng)
+            rays = insert_empty_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
-            stack = _Beside.apply(stack, self.extrinsics(rays.uv, rays.object_id, rays.p_camera))
+            inputs = self.extrinsics(rays.uv, rays.object_id, rays.p_camera)
+            stack = torch.cat([stack, inputs], dim=-1)
         colors = self.net(stack.flatten(1))
         if rays.samples == 1:
             return colors
         return srgb_curve(linear_curve(colors).view(-1, rays.samples, 3).mean(dim=1))
-
-
-class _Beside(torch.autograd.Function):
-    """`torch.cat` over the last axis, without a gradient of the second part.
-
-    torch copies such short rows one by one, which takes 5 ms for a step of 8,192 pixels; this takes 1 ms.
-    """
-
-    @staticmethod
-    def forward(ctx: FunctionCtx, features: Tensor, inputs: Tensor) -> Tensor:
-        num_features = features.shape[-1]
-        stack = features.new_empty(*features.shape[:-1], num_features + inputs.shape[-1])
-        stack[..., :num_features], stack[..., num_features:] = features, inputs
-        ctx.num_features = num_features  # pyright: ignore[reportAttributeAccessIssue]
-        return stack
-
-    @staticmethod
-    def backward(ctx: FunctionCtx, *upstream: Tensor) -> tuple[Tensor, None]:
-        return upstream[0][..., : ctx.num_features], None  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
@@ -145,8 +125,10 @@ def load_cameras(config: PaperConfig, inputs: Inputs, cameras: Cameras) -> Pixel
     )
 
 
-def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: "Scene") -> MethodPage:  # noqa: ARG001
+def draw_page(config: PaperConfig, renderer: PaperRenderer, scene: "Scene") -> "MethodPage":  # noqa: ARG001
     """The renderer without the layer of zeros after all others, which changes nothing."""
+    from model.methods.page import MethodPage, feature_columns, layer_rows, package_text  # Training needs no page.
+
     features, extrinsics = config.texture_features, EXTRINSIC_CHANNELS[config.extrinsics]
     (first_weight, first_bias), *others = renderer.net.folded()
     channels = features + extrinsics

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
+from model.run.experiments import Experiment, read_experiment
 from support.builds import tree
 from support.commands import call, run
 from support.synthetic import look_at
@@ -33,7 +34,6 @@ from hyaline_bench.leaderboard import check_comparable, track_grid
 from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, load_protocol
 from hyaline_bench.score import mean_interval, read_scored, summarise
 from hyaline_random.names import FAMILIES, parse_random
-from model.run.experiments import Experiment, read_experiment
 
 SCORES = Path("bench/tiny/scores/nearest-view.json")
 MEAN = Path("bench/tiny/scores/mean-picture.json")

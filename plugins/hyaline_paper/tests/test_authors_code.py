@@ -14,7 +14,7 @@ from datagen.data.paths import TRUTH
 from hyaline_paper.authors_code import AuthorsMlp, AuthorsRenderer, harmonics_without_constants
 from hyaline_paper.methods import AuthorsConfig
 from model.batches.layers import load_pixels
-from model.nets.extrinsics import Extrinsics, spherical_harmonics
+from model.nets.pixel_mlp import Extrinsics, spherical_harmonics
 from model.run.predict import load_renderer, predict_pixels, render_predictions
 from model.run.run_folder import TrainConfig
 from model.run.train import train

@@ -34,7 +34,7 @@ from hyaline_paper.deepvoxels import (
 )
 from hyaline_paper.methods import DeepVoxelsConfig
 from hyaline_paper.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
-from model.batches.rays import Views, load_views
+from model.batches.rays import Views, load_views_of, views_of
 from model.methods.protocol import open_inputs
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
@@ -240,7 +240,7 @@ def test_visibility_sums_to_one_and_features_are_its_mean_over_depth() -> None:
 
 def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset: Dataset) -> None:
     net = build(TINY, open_inputs(TINY, dataset, TRUTH))
-    views = load_views(dataset, "train", [0, 1, 2], with_images=True)
+    views = load_views_of(views_of, dataset, "train", [0, 1, 2], with_images=True)
     net.observe(views.image(0), views.cameras[0])
     kept = net.get_buffer("volume").clone()
     assert kept.abs().sum() > 0 and not net.get_buffer("volume").requires_grad

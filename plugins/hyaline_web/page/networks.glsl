@@ -40,7 +40,7 @@ Features look_up(int object, vec2 uv) {
     return found;
 }
 
-// The first three bands of the spherical harmonics. Source: model/nets/extrinsics.py.
+// The first three bands of the spherical harmonics. Source: model/nets/pixel_mlp.py.
 float[9] harmonics(vec3 d) {
     return float[9](
         0.28209479177387814, 0.4886025119029199 * d.y, 0.4886025119029199 * d.z, 0.4886025119029199 * d.x,

@@ -17,7 +17,6 @@ from support.synthetic import synthetic_scene
 
 from datagen.scene.folder import save_scene
 from model.run.run_folder import TrainConfig
-from model.run.sweep import Failure
 
 
 @pytest.fixture(scope="session")
@@ -36,7 +35,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     monkeypatch.setattr("model.run.sweep._train_in_child", train_here)
     monkeypatch.setattr(
         "model.run.predict.film_pictures",
-        lambda run, config, dataset, cameras, device: lambda first: film(cameras, first),
+        lambda run, config, dataset, cameras, device: film(cameras),
     )
     make = inspect.unwrap(TrainConfig.__init__)
     often = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2}
@@ -73,8 +72,7 @@ def start(here: Path, started: dict[str, State], monkeypatch: pytest.MonkeyPatch
     return make
 
 
-def train_here(arguments: Sequence[str], *_: object) -> Failure | None:
+def train_here(arguments: Sequence[str], *_: object) -> str:
     """A run of a sweep in this process, where its writes are seen."""
-    line = shlex.join(["model", "train", *arguments])
-    answer = call(line)
-    return None if answer.status == 0 else Failure(command=line, reason=answer.error.removeprefix("error: "))
+    answer = call(shlex.join(["model", "train", *arguments]))
+    return answer.error.removeprefix("error: ") if answer.status else ""

@@ -1,15 +1,20 @@
 """Tests of what `model train` can be told: flags, configurations, names of run folders."""
 
 import dataclasses
+import json
 import math
+from pathlib import Path
 
 import pytest
-from support.commands import call
+from support.commands import call, run
+from support.training import build, configured
 
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.data.dataset import Dataset
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words, flags_of
-from model.cli import main
 from model.methods.protocol import BUILT_IN, METHODS
+from model.run.run_folder import read_run
 from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
 from model.settings import RunFlags
 
@@ -114,9 +119,7 @@ def test_every_number_that_a_flag_takes_has_limits(method: str) -> None:
     [
         ("papr", 2, "no model train method 'papr'; did you mean 'paper'? Choose from "),
         ("paper --sedd 3", 2, "model train paper: Unrecognized options: --sedd, 3; did you mean --seed INT"),
-        ("paper --steps many", 2, "model train paper: Error parsing --steps: "),
         ("paper --norm bach", 2, "model train paper: invalid choice 'bach' for argument '--norm'. Expected one of ("),
-        ("paper --steps", 2, "model train paper: Missing value for argument '--steps'"),
         ("paper one two", 2, "model train paper: Unrecognized options: two. See `model train paper --help`"),
         ("paper --steps 0", 1, "--steps: is 0; expected at least 1"),
     ],
@@ -127,23 +130,28 @@ def test_a_wrong_word_is_answered_in_one_line(words: str, status: int, line: str
     assert answer.err.startswith(f"error: {line}") and answer.err.count("\n") == 1
 
 
-def test_words_of_a_file_are_checked_without_a_sound(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(UsageError, match="Error parsing --blocks: "):
-        parse_train("paper", ("--blocks", "two"))
-    with pytest.raises(UsageError, match="Unrecognized options: --unheard"):
-        parse_train("paper", ("--unheard", "of"))
-    assert capsys.readouterr() == ("", "")
+def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset: Dataset, tmp_path: Path) -> None:
+    run(f"model train paper-best {dataset.root} --steps 3 --batch 64 --device cpu")
+    (out,) = (tmp_path / "runs" / "synthetic").iterdir()
+    assert out.name == "paper-best-batch64-3-steps"
+    record = read_run(out)
+    assert record.label == out.name
+    assert record.config.net == configured(dataset, "paper-best").net
+    assert json.loads((out / "run.json").read_text())["config"] == to_json(record.config)
+    net = build(record.config.net, dataset).net
+    assert record.num_parameters == sum(value.numel() for value in net.parameters())
 
 
-def test_help_flows_over_the_lines_of_a_docstring(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr("sys.argv", ["model", "train", "dnr", "--help"])
-    with pytest.raises(SystemExit):
-        main()
-    lines = [line.strip() for line in capsys.readouterr().out.splitlines()]
-    start = next(place for place, line in enumerate(lines) if line.startswith("--batch"))
-    end = next(place for place, line in enumerate(lines) if line.startswith("--updates"))
-    shown = lines[start + 1 : end - 1]  # The last line ends where the text does.
-    assert len(shown) > 2
-    assert min(map(len, shown)) > 40  # Where a line of the docstring ended, only a word or two stood.
+@pytest.mark.parametrize(
+    ("words", "defaults"),
+    [
+        ("paper", {"--steps": 2500, "--batch": 8192, "--rays": 1, "--norm": "batch", "--lr": 0.001}),
+        ("paper-best", {"--steps": 3500, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
+        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief,": "on"}),
+    ],
+)
+def test_help_tells_the_defaults_of_the_method_and_its_preset(words: str, defaults: dict[str, object]) -> None:
+    told = " ".join(call(f"model train {words} --help").out.replace("│", " ").split())
+    for flag, default in defaults.items():
+        text = told[told.index(f" {flag} ", told.index("options")) :]
+        assert text[text.index("(default: ") :].startswith(f"(default: {default})"), flag

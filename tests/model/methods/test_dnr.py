@@ -19,9 +19,9 @@ from model.batches.layers import load_pixels
 from model.batches.rays import draw_patches
 from model.methods.paper import dnr
 from model.methods.paper.config import LEVEL_WEIGHTS, DnrConfig, DnrLayersConfig, MlpFirstConfig
-from model.methods.paper.dnr import DnrRenderer, UNet
+from model.methods.paper.dnr import UNet
 from model.methods.protocol import Inputs, open_inputs
-from model.nets.extrinsics import spherical_harmonics
+from model.nets.pixel_mlp import spherical_harmonics
 from model.run.predict import render_predictions
 from model.run.run_folder import TrainConfig, is_drawn, read_run
 from model.run.train import train
@@ -77,21 +77,6 @@ def test_a_picture_of_any_size_is_as_if_padded_with_zeros() -> None:
     picture = torch.randn(1, 3, 40, 32)
     padded = torch.cat([picture, torch.zeros(1, 3, 24, 32)], dim=2)
     torch.testing.assert_close(net(picture), net(padded)[:, :, :40])
-
-
-def test_patches_are_square_pieces_of_views_at_every_scale(dataset: Dataset) -> None:
-    pixels = load_pixels(dataset, TRUTH, "train", [1, 4, 6])
-    index = draw_patches(pixels, 500, 9, np.random.default_rng(0), strides=(1, 2, 4)).numpy()
-    view, place = np.divmod(index, 32 * 32)
-    row, column = np.divmod(place, 32)
-    assert (view == view[:, :1, :1]).all() and set(view[:, 0, 0]) == {0, 1, 2}
-    stride = row[:, 1, 0] - row[:, 0, 0]
-    assert set(stride) == {1, 2}  # 9 pixels four apart do not fit into 32.
-    steps = np.arange(9) * stride[:, None]
-    assert (row == row[:, :1, :1] + steps[:, :, None]).all() and (column == column[:, :1, :1] + steps[:, None]).all()
-    assert row.max() == column.max() == 31 and row.min() == column.min() == 0
-    whole = draw_patches(pixels, 2, 32, np.random.default_rng(0), strides=(1, 2))
-    assert torch.equal(whole[0].flatten() % 1024, torch.arange(1024))
 
 
 def test_patches_of_oblong_views_reach_every_border_and_leave_none(tmp_path: Path) -> None:
@@ -194,12 +179,6 @@ def test_the_first_layer_alone_is_blind_to_what_lies_behind(dataset: Dataset) ->
 
 
 def test_presets_and_impossible_choices(dataset: Dataset) -> None:
-    fair = configured(dataset, "dnr").net
-    assert (fair.texture_features, fair.texture_levels, fair.extrinsics, fair.crop) == (16, 4, "sh", 32)
-    weak = configured(dataset, "dnr-authors").net
-    assert (weak.texture_features, weak.texture_levels, weak.extrinsics, weak.norm) == (8, 1, "view", "batch")
-    net = DnrRenderer(weak, num_layers=1, num_objects=2, positions=torch.zeros(2 * 512 * 512, 3)).net
-    assert net.down[0].weight.shape[1] == 11
     mixed = configured(dataset, "dnr-authors", "--features", "16", "--extrinsics", "sh").net
     assert (mixed.texture_features, mixed.extrinsics, mixed.texture_levels) == (16, "sh", 1)
     with pytest.raises(HyalineError, match="features: is 8 with extrinsics sh; expected 12 to 256"):

@@ -9,9 +9,7 @@ from jaxtyping import Bool, Float32, Int
 from torch import Tensor
 
 from datagen.data.cameras import Cameras
-from datagen.disk.errors import HyalineError
 from model.batches.rays import PixelSource, mean_color, srgb_curve, variance_of_mean
-from model.methods.light_path.config import LightPathConfig
 from model.methods.renderer import noise_penalty, pixel_loss
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -148,8 +146,3 @@ def test_a_white_truth_that_is_exceeded_asks_for_nothing() -> None:
     noise_penalty(given, variance, 0.05).sum().backward()
     assert variance.grad is not None
     assert torch.equal(variance.grad > 0, given > 0)
-
-
-def test_a_share_above_1_is_refused() -> None:
-    with pytest.raises(HyalineError, match=r"debias: is 1\.5; expected 0 to 1"):
-        LightPathConfig(debias=1.5)

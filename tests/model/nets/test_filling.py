@@ -10,10 +10,10 @@ from model.nets.texture import TexturePyramid, object_layout
 SIZE = 32
 
 
-def pyramid(*sizes: int, levels: int = 3) -> TexturePyramid:
+def pyramid(*sizes: int) -> TexturePyramid:
     """Random texels, one image for each size."""
     torch.manual_seed(0)
-    layouts = [object_layout([size >> level for size in sizes]) for level in range(levels)]
+    layouts = [object_layout([size >> level for size in sizes]) for level in range(3)]
     textures = TexturePyramid(layouts, 4, finer_counts=0.5)
     for table in textures.tables():
         torch.nn.init.normal_(table)
@@ -105,13 +105,3 @@ def test_visits_are_squares_of_what_a_texel_counts_in_its_pixel() -> None:
     expected[2] = 0.5
     expected[16] = 0.01
     torch.testing.assert_close(met, expected)
-
-
-def test_a_single_level_is_filled_in_too() -> None:
-    textures = pyramid(8, levels=1)
-    met = torch.zeros(64)
-    met[:8] = 100
-    fill_in(textures, met)
-    top, bottom = (textures.tables()[0].detach()[rows] for rows in (slice(0, 8), slice(56, 64)))
-    assert top.std() > 0.5
-    assert bottom.std(dim=0).max() < 0.5 * top.std()

@@ -9,47 +9,47 @@ import torch
 from scipy.special import sph_harm_y
 from support.synthetic import pixel_rays, write_synthetic_dataset
 from support.training import build
+from torch import nn
+from torch.nn import functional
 
-from datagen.disk.errors import HyalineError
+from datagen.data.dataset import Dataset
 from model.batches.layers import load_pixels
-from model.batches.rays import insert_empty_layer
+from model.batches.rays import insert_empty_layer, take_colors
 from model.methods.paper.config import PaperConfig
-from model.methods.paper.renderer import PaperRenderer, default_texture_size
+from model.methods.paper.renderer import PaperRenderer
 from model.methods.protocol import open_inputs
-from model.nets.extrinsics import ExtrinsicInputs, Extrinsics, bake_position_table, spherical_harmonics
-from model.nets.pixel_mlp import PixelMlp, count_parameters, width_for_34k
+from model.nets.pixel_mlp import (
+    ExtrinsicInputs,
+    Extrinsics,
+    PixelMlp,
+    bake_position_table,
+    count_parameters,
+    spherical_harmonics,
+    width_for_34k,
+)
 from model.nets.texture import TexturePyramid
-from model.settings import EXTRINSIC_CHANNELS
+from model.settings import EXTRINSIC_CHANNELS, Norm
 
 
 @pytest.mark.parametrize(
     ("width", "num_layers", "extrinsics", "without_norm", "with_norm"),
     [
         (256, 4, "view", 235_971, 238_723),
-        (256, 8, "view", 255_427, 258_179),
         (256, 16, "view", 294_339, 297_091),
         (80, 8, "view", 33_623, 34_483),
-        (64, 4, "view", 18_675, None),
-        (64, 8, "sh", 26_611, None),
         (64, 16, "none", 30_195, 30_883),
         (64, 16, "view", 33_267, 33_955),
         (64, 16, "sh", 39_411, 40_099),
-        (64, 17, "view", 34_483, None),
-        (64, 14, "sh", 36_211, None),
     ],
 )
 def test_the_network_has_the_derived_number_of_parameters(
-    width: int, num_layers: int, extrinsics: Extrinsics, without_norm: int, with_norm: int | None
+    width: int, num_layers: int, extrinsics: Extrinsics, without_norm: int, with_norm: int
 ) -> None:
     inputs = num_layers * (16 + EXTRINSIC_CHANNELS[extrinsics])
     assert count_parameters(inputs, width, 3, "none") == without_norm
-    if with_norm is not None:
-        assert count_parameters(inputs, width, 3, "batch") == with_norm
-
-
-@pytest.mark.parametrize(("num_layers", "width"), [(8, 80), (16, 64)])
-def test_34k_finds_the_width_that_the_published_count_needs(num_layers: int, width: int) -> None:
-    assert width_for_34k(num_layers * 19, 3) == width
+    assert count_parameters(inputs, width, 3, "batch") == with_norm
+    if 33_000 < with_norm < 35_000:  # The published count.
+        assert width_for_34k(inputs, 3) == width
 
 
 def test_the_network_equals_its_formula_written_out() -> None:
@@ -69,11 +69,6 @@ def test_the_network_equals_its_formula_written_out() -> None:
     np.testing.assert_allclose(net(x).detach().numpy(), expected, atol=1e-6)
 
 
-def test_a_width_that_cannot_be_halved_is_refused() -> None:
-    with pytest.raises(HyalineError, match="hidden: is 90 with 3 blocks; expected a multiple of 8"):
-        PaperConfig(width=90, texture_size=64)
-
-
 def test_spherical_harmonics_equal_scipy() -> None:
     direction = np.random.default_rng(0).normal(size=(50, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -88,8 +83,7 @@ def test_spherical_harmonics_equal_scipy() -> None:
     np.testing.assert_allclose(spherical_harmonics(torch.from_numpy(direction).float()).numpy(), expected, atol=1e-6)
 
 
-def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
-    dataset = write_synthetic_dataset(tmp_path / "data")
+def test_view_vectors_point_back_along_the_pixels_rays(dataset: Dataset) -> None:
     pixels = load_pixels(dataset, "truth", "train", [3, 5])
     rays = pixels.take(torch.arange(len(pixels.rgb)), None)
     positions = bake_position_table(dataset, "truth", 128)
@@ -109,8 +103,9 @@ def test_view_vectors_point_back_along_the_pixels_rays(tmp_path: Path) -> None:
 def test_an_inserted_layer_is_empty_and_keeps_the_others_in_order(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=3)
     rays = load_pixels(dataset, "truth", "train", [0]).take(torch.arange(400, 404), None)
-    place = torch.tensor([0, 1, 2, 3])
-    more = insert_empty_layer(rays, place)
+    more = insert_empty_layer(rays, np.random.default_rng(0))
+    place = np.random.default_rng(0).integers(4, size=4)
+    assert len(set(place)) > 2
     for ray in range(4):
         kept = [layer for layer in range(4) if layer != int(place[ray])]
         assert more.object_id[ray, place[ray]] == 0
@@ -145,9 +140,9 @@ def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_e
         torch.testing.assert_close(features, start * hit[..., None].float().expand_as(features))
 
 
-def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path) -> None:
+def test_the_papers_textures_can_be_a_pyramid_whose_finer_levels_count_less(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
-    net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64)
+    net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64, finer_counts=0.5)
     config = net.complete(open_inputs(net, dataset, "truth"))
     renderer = build(config, dataset).eval()
     assert isinstance(renderer.textures, TexturePyramid)
@@ -162,14 +157,11 @@ def test_the_papers_textures_can_be_a_pyramid(tmp_path: Path) -> None:
     seen = []
     renderer.net.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
     renderer(rays)
-    expected = 111.0 * (rays.object_id != 0).repeat_interleave(64, dim=1)
+    expected = (100 + 10 / 2 + 1 / 4) * (rays.object_id != 0).repeat_interleave(64, dim=1)
     torch.testing.assert_close(seen[0], expected)
 
 
-def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
-    from model.batches.rays import take_colors
-
-    dataset = write_synthetic_dataset(tmp_path / "data")
+def test_stored_uv_and_colors_come_back_exactly(dataset: Dataset) -> None:
     pixels = load_pixels(dataset, "truth", "train", [1, 6])
     row, column = 20, 9
     index = torch.tensor([1024 + row * 32 + column])  # In the second of the two views.
@@ -183,5 +175,31 @@ def test_stored_uv_and_colors_come_back_exactly(tmp_path: Path) -> None:
     np.testing.assert_allclose(rays.p_camera[0].numpy(), position, rtol=1e-6)
 
 
-def test_textures_have_half_the_images_width() -> None:
-    assert default_texture_size(512) == 256  # What the authors ran.
+def trained_net(norm: Norm) -> tuple[PixelMlp, torch.Tensor]:
+    """A network whose batch norm has seen a few batches, and inputs."""
+    torch.manual_seed(0)
+    net = PixelMlp(40, width=32, blocks=3, norm=norm)
+    with torch.no_grad():
+        for module in net.modules():
+            if isinstance(module, nn.BatchNorm1d):
+                module.weight.uniform_(0.5, 1.5)
+                module.bias.normal_(std=0.3)
+        for _ in range(20):
+            net(2 * torch.randn(500, 40) + 0.5)
+    return net.eval(), 2 * torch.randn(1000, 40) + 0.5
+
+
+@pytest.mark.parametrize("norm", ["batch", "none"])
+def test_layers_with_folded_norms_compute_what_the_network_does_at_evaluation(norm: Norm) -> None:
+    net, x = trained_net(norm)
+
+    def unit(x: torch.Tensor, layer: int) -> torch.Tensor:
+        return functional.leaky_relu(functional.linear(x, *layers[layer]), 0.2)
+
+    with torch.inference_mode():
+        layers = net.folded()
+        hidden = unit(x, 0)
+        for first in range(1, len(layers) - 1, 3):
+            hidden = unit(hidden + unit(unit(hidden, first), first + 1), first + 2)
+        found, expected = functional.linear(hidden, *layers[-1]), net(x)
+    assert (found - expected).abs().max() / expected.abs().max() < 1e-5

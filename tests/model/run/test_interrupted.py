@@ -3,7 +3,6 @@
 import inspect
 import os
 import re
-import shutil
 import signal
 import sys
 from collections.abc import Callable
@@ -98,15 +97,7 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
 
 
-@pytest.mark.parametrize(
-    ("flags", "number"),
-    [
-        pytest.param((), signal.SIGTERM, id="fresh-SIGTERM"),
-        pytest.param(("--overwrite",), signal.SIGINT, id="overwrite-SIGINT"),
-        pytest.param((), signal.SIGINT, id="fresh-SIGINT", marks=pytest.mark.full),
-        pytest.param(("--overwrite",), signal.SIGTERM, id="overwrite-SIGTERM", marks=pytest.mark.full),
-    ],
-)
+@pytest.mark.parametrize(("flags", "number"), [((), signal.SIGTERM), (("--overwrite",), signal.SIGINT)])
 def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
     train: Train,
     tmp_path: Path,
@@ -136,28 +127,6 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
     assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
 
 
-def test_a_signal_while_pictures_are_drawn_ends_in_the_same_bytes(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train("whole") == 0
-    with monkeypatch.context() as patch:
-        from model.run import predict
-
-        draw = predict.png_bytes
-
-        def interrupt(image: object) -> bytes:
-            if (tmp_path / "parts/predictions/interpolating/0001.png").exists():
-                os.kill(os.getpid(), signal.SIGTERM)
-            return draw(image)  # pyright: ignore[reportArgumentType]
-
-        patch.setattr(predict, "png_bytes", interrupt)
-        assert train("parts", "--overwrite") == 143
-    assert capsys.readouterr().err.endswith("error: stopped; run the same command without --overwrite to continue\n")
-    assert not (tmp_path / "parts/predictions.json").exists()
-    assert train("parts") == 0
-    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
-
-
 def test_checkpoints_by_the_clock_change_no_byte(
     train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -169,20 +138,6 @@ def test_checkpoints_by_the_clock_change_no_byte(
     assert train("often") == 0
     assert saved == [1, 2, 3, 4, 5]
     assert run_bytes(tmp_path / "often") == run_bytes(tmp_path / "whole")
-
-
-def test_overwriting_that_is_killed_while_data_loads_leaves_a_run_that_any_command_opens(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train("run", "--lr", "0.01") == 0
-    assert train("whole") == 0
-    with monkeypatch.context() as patch, pytest.raises(Killed):
-        patch.setattr(train_module, "choose_held_out", lambda *_: (_ for _ in ()).throw(Killed))
-        train("run", "--overwrite")
-    assert list(run_bytes(tmp_path / "run")) == ["run.json"]
-    shutil.copytree(tmp_path / "run", tmp_path / "anew")
-    assert train("run") == train("anew", "--overwrite") == 0
-    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "anew") == run_bytes(tmp_path / "whole")
 
 
 @pytest.fixture(scope="module")

@@ -66,11 +66,6 @@ def test_large_views_are_thinned_out_and_stand_side_by_side(tmp_path: Path) -> N
     assert (picture[:, 67 : 67 + GAP] == 255).all() and (picture[100 : 100 + GAP] == 255).all()
 
 
-def test_without_held_out_views_there_is_no_picture(dataset: Dataset, tmp_path: Path) -> None:
-    train(dataclasses.replace(CONFIG, held_out_views=0), dataset, tmp_path / "run", label="run", device=CPU)
-    assert not (tmp_path / "run" / "snapshots").exists()
-
-
 def test_costs_are_summed_over_the_sessions_of_a_run_and_change_no_other_byte(dataset: Dataset, tmp_path: Path) -> None:
     out, costs = tmp_path / "run", tmp_path / "run" / "costs.json"
 

@@ -1,5 +1,6 @@
 """Tests that a number that is not finite, wherever it comes from, stops a command before it is kept or shown."""
 
+import dataclasses
 import inspect
 import sys
 from collections.abc import Callable
@@ -50,22 +51,11 @@ def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> C
     return command
 
 
-def poison_image(batch: Tensor) -> Tensor:
-    batch[3] = NAN
-    return batch
-
-
-def poison_uv(batch: RayBatch) -> RayBatch:
-    batch.uv[0, 0] = NAN
-    return batch
-
-
-def poison_parameter(name: str, row: int) -> Callable[[nn.Module], None]:
-    def poison(renderer: nn.Module) -> None:
-        with torch.no_grad():
-            renderer.get_parameter(name)[row] = NAN
-
-    return poison
+def poison(values: Tensor) -> Tensor:
+    """One NaN in the first row."""
+    with torch.no_grad():
+        values[(0,) * values.ndim] = NAN
+    return values
 
 
 def inject(monkeypatch: pytest.MonkeyPatch, site: str) -> None:
@@ -77,45 +67,37 @@ def inject(monkeypatch: pytest.MonkeyPatch, site: str) -> None:
         nonlocal step_now
         step_now = step + 1
         if step == LAST_GOOD and site == "gradient":
-            renderer.get_parameter("net.last.weight").grad[0, 0] = NAN  # pyright: ignore[reportOptionalSubscript]
-        if step == LAST_GOOD and site == "loss":
-            loss = loss * NAN
+            poison(renderer.get_parameter("net.last.weight").grad)  # pyright: ignore[reportArgumentType]
         value = check(loss, renderer, step=step, out=out)
-        if step == LAST_GOOD and site in parameters:
-            parameters[site](renderer)
+        if step == LAST_GOOD and site in ("textures.table", "net.first.linear.weight"):
+            poison(renderer.get_parameter(site))
         return value
 
-    parameters = {
-        "texture": poison_parameter("textures.table", 0),
-        "weights": poison_parameter("net.first.linear.weight", 0),
-    }
     monkeypatch.setattr(train_module, "read_finite", before_check)
     take_colors, take, colors = losses.take_colors, Pixels.take, predict.predict_colors
+
+    def poisoned_colors(*given: object) -> Tensor:
+        values = take_colors(*given)  # pyright: ignore[reportArgumentType]
+        return poison(values) if step_now == LAST_GOOD else values
+
+    def poisoned_rays(*given: object) -> RayBatch:
+        rays = take(*given)  # pyright: ignore[reportArgumentType]
+        return dataclasses.replace(rays, uv=poison(rays.uv)) if step_now == LAST_GOOD else rays
+
     if site == "image":
-        monkeypatch.setattr(
-            losses,
-            "take_colors",
-            lambda *given: poison_image(take_colors(*given)) if step_now == LAST_GOOD else take_colors(*given),
-        )
-    if site == "uv":
-        monkeypatch.setattr(
-            Pixels,
-            "take",
-            lambda self, index, rng: (
-                poison_uv(take(self, index, rng)) if step_now == LAST_GOOD else take(self, index, rng)
-            ),
-        )
-    if site == "prediction":
-        monkeypatch.setattr(predict, "predict_colors", lambda *given: poison_image(colors(*given).clone()))
+        monkeypatch.setattr(losses, "take_colors", poisoned_colors)
+    elif site == "uv":
+        monkeypatch.setattr(Pixels, "take", poisoned_rays)
+    elif site == "prediction":
+        monkeypatch.setattr(predict, "predict_colors", lambda *given: poison(colors(*given).clone()))
 
 
 SITES = {
     "image": "the loss is nan at step 4, so training stopped; the checkpoint is kept",
     "uv": "uv: a layer has one that is not finite",
-    "texture": "a predicted colour is not finite",
-    "loss": "the loss is nan at step 4, so training stopped; the checkpoint is kept",
+    "textures.table": "a predicted colour is not finite",
     "gradient": "the gradient of net.last.weight is not finite at step 4, so training stopped",
-    "weights": "a predicted colour is not finite",
+    "net.first.linear.weight": "a predicted colour is not finite",
     "prediction": "a predicted colour is not finite",
 }
 
@@ -149,7 +131,7 @@ def test_a_renderer_that_predicts_no_number_writes_no_picture(
     def poisoned(*given: object, **named: object) -> int:
         colors = predict.predict_colors
         with monkeypatch.context() as patch:
-            patch.setattr(predict, "predict_colors", lambda *those: poison_image(colors(*those).clone()))
+            patch.setattr(predict, "predict_colors", lambda *those: poison(colors(*those).clone()))
             return draw(*given, **named)  # pyright: ignore[reportArgumentType]
 
     with monkeypatch.context() as patch:

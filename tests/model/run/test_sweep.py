@@ -74,6 +74,7 @@ def test_braces_are_every_combination_in_the_order_of_the_file(tmp_path: Path) -
         ("rm -r data", "no program 'rm'"),
         ("model 'train", 'is "model \'train"; expected a command line'),
         ("model train paper --seed {" + ",".join(map(str, range(1001))) + "}", "means 1001 lines; expected at most 1,"),
+        ("datagen build glass_table", "has no runs; expected at least one line"),
     ],
 )
 def test_what_no_command_could_be_is_named_with_its_line(tmp_path: Path, text: str, message: str) -> None:
@@ -81,9 +82,7 @@ def test_what_no_command_could_be_is_named_with_its_line(tmp_path: Path, text: s
         read_experiment(write(tmp_path, text))
 
 
-def test_files_without_runs_and_unknown_names_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(HyalineError, match="has no runs; expected at least one line"):
-        read_experiment(write(tmp_path, "datagen build glass_table"))
+def test_unknown_names_are_refused(tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="no experiment 'tabel1'; did you mean 'table1'"):
         read_experiment("tabel1")
     with pytest.raises(HyalineError, match=r"mine\.txt"):
@@ -216,9 +215,7 @@ def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, mo
 @pytest.mark.parametrize(
     ("visible", "count", "jobs", "devices"),
     [
-        (None, 0, 1, (None,)),
         (None, 0, 2, (None, None)),
-        (None, 2, 1, ("0", "1")),
         (None, 2, 2, ("0", "1", "0", "1")),
         ("3,GPU-abc", 2, 1, ("3", "GPU-abc")),
         ("", 0, 1, (None,)),

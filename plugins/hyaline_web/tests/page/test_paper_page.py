@@ -16,12 +16,13 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import TRUTH
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Dielectric, Diffuse
-from model.batches.layers import trace_layers
-from model.batches.rays import PixelSource, RayBatch
+from datagen.trace.peel import Peeler
+from model.batches.layers import TracedLayerPixels
+from model.batches.rays import black
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.methods.protocol import Inputs
-from model.nets.extrinsics import positions_for
+from model.nets.pixel_mlp import positions_for
 from model.nets.texture import NeuralTextures
 from model.run.predict import predict_pixels
 
@@ -125,7 +126,8 @@ def test_an_object_taken_out_of_a_page_of_paper_is_no_layer_any_more(
         dataclasses.replace(item.mesh, faces=item.mesh.faces[:0]) if item.name == "outer" else item.mesh
         for item in boxes().objects
     )
-    pixels: PixelSource[RayBatch] = trace_layers(edited, dataset.cameras("interpolating"), LAYERS)
+    cameras = dataset.cameras("interpolating")
+    pixels = TracedLayerPixels(cameras=cameras, rgb=black(cameras), peeler=Peeler(edited), num_layers=LAYERS)
     with opened_page(browser, tmp_path, renderer, dataset, config=config) as page:
         drawn = page.picture(VIEW, SHAPE, 1, {"outer": {"shown": False}})
     assert psnr(drawn, predict_pixels(renderer, pixels).reshape(*SHAPE, 3)) >= 45
