@@ -31,14 +31,13 @@ from datagen.scene.description import WalkPoint as WalkPoint
 from datagen.scene.materials import Conductor as Conductor
 from datagen.scene.materials import Dielectric as Dielectric
 from datagen.scene.materials import Diffuse as Diffuse
-from datagen.scene.materials import Material, check_material
+from datagen.scene.materials import ImageTexture as ImageTexture
+from datagen.scene.materials import Material, Vector, check_material, check_positive
 from datagen.scene.materials import Plastic as Plastic
 from datagen.scene.materials import RoughDielectric as RoughDielectric
+from datagen.scene.materials import SolidTexture as SolidTexture
 from datagen.scene.materials import ThinDielectric as ThinDielectric
 from datagen.scene.soundness import check_names
-from datagen.scene.textures import ImageTexture as ImageTexture
-from datagen.scene.textures import SolidTexture as SolidTexture
-from datagen.scene.values import Vector, check_positive
 
 
 @runtime_checkable

@@ -16,8 +16,17 @@ from datagen.data.paths import TRUTH
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.folder import open_scene
 from datagen.scene.images import linear_pixels, look_up
-from datagen.scene.materials import Conductor, Diffuse, Material, Plastic, RoughDielectric
-from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
+from datagen.scene.materials import (
+    Conductor,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    Reflectance,
+    RoughDielectric,
+    SolidTexture,
+)
+from datagen.scene.textures import evaluate_texture
 
 if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer

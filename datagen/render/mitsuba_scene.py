@@ -21,8 +21,8 @@ from datagen.scene.description import (
 )
 from datagen.scene.images import linear_pixels, read_map
 from datagen.scene.kept_arrays import find_arrays, keep_arrays, key_of
-from datagen.scene.materials.optics import Plugin, rgb
-from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
+from datagen.scene.materials import ImageTexture, Plugin, Reflectance, SolidTexture, rgb
+from datagen.scene.textures import evaluate_texture
 
 if TYPE_CHECKING:
     import mitsuba as mi

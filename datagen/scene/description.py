@@ -16,9 +16,16 @@ from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import read_regular
-from datagen.scene.materials import Material, check_material
-from datagen.scene.textures import ImageTexture
-from datagen.scene.values import Color, Vector, as_vector, check_positive, check_range
+from datagen.scene.materials import (
+    Color,
+    ImageTexture,
+    Material,
+    Vector,
+    as_vector,
+    check_material,
+    check_positive,
+    check_range,
+)
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255

@@ -18,9 +18,8 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.materials import Dielectric, Diffuse, Vector, as_vector
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
 Verb = Literal["remove", "move", "duplicate", "glass", "swap", "no-glass", "opaque-glass"]

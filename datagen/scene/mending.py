@@ -9,7 +9,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage, unwrap_all
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.images import baked_image, linear_pixels
-from datagen.scene.textures import ImageTexture
+from datagen.scene.materials import ImageTexture
 from datagen.terminal.command import say
 
 COVERAGE_SIZE = 256

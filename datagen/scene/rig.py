@@ -12,8 +12,8 @@ from datagen.data.depth_range import with_depth_range
 from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraList, CameraRig, Scene
+from datagen.scene.materials import Vector
 from datagen.scene.soundness import check_cameras_outside
-from datagen.scene.values import Vector
 
 
 def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Split, Cameras]:

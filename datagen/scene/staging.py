@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.scene.description import CameraRig, Card, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.values import Vector, as_vector
+from datagen.scene.materials import Vector, as_vector
 
 FOV_DEG = 40.0
 MARGIN = 1.1

@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -26,7 +26,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 RUG_TOP = 0.009
 TABLE_TOP = 0.74

@@ -23,10 +23,9 @@ from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, scene_files
 from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, ImageTexture, Plastic
 from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras
-from datagen.scene.textures import ImageTexture
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.lights import glowing
 from hyaline_import.surfaces import edge_tilt_deg, mesh_of

@@ -12,8 +12,7 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.quantities.view_quantities import LightEnds, find_light_ends, quantities
-from datagen.scene.materials import Diffuse
-from datagen.scene.textures import SolidTexture
+from datagen.scene.materials import Diffuse, SolidTexture
 
 IOR = 1.6
 

@@ -12,8 +12,17 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject, SoftEnvironment
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    RoughDielectric,
+    SolidTexture,
+    ThinDielectric,
+)
 
 use_mitsuba()
 

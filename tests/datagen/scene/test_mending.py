@@ -17,9 +17,9 @@ from datagen.scene.atlas import coverage
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.images import linear_pixels
+from datagen.scene.materials import ImageTexture
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.shading_normals import opposing_share
-from datagen.scene.textures import ImageTexture
 
 
 def with_uv(mesh: Mesh) -> Mesh:

@@ -10,6 +10,7 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.render.mitsuba_scene import bake_texture, linear_texels
+from datagen.scene.materials import SolidTexture
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -28,7 +29,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import PATTERNS, SolidTexture, evaluate_texture, fractal_noise, value_noise
+from datagen.scene.textures import PATTERNS, evaluate_texture, fractal_noise, value_noise
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)

@@ -38,8 +38,7 @@ from datagen.data.paths import TRUTH
 from datagen.scene import contact, media
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
-from datagen.scene.materials import Conductor, Dielectric
-from datagen.scene.materials.optics import Event, Medium, Surface
+from datagen.scene.materials import Conductor, Dielectric, Event, Medium, Surface
 from datagen.scene.modelling import transformed
 from datagen.trace import branches, surface_hits, surface_tables
 from hyaline_web.page import scene
