@@ -28,8 +28,18 @@ from jaxtyping import Float32
 from datagen.render.caustics import CausticMap, Spot
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
-from datagen.scene.contact import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
-from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.media import (
+    LAST_PLACE,
+    RAY_OFFSET,
+    SAME_INDEX,
+    Media,
+    largest_coordinate,
+    medium_of,
+    no_solids,
+    skipped_length,
+    with_solid,
+    without_solid,
+)
 
 Lanes = Any
 """A Dr.Jit array with one lane per path. Annotated, since pyright takes minutes to infer such types in `_trace`."""

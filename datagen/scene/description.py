@@ -22,7 +22,6 @@ from datagen.scene.materials import (
     Material,
     Vector,
     as_vector,
-    check_material,
     check_positive,
     check_range,
 )
@@ -276,9 +275,6 @@ class SceneObject:
     mesh: Mesh
     """The mesh; without faces if an edit removed the object, whose id then stays unused."""
     material: Material
-
-    def __post_init__(self) -> None:
-        check_material(self.material, where=f"object {self.name}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,8 +39,7 @@ def cameras_within(scene: Scene, cameras: dict[Split, Cameras]) -> dict[Split, C
     Raises:
         HyalineError: a camera is inside glass.
     """
-    for views in cameras.values():
-        check_cameras_outside(scene, views.world_from_camera[:, :3, 3])
+    check_cameras_outside(scene, np.concatenate([views.world_from_camera[:, :3, 3] for views in cameras.values()]))
     return with_depth_range(cameras, [item.mesh for item in scene.objects])
 
 

@@ -23,6 +23,7 @@ from datagen.scene.materials import (
     SolidTexture,
     ThinDielectric,
 )
+from datagen.scene.soundness import check_scene
 
 use_mitsuba()
 
@@ -105,8 +106,9 @@ class FrostedGlass(Dielectric):
 
 def test_a_material_that_is_not_listed_is_refused_by_the_objects_name_instead_of_drawn_opaque() -> None:
     strange, message = FrostedGlass(), "its material is a FrostedGlass; expected one of Dielectric, RoughDielectric"
-    floor = synthetic_scene().objects[1]
-    with unchecked(), pytest.raises(HyalineError, match=rf"^object floor: {message}"):
-        dataclasses.replace(floor, material=strange)
+    scene = synthetic_scene()
+    objects = tuple(dataclasses.replace(item, material=strange) for item in scene.objects[:1])
+    with unchecked(), pytest.raises(HyalineError, match=rf"object {objects[0].name}: {message}"):
+        check_scene(dataclasses.replace(scene, objects=objects))
     with unchecked(), pytest.raises(HyalineError, match=rf"^light paths: object 2: {message}"):
         LightPathTracer((quad(0.0), quad(1.0)), (None, strange))

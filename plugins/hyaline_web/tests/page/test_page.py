@@ -35,7 +35,7 @@ from datagen.data import meshes
 from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
-from datagen.scene import contact, media
+from datagen.scene import media
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import CLEAR_GLASS, GREY, edit_scene, moved_mesh, parse_edit
 from datagen.scene.materials import Conductor, Dielectric, Event, Medium, Surface
@@ -229,8 +229,8 @@ SHARED = {
     "MANY_RAYS 99": (pixels, "MANY_RAYS", 99),
     "ENDS 6": (surface_tables, "EVENTS", {"ends": 6}),
     "MIN_COSINE 0.5": (surface_hits, "MIN_COSINE", 0.5),
-    "SKIP_COSINE 0.25": (contact, "MIN_COSINE", 0.25),
-    "RAY_OFFSET 0.125": (contact, "RAY_OFFSET", 0.125),
+    "SKIP_COSINE 0.25": (media, "SKIP_COSINE", 0.25),
+    "RAY_OFFSET 0.125": (media, "RAY_OFFSET", 0.125),
     "LEAKY_SLOPE 0.5": (pixel_mlp, "LEAKY_SLOPE", 0.5),
     "R2_X 2147483648u": (meshes, "PLASTIC", 2.0),
     "R2_Y 1073741824": (meshes, "PLASTIC", 2.0),
