@@ -24,7 +24,7 @@ from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import SolidTexture
 from datagen.scene.rig import make_cameras
 from datagen.terminal.command import say

@@ -27,8 +27,7 @@ from datagen.scene.description import (
     Scene,
     SceneObject,
 )
-from datagen.scene.finding import DEFAULT_RESOLUTION
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene
 from datagen.scene.shading_normals import with_new_normals

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
-from datagen.scene.import_choices import Thin
+from datagen.scene.finding import Thin
 from datagen.scene.materials import (
     Color,
     Conductor,

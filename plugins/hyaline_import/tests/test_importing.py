@@ -20,8 +20,8 @@ from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, si
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
 from datagen.scene.description import Scene, SceneObject
+from datagen.scene.finding import ImportChoices
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, ImageTexture, Plastic
 from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras

@@ -9,7 +9,7 @@ from PIL import Image
 from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.scene.import_choices import Thin
+from datagen.scene.finding import Thin
 from datagen.scene.materials import (
     Conductor,
     Dielectric,
