@@ -155,8 +155,8 @@ class Scene:
         """
         from datagen.scene.images import read_map
         from datagen.scene.mending import mend_scene
+        from datagen.scene.rig import LIGHT
         from datagen.scene.soundness import check_scene
-        from datagen.scene.staging import LIGHT
 
         read = [_described(item) for item in self.objects]
         objects = tuple(item for item, _ in read)
@@ -179,7 +179,7 @@ class Scene:
 
 def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:
     """The cameras of a hemisphere, fitted around a scene's objects."""
-    from datagen.scene.staging import ALL_AROUND, rig_around
+    from datagen.scene.rig import ALL_AROUND, rig_around
 
     fitted = rig_around(
         objects,

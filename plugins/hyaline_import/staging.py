@@ -10,7 +10,7 @@ from datagen.data.meshes import face_corners
 from datagen.scene.description import CameraRig, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Diffuse, SolidTexture
 from datagen.scene.modelling import sheet
-from datagen.scene.staging import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
+from datagen.scene.rig import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
 from hyaline_import.remarks import Remarks
 
 USUAL_SIZE = (0.02, 5.0)

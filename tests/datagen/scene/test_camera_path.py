@@ -8,8 +8,8 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset
-from datagen.scene.camera_path import _orbit, make_path
 from datagen.scene.description import CameraRig, WalkPoint
+from datagen.scene.rig import _orbit, make_path
 
 
 @pytest.fixture(scope="module")
