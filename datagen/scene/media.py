@@ -108,6 +108,23 @@ def medium_of(media: Media, solids: "mi.UInt32") -> "mi.UInt32":
     return dr.tzcnt(solids) if media.is_nested else solids
 
 
+def solids_around(
+    media: Media, ranks: "mi.Int32", solids: "mi.UInt32", shape: "mi.ShapePtr", hit: "mi.Bool"
+) -> tuple["mi.Bool", "mi.UInt32", "mi.UInt32"]:
+    """Whether a shape is glass, and the solids on its inner and outer side, where `hit`.
+
+    Args:
+        ranks: by Dr.Jit's number of a shape; -1 for what is not glass.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    rank = dr.gather(mi.Int32, ranks, dr.reinterpret_array(mi.UInt32, shape), hit)
+    is_glass = hit & (rank >= 0)
+    rank = mi.UInt32(dr.maximum(rank, 0))
+    return is_glass, with_solid(media, solids, rank), without_solid(media, solids, rank)
+
+
 # Where rays start. A ray that leaves a surface must not hit it again, but must hit the other face of a thin wall. So it
 # starts off the surface, along the face's normal, by slightly more than rounding can move it. Let u = 2^-23, the last
 # place of 1, and L the largest coordinate of an object:
