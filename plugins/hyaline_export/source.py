@@ -13,7 +13,7 @@ from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
-from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.quantities import ViewQuantities, quantities
 from datagen.terminal.command import track
 
 Role = Literal["train", "val", "test"]
