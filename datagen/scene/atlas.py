@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh, check_numbers, is_there
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit, private_cache
 from datagen.machine.mitsuba_variant import num_cores
@@ -37,8 +37,6 @@ MAX_CHILDREN = 4
 """Processes that unwrap in parallel; each takes half a second to start."""
 MAX_KEPT_BYTES = 1 << 30
 """Size limit for each kind of kept arrays."""
-MAX_COORDINATE = 1e18
-"""Beyond it, squares overflow float32."""
 
 Arrays = Mapping[str, np.ndarray]
 
@@ -59,7 +57,9 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     before gets the same atlas from the user's cache.
     """
     for where, mesh in meshes.items():
-        _check_input(mesh, where=where)
+        check_numbers(mesh, where=where)
+        if not np.isfinite(mesh.normals).all():
+            raise HyalineError(f"{where}: normals are not finite; expected finite ones, xatlas hangs on others")
     surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
     code, version = Path(__file__), metadata.version("xatlas")
     keys = {where: key_of(surface, [code], version) for where, surface in surfaces.items()}
@@ -267,16 +267,6 @@ def keep_arrays(kind: str, made: Mapping[str, Arrays]) -> None:
 
 
 # xatlas and its child process
-
-
-def _check_input(mesh: Mesh, *, where: str) -> None:
-    if len(mesh.faces) == 0:
-        raise HyalineError(f"{where}: has no faces; expected at least one to unwrap")
-    for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
-        if not np.isfinite(values).all() or np.abs(values).max() > MAX_COORDINATE:
-            raise HyalineError(f"{where}: {name} are not finite; expected finite numbers, since xatlas hangs on others")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise HyalineError(f"{where}: faces refer to missing vertices; expected 0 to {len(mesh.vertices) - 1}")
 
 
 def _in_box(vertices: np.ndarray) -> np.ndarray:
