@@ -24,9 +24,9 @@ from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
+from datagen.scene.materials import SolidTexture
 from datagen.scene.rig import make_cameras
-from datagen.scene.textures import SolidTexture
 from datagen.terminal.command import say
 from hyaline_import.foreign import Axis, z_up_from
 from hyaline_import.importing import Imported, import_scene

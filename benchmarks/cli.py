@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from benchmarks.choices import BenchChoices
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import run
 from datagen.terminal.parsing import CommandGroup, group
 

@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw, ImageFont
 from datagen.builder.film import Picture, check_film, path_trace, write_film
 from datagen.data.dataset import open_dataset
 from datagen.disk.errors import HyalineError
-from datagen.scene.camera_path import make_path
+from datagen.scene.rig import make_path
 from model.run.predict import film_pictures
 from model.run.run_folder import check_trained_on, read_run
 

@@ -14,7 +14,7 @@ from datagen.data.paths import (
     train_command,
 )
 from datagen.disk.errors import UsageError
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
@@ -203,7 +203,7 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
 
 def scenes() -> None:
     """List the built-in scenes, and how to generate random ones."""
-    from datagen.scene.sources import SOURCES
+    from datagen.scene.finding import SOURCES
 
     for name, description in BUILT_IN_SCENES.items():
         print(f"{name:14} {description}")

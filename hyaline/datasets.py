@@ -19,9 +19,9 @@ from datagen.data.meshes import Mesh as Mesh
 from datagen.data.paths import DATA_ROOT, TRUTH
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError as HyalineError
-from datagen.quantities.view_quantities import LightEnds as LightEnds
-from datagen.quantities.view_quantities import ViewQuantities as ViewQuantities
-from datagen.quantities.view_quantities import quantities as quantities
+from datagen.quantities import LightEnds as LightEnds
+from datagen.quantities import ViewQuantities as ViewQuantities
+from datagen.quantities import quantities as quantities
 from datagen.terminal.command import choose, say_all
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of

@@ -31,14 +31,13 @@ from datagen.scene.description import WalkPoint as WalkPoint
 from datagen.scene.materials import Conductor as Conductor
 from datagen.scene.materials import Dielectric as Dielectric
 from datagen.scene.materials import Diffuse as Diffuse
-from datagen.scene.materials import Material, check_material
+from datagen.scene.materials import ImageTexture as ImageTexture
+from datagen.scene.materials import Material, Vector, check_material, check_positive
 from datagen.scene.materials import Plastic as Plastic
 from datagen.scene.materials import RoughDielectric as RoughDielectric
+from datagen.scene.materials import SolidTexture as SolidTexture
 from datagen.scene.materials import ThinDielectric as ThinDielectric
 from datagen.scene.soundness import check_names
-from datagen.scene.textures import ImageTexture as ImageTexture
-from datagen.scene.textures import SolidTexture as SolidTexture
-from datagen.scene.values import Vector, check_positive
 
 
 @runtime_checkable
@@ -156,8 +155,8 @@ class Scene:
         """
         from datagen.scene.images import read_map
         from datagen.scene.mending import mend_scene
+        from datagen.scene.rig import LIGHT
         from datagen.scene.soundness import check_scene
-        from datagen.scene.staging import LIGHT
 
         read = [_described(item) for item in self.objects]
         objects = tuple(item for item, _ in read)
@@ -180,7 +179,7 @@ class Scene:
 
 def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:
     """The cameras of a hemisphere, fitted around a scene's objects."""
-    from datagen.scene.staging import ALL_AROUND, rig_around
+    from datagen.scene.rig import ALL_AROUND, rig_around
 
     fitted = rig_around(
         objects,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from support.soon import soon
 
-from datagen.scene.sources import SOURCES
+from datagen.scene.finding import SOURCES
 from datagen.terminal.plugins import COMMANDS
 from eval.tables.plugins import REPORT_PARTS, TABLES
 from model.methods.protocol import METHODS

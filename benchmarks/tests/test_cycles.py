@@ -12,7 +12,7 @@ from support.gltf import GltfBuilder
 
 from datagen.data.images import decode_radiance
 from datagen.render.mitsuba_scene import radiance_of_environment
-from datagen.scene.staging import LIGHT
+from datagen.scene.rig import LIGHT
 
 FAKE = """#!{python}
 import json, shutil, sys

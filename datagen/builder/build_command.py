@@ -22,8 +22,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
-from datagen.scene.finding import find_scene, is_foreign, numbered_scenes
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices, find_scene, is_foreign, numbered_scenes
 from datagen.terminal.command import say, say_all
 from datagen.terminal.parsing import changed_flags, flag_words
 

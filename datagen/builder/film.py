@@ -22,8 +22,8 @@ from datagen.disk.ownership import refuse_file
 from datagen.disk.records import read_regular
 from datagen.disk.storage import commit
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.camera_path import make_path
 from datagen.scene.folder import open_scene
+from datagen.scene.rig import make_path
 from datagen.scene.soundness import check_cameras_outside
 from datagen.terminal.command import track
 

@@ -19,7 +19,7 @@ from datagen.data.meshes import is_there
 from datagen.data.variants import evenly
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.charts import COLORS
-from datagen.quantities.surfaces import Surfaces, surfaces_of
+from datagen.quantities import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.light_path import TracedPaths
 from datagen.trace.surface_tables import Limits

@@ -18,7 +18,7 @@ from datagen.look.view_pictures import Picture, object_colors, stored_pictures
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
-from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities import surfaces_of
 
 MOST_BYTES = 18_000_000
 SHOWN_VIEWS = 6

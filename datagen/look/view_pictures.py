@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
 from datagen.data.dataset import View
-from datagen.quantities.view_quantities import quantities
+from datagen.quantities import quantities
 
 Picture = UInt8[np.ndarray, "h w 3"]
 

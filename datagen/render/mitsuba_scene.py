@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, Int32
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, face_areas
 from datagen.machine.processes import ROOT
-from datagen.scene.atlas import bake_positions
+from datagen.scene.atlas import bake_positions, find_arrays, keep_arrays, key_of
 from datagen.scene.description import (
     Card,
     Environment,
@@ -20,9 +20,8 @@ from datagen.scene.description import (
     image_bytes,
 )
 from datagen.scene.images import linear_pixels, read_map
-from datagen.scene.kept_arrays import find_arrays, keep_arrays, key_of
-from datagen.scene.materials.optics import Plugin, rgb
-from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, evaluate_texture
+from datagen.scene.materials import ImageTexture, Plugin, Reflectance, SolidTexture, rgb
+from datagen.scene.textures import evaluate_texture
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -202,10 +201,10 @@ def linear_texels(
     size = _texture_size(mesh)
     arrays = {"vertices": mesh.vertices, "faces": mesh.faces, "uv": mesh.uv}
     key = key_of(arrays, _BAKERS, texture, size, np.__version__)
-    if (kept := find_arrays("textures", key)) is not None:
-        return kept["texels"]
+    if kept := find_arrays("textures", [key]):
+        return kept[key]["texels"]
     texels = bake_texture(texture, mesh, size)
-    keep_arrays("textures", key, {"texels": texels})
+    keep_arrays("textures", {key: {"texels": texels}})
     return texels
 
 

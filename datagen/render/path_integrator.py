@@ -28,8 +28,17 @@ from jaxtyping import Float32
 from datagen.render.caustics import CausticMap, Spot
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
-from datagen.scene.contact import LAST_PLACE, RAY_OFFSET, largest_coordinate, skipped_length
-from datagen.scene.media import SAME_INDEX, Media, medium_of, no_solids, with_solid, without_solid
+from datagen.scene.media import (
+    LAST_PLACE,
+    RAY_OFFSET,
+    SAME_INDEX,
+    Media,
+    largest_coordinate,
+    medium_of,
+    no_solids,
+    skipped_length,
+    solids_around,
+)
 
 Lanes = Any
 """A Dr.Jit array with one lane per path. Annotated, since pyright takes minutes to infer such types in `_trace`."""
@@ -171,7 +180,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         throughput *= transmitted
 
         # The media on both sides of glass.
-        is_glass, with_it, without_it = solids_around(tables, solids, si.shape, active & hit)
+        is_glass, with_it, without_it = solids_around(tables.media, tables.rank, solids, si.shape, active & hit)
         sides = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (sides[0] == sides[1]) if tables.media.is_nested else mi.Bool(False)
 
@@ -299,14 +308,6 @@ def _sky(scene, ray, escaped) -> Lanes:
     sky = dr.zeros(mi.SurfaceInteraction3f)
     sky.wi = -ray.d
     return scene.environment().eval(sky, escaped)
-
-
-def solids_around(tables, solids, shape, hit) -> tuple[Lanes, Lanes, Lanes]:
-    """Whether a shape is glass, and the solids on its inner and outer side, where `hit`."""
-    rank = dr.gather(mi.Int32, tables.rank, dr.reinterpret_array(mi.UInt32, shape), hit)
-    is_glass = hit & (rank >= 0)
-    rank = mi.UInt32(dr.maximum(rank, 0))
-    return is_glass, with_solid(tables.media, solids, rank), without_solid(tables.media, solids, rank)
 
 
 def part_colors(tables, sides, colors, meets_glass, throughput, has_all) -> tuple[Lanes, Lanes]:

@@ -18,11 +18,10 @@ from datagen.render.path_integrator import (
     part_colors,
     pass_medium,
     ratio_of_indices,
-    solids_around,
     start_off,
     surface_of_glass,
 )
-from datagen.scene.media import medium_of, no_solids
+from datagen.scene.media import medium_of, no_solids, solids_around
 
 NUM_PHOTONS = 1 << 20
 """Photons sent to glass and mirrors; about half of them arrive."""
@@ -88,7 +87,7 @@ def _trace_photons(scene, ray, power, sampler, tables):
         active &= si.is_valid()
         offset, transmitted = pass_medium(tables, solids, ray, si, active)
         power *= transmitted
-        is_glass, with_it, without_it = solids_around(tables, solids, si.shape, active)
+        is_glass, with_it, without_it = solids_around(tables.media, tables.rank, solids, si.shape, active)
         sides = medium_of(tables.media, with_it), medium_of(tables.media, without_it)
         vanishes = is_glass & (sides[0] == sides[1]) if tables.media.is_nested else mi.Bool(False)
         eta = ratio_of_indices(tables, sides, colors, is_glass)

@@ -18,7 +18,7 @@ from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import has_small_light, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
-from datagen.scene.materials.optics import Surface
+from datagen.scene.materials import Surface
 from datagen.scene.media import find_media
 
 MAX_PATHS_PER_PASS = 1 << 23

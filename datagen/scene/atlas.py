@@ -4,8 +4,12 @@ Texture arrays are (tex_h, tex_w, c), row 0 on top: texel (r, c) is centred on u
 v = 1 - (r + 0.5) / size.
 """
 
+import contextlib
+import hashlib
+import io
 import sys
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import metadata
 from pathlib import Path
@@ -14,11 +18,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Float32, Int32
 
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh, check_numbers, is_there
 from datagen.disk.errors import HyalineError
+from datagen.disk.storage import commit, private_cache
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.machine.processes import ChildError, arrays_from_child
-from datagen.scene.kept_arrays import Arrays, find_arrays, keep_arrays, key_of
 
 if TYPE_CHECKING:
     import xatlas
@@ -31,8 +35,10 @@ BOX = 1024.0
 """Longest side given to xatlas, in its units: it treats triangles below 1e-7 square units as degenerate."""
 MAX_CHILDREN = 4
 """Processes that unwrap in parallel; each takes half a second to start."""
-MAX_COORDINATE = 1e18
-"""Beyond it, squares overflow float32."""
+MAX_KEPT_BYTES = 1 << 30
+"""Size limit for each kind of kept arrays."""
+
+Arrays = Mapping[str, np.ndarray]
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
@@ -51,19 +57,20 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     before gets the same atlas from the user's cache.
     """
     for where, mesh in meshes.items():
-        _check_input(mesh, where=where)
+        check_numbers(mesh, where=where)
+        if not np.isfinite(mesh.normals).all():
+            raise HyalineError(f"{where}: normals are not finite; expected finite ones, xatlas hangs on others")
     surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
     code, version = Path(__file__), metadata.version("xatlas")
     keys = {where: key_of(surface, [code], version) for where, surface in surfaces.items()}
-    atlases = {key: found for key in keys.values() if (found := find_arrays("atlases", key)) is not None}
+    atlases = find_arrays("atlases", keys.values())
     # Surfaces that differ only in position and size are unwrapped once.
     first = {key: where for where, key in reversed(keys.items()) if key not in atlases}
     shares = _share_out({where: surfaces[where] for where in first.values()}, min(MAX_CHILDREN, num_cores()))
     with ThreadPoolExecutor(max_workers=MAX_CHILDREN) as pool:
         made = {keys[where]: atlas for share in pool.map(_unwrap_in_child, shares) for where, atlas in share.items()}
     done = {where: _with_uv(mesh, {**atlases, **made}[keys[where]], where=where) for where, mesh in meshes.items()}
-    for key, atlas in made.items():
-        keep_arrays("atlases", key, atlas)
+    keep_arrays("atlases", made)
     return done
 
 
@@ -216,17 +223,50 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
+# Arrays that take long to compute, in the user's cache. Several processes may find and keep the same ones at once
+
+
+def key_of(arrays: Arrays, makers: Sequence[Path], *facts: object) -> str:
+    """A digest of the arrays that others are computed from, the code in `makers`, and anything else that matters."""
+    digest = hashlib.sha256(repr(facts).encode())
+    for path in makers:
+        digest.update(path.read_bytes())
+    for name, values in sorted(arrays.items()):
+        digest.update(f"{name} {values.dtype.str} {values.shape}".encode())
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return digest.hexdigest()
+
+
+def find_arrays(kind: str, keys: Iterable[str]) -> dict[str, Arrays]:
+    """The arrays that were kept under each of some keys, unless they are damaged."""
+    found: dict[str, Arrays] = {}
+    if (cache := private_cache(kind)) is not None:
+        for key in keys:
+            with (
+                contextlib.suppress(ValueError, OSError, EOFError, zipfile.BadZipFile),
+                (cache / f"{key}.npz").open("rb") as file,
+                np.load(file) as kept,  # With a checksum of each array.
+            ):
+                found[key] = dict(kept)
+    return found
+
+
+def keep_arrays(kind: str, made: Mapping[str, Arrays]) -> None:
+    """Keeps arrays by key if the cache is writable; the oldest of their kind make room."""
+    if not made or (cache := private_cache(kind)) is None:
+        return
+    with contextlib.suppress(OSError):  # A full disk, or another process that deletes the same files.
+        for key, arrays in made.items():
+            buffer = io.BytesIO()
+            np.savez(buffer, allow_pickle=False, **arrays)
+            commit(cache / f"{key}.npz", buffer.getvalue())
+        kept = sorted(((path.stat(), path) for path in cache.glob("*.npz")), key=lambda item: -item[0].st_mtime)
+        for size, (_, path) in zip(np.cumsum([stat.st_size for stat, _ in kept]), kept, strict=True):
+            if size > MAX_KEPT_BYTES:
+                path.unlink(missing_ok=True)
+
+
 # xatlas and its child process
-
-
-def _check_input(mesh: Mesh, *, where: str) -> None:
-    if len(mesh.faces) == 0:
-        raise HyalineError(f"{where}: has no faces; expected at least one to unwrap")
-    for name, values in (("vertices", mesh.vertices), ("normals", mesh.normals)):
-        if not np.isfinite(values).all() or np.abs(values).max() > MAX_COORDINATE:
-            raise HyalineError(f"{where}: {name} are not finite; expected finite numbers, since xatlas hangs on others")
-    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise HyalineError(f"{where}: faces refer to missing vertices; expected 0 to {len(mesh.vertices) - 1}")
 
 
 def _in_box(vertices: np.ndarray) -> np.ndarray:

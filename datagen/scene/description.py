@@ -16,9 +16,15 @@ from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import read_regular
-from datagen.scene.materials import Material, check_material
-from datagen.scene.textures import ImageTexture
-from datagen.scene.values import Color, Vector, as_vector, check_positive, check_range
+from datagen.scene.materials import (
+    Color,
+    ImageTexture,
+    Material,
+    Vector,
+    as_vector,
+    check_positive,
+    check_range,
+)
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255
@@ -269,9 +275,6 @@ class SceneObject:
     mesh: Mesh
     """The mesh; without faces if an edit removed the object, whose id then stays unused."""
     material: Material
-
-    def __post_init__(self) -> None:
-        check_material(self.material, where=f"object {self.name}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,6 @@ would have two positions, and layers could not distinguish them.
 
 import dataclasses
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, cast
 
@@ -18,9 +17,8 @@ from jaxtyping import Float
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.materials import Dielectric, Diffuse, Vector, as_vector
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import Vector, as_vector
 from datagen.terminal.command import choose
 
 Verb = Literal["remove", "move", "duplicate", "glass", "swap", "no-glass", "opaque-glass"]
@@ -107,7 +105,7 @@ def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
         there = [item.name for item in edited.scene.objects if is_there(item.mesh)]
         for name in edit.objects:
             choose(f"edit {describe_edit(edit)!r}: object", name, there)
-        edited = VERBS[edit.verb](edited, edit)
+        edited = _edited(edited, edit)
         try:
             check_scene(edited.scene)
         except HyalineError as error:
@@ -115,72 +113,47 @@ def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
     return edited
 
 
-def _remove(edited: EditedScene, edit: Edit) -> EditedScene:
-    return _with_object(edited, dataclasses.replace(_find(edited, edit.objects[0]), mesh=no_mesh()))
+def _edited(edited: EditedScene, edit: Edit) -> EditedScene:
+    """The scene after one edit, unchecked."""
+    items, offset = [_find(edited, name) for name in edit.objects], np.array(edit.offset or (0.0, 0.0, 0.0))
+    match edit.verb:
+        case "remove":
+            return _with_object(edited, dataclasses.replace(items[0], mesh=no_mesh()))
+        case "move":
+            return _moved(edited, items[0].name, offset)
+        case "duplicate":
+            return _duplicated(edited, items[0], offset)
+        case "glass":
+            material = GREY if items[0].material.is_glass else CLEAR_GLASS
+            return _with_object(edited, dataclasses.replace(items[0], material=material))
+        case "swap":  # Each moves so that the centre of its base is where the other's was.
+            offset = _foot(items[1].mesh) - _foot(items[0].mesh)
+            return _moved(_moved(edited, items[0].name, offset), items[1].name, -offset)
+        case "no-glass" | "opaque-glass":  # A depth sensor could measure glass that is painted matt grey.
+            glass = [item for item in edited.scene.objects if is_there(item.mesh) and item.material.is_glass]
+            if not glass:
+                raise HyalineError(
+                    f"edit {describe_edit(edit)!r}: the scene has no glass; expected some, or another edit"
+                )
+            for item in glass:
+                gone = dataclasses.replace(item, mesh=no_mesh())
+                painted = dataclasses.replace(item, material=GREY)
+                edited = _with_object(edited, gone if edit.verb == "no-glass" else painted)
+            return edited
 
 
-def _move(edited: EditedScene, edit: Edit) -> EditedScene:
-    assert edit.offset is not None
-    return _moved(edited, edit.objects[0], np.array(edit.offset))
-
-
-def _duplicate(edited: EditedScene, edit: Edit) -> EditedScene:
-    assert edit.offset is not None
-    original = _find(edited, edit.objects[0])
+def _duplicated(edited: EditedScene, original: SceneObject, offset: Float[np.ndarray, "3"]) -> EditedScene:
     first = edited.copies.get(original.name, original.name)
     names = {item.name for item in edited.scene.objects}
     name = next(name for count in range(1, 256) if (name := f"{first}_copy{count}") not in names)
-    copy = dataclasses.replace(original, name=name)
     with_copy = EditedScene(
-        scene=dataclasses.replace(edited.scene, objects=(*edited.scene.objects, copy)),
+        scene=dataclasses.replace(
+            edited.scene, objects=(*edited.scene.objects, dataclasses.replace(original, name=name))
+        ),
         copies={**edited.copies, name: first},
         offsets={**edited.offsets, name: edited.offsets.get(original.name, (0.0, 0.0, 0.0))},
     )
-    return _moved(with_copy, name, np.array(edit.offset))
-
-
-def _toggle_glass(edited: EditedScene, edit: Edit) -> EditedScene:
-    item = _find(edited, edit.objects[0])
-    return _with_object(edited, dataclasses.replace(item, material=GREY if item.material.is_glass else CLEAR_GLASS))
-
-
-def _swap(edited: EditedScene, edit: Edit) -> EditedScene:
-    """Exchanges two objects: each moves so that the centre of its base is where the other's was."""
-    one, other = edit.objects
-    offset = _foot(_find(edited, other).mesh) - _foot(_find(edited, one).mesh)
-    return _moved(_moved(edited, one, offset), other, -offset)
-
-
-def _remove_glass(edited: EditedScene, edit: Edit) -> EditedScene:
-    """The same scene without its glass."""
-    for item in _all_glass(edited, edit):
-        edited = _with_object(edited, dataclasses.replace(item, mesh=no_mesh()))
-    return edited
-
-
-def _paint_glass(edited: EditedScene, edit: Edit) -> EditedScene:
-    """The same scene with its glass painted matt grey, so that a depth sensor could measure it."""
-    for item in _all_glass(edited, edit):
-        edited = _with_object(edited, dataclasses.replace(item, material=GREY))
-    return edited
-
-
-def _all_glass(edited: EditedScene, edit: Edit) -> list[SceneObject]:
-    glass = [item for item in edited.scene.objects if is_there(item.mesh) and item.material.is_glass]
-    if not glass:
-        raise HyalineError(f"edit {describe_edit(edit)!r}: the scene has no glass; expected some, or another edit")
-    return glass
-
-
-VERBS: dict[Verb, Callable[[EditedScene, Edit], EditedScene]] = {
-    "remove": _remove,
-    "move": _move,
-    "duplicate": _duplicate,
-    "glass": _toggle_glass,
-    "swap": _swap,
-    "no-glass": _remove_glass,
-    "opaque-glass": _paint_glass,
-}
+    return _moved(with_copy, name, offset)
 
 
 def _find(edited: EditedScene, name: str) -> SceneObject:

@@ -1,19 +1,94 @@
-"""The scene that a word means: a built-in one, a folder, or one of a plug-in."""
+"""The scene that a word means: a built-in one, a folder, or one of a plug-in, such as an imported file."""
 
 import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 from datagen.data.config import Resolution, square
-from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.scene.builtin import make_scene
-from datagen.scene.description import Scene
-from datagen.scene.folder import load_scene
-from datagen.scene.import_choices import ImportChoices
-from datagen.scene.sources import SOURCES, SceneSource
 from datagen.terminal.command import say
+from datagen.terminal.plugins import Group
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from datagen.scene.description import Scene
 
 DEFAULT_RESOLUTION = square(128)
+
+Thin = Literal["open", "file", "all"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportChoices:
+    """For files from other programs: what the file lacks, and how to read it."""
+
+    scale: float | None = None
+    """Metres per unit of the file, such as 0.001 for millimetres. Default: the format's own unit, or a reported guess
+    if the scene would be smaller than 2 cm or larger than 5 m."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """The file's axis that points up; auto: as usual for the format (y in glTF, OBJ and PLY, z in STL)."""
+    material: tuple[str, ...] = ()
+    """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
+    gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
+    thin: Thin = "open"
+    """Which glass becomes thin panes. open: only open meshes; file: also materials that the file marks as thin-walled;
+    all: all glass."""
+    cameras: str = "around"
+    """Cameras all around the glass (around), those in the file (file), or those of a transforms.json or a COLMAP
+    folder, in the file's own axes and units."""
+    ground: Literal["auto", "always", "never"] = "auto"
+    """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
+    repair: bool = False
+    """Close holes in glass meshes (open ones otherwise become thin panes); import.json records the volume before and
+    after. Glass that cannot be closed without changing its volume by more than 5 %, or whose surface crosses itself,
+    is left out, unless no other glass is in the file."""
+    merge: bool = False
+    """Merge all surfaces of a material into one object: a scene has at most 255 objects."""
+    crease: float | None = None
+    """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
+    every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY and STL."""
+    strict: bool = False
+    """Fail if any feature of the file cannot be reproduced."""
+
+    def __post_init__(self) -> None:
+        if self.scale is not None and not 1e-9 < self.scale < 1e9:
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
+        if self.crease is not None and not 0 <= self.crease <= 180:
+            raise HyalineError(f"--crease: is {self.crease:g}; expected 0 to 180 degrees")
+
+    def given(self) -> list[str]:
+        """The flags that differ from their defaults."""
+        names = (item.name for item in dataclasses.fields(self) if getattr(self, item.name) != item.default)
+        return [f"--{name.replace('_', '-')}" for name in names]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneSource:
+    """Scenes that a plug-in brings: those of files, or those that code makes again from their names."""
+
+    has: Callable[[str], bool]
+    """Whether a word means one of its scenes, even one that cannot be made."""
+    find: "Callable[[str, Resolution, ImportChoices], Scene]"
+    """Makes the scene of a word, for pictures of this size."""
+    is_of_files: bool
+    """Its words are paths of files."""
+    read_mesh: "Callable[[Path], tuple[np.ndarray, np.ndarray, np.ndarray | None]] | None" = None
+    """Vertices, faces and uv of all objects in a file as one mesh."""
+    name_of: Callable[[int, str | None], str] | None = None
+    """The scene of a seed and a family, where the source's own name stands for any of them, as `random` does."""
+    families: Callable[[], tuple[str, ...]] = tuple
+
+
+SOURCES: Group[SceneSource] = Group(
+    name="hyaline.scene_sources",
+    what="source of scenes",
+    built_in={},
+    guide="docs/adding-a-reader.md",
+    kind="datagen.scene.finding:SceneSource",
+)
 
 
 def find_source(given: str, *, is_of_files: bool) -> SceneSource | None:
@@ -38,13 +113,17 @@ def find_scene(
     *,
     resolution: Resolution = DEFAULT_RESOLUTION,
     imports: ImportChoices = ImportChoices(),  # noqa: B008
-) -> Scene:
+) -> "Scene":
     """The scene of a folder with a scene.json, a built-in one by its name, or one of a plug-in.
 
     Args:
         resolution: of the pictures, which the ground of an imported scene is made for.
         imports: how a file is imported.
     """
+    from datagen.data.meshes import is_there
+    from datagen.scene.builtin import make_scene
+    from datagen.scene.folder import load_scene
+
     if (source := find_source(given, is_of_files=True)) is not None:
         return source.find(given, resolution, imports)
     if flags := imports.given():

@@ -184,10 +184,6 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
             mesh, has_uv = read_ply(find_file(folder, item.mesh, where=f"{path}: object {item.name}"))
         if not has_uv:
             without_uv.add(item.name)
-        for image in item.material.images().values():
-            texture = find_file(folder, image.path, where=f"{path}: object {item.name}")
-            if not texture.is_file():
-                raise HyalineError(f"{texture}: the texture of object {item.name} is missing")
         objects.append(SceneObject(name=item.name, mesh=mesh, material=item.material))
     scene = Scene(
         name=file.name,

@@ -1,4 +1,4 @@
-"""The images of a scene: textures and environment maps, read, looked up, and baked into new uv."""
+"""The images of a scene: textures and environment maps, read and looked up."""
 
 import io
 from collections.abc import Iterator
@@ -8,16 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
-from datagen.data.images import decode_radiance, linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
-from datagen.data.meshes import Mesh
+from datagen.data.images import decode_radiance, linear_from_srgb
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import bake_corners
 
 if TYPE_CHECKING:
     from PIL import Image
 
-MIN_SIZE, MAX_SIZE = 128, 2048
-"""Texels per side of an image that is baked into new uv."""
 MAX_PIXELS = 1 << 26
 """Largest number of pixels of a user's image."""
 FORMATS = ["PNG", "JPEG", "WEBP", "BMP", "TGA", "GIF", "TIFF"]
@@ -63,22 +59,6 @@ def linear_pixels(data: bytes, *, where: str) -> Float32[np.ndarray, "tex_h tex_
     with opened_image(data, where=where) as image:
         encoded = np.asarray(image.convert("RGB"))
     return linear_from_srgb(encoded / 255.0).astype(np.float32)
-
-
-def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after: Mesh) -> bytes:
-    """The PNG that colours a surface in new uv as the image did in the old uv, where it repeats outside [0, 1].
-
-    Args:
-        after: the same faces in the same order, with new uv.
-    """
-    a, b, c = np.moveaxis(before.uv[before.faces].astype(np.float64), 1, 0)
-    # Texels that the surface shows, which are more than the image has where it repeats.
-    shown = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1))).sum() * image.shape[0] * image.shape[1]
-    wanted = 2 ** np.ceil(np.log2(max(*image.shape[:2], shown**0.5)))
-    size = int(np.clip(wanted, MIN_SIZE, MAX_SIZE))
-    uv = bake_corners(after, before.uv[before.faces].astype(np.float64), size)
-    repeats = bool(before.uv.min() < 0 or before.uv.max() > 1)
-    return png_bytes(to_8bit(srgb_from_linear(look_up(image, uv, repeats=repeats))))
 
 
 def look_up(

@@ -3,13 +3,15 @@
 import dataclasses
 
 import numpy as np
+from jaxtyping import Float32
 
+from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh, check_areas, check_numbers, is_there
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import coverage, unwrap_all
+from datagen.scene.atlas import bake_corners, coverage, unwrap_all
 from datagen.scene.description import Scene, image_bytes
-from datagen.scene.images import baked_image, linear_pixels
-from datagen.scene.textures import ImageTexture
+from datagen.scene.images import linear_pixels, look_up
+from datagen.scene.materials import ImageTexture
 from datagen.terminal.command import say
 
 COVERAGE_SIZE = 256
@@ -18,6 +20,8 @@ MAX_SHARED = 0.005
 """Share of covered texels that several faces may share; atlases with overlapping charts have many times more."""
 MIN_COVERED = 0.005
 """Share of the atlas that a surface must cover; with less, it would have only a few texels or none."""
+MIN_SIZE, MAX_SIZE = 128, 2048
+"""Texels per side of an image that is baked into new uv."""
 MAX_UV = 1e5
 """Repeats of an image beyond which 32-bit floats cannot distinguish its texels."""
 
@@ -68,6 +72,22 @@ def _with_atlases(scene: Scene, faults: dict[str, str]) -> Scene:
             say(f"{wheres[item.name]}: {fault}; it was {what}")
         objects.append(dataclasses.replace(item, mesh=mesh, material=material))
     return dataclasses.replace(scene, objects=tuple(objects), baked=baked)
+
+
+def baked_image(image: Float32[np.ndarray, "tex_h tex_w 3"], before: Mesh, after: Mesh) -> bytes:
+    """The PNG that colours a surface in new uv as the image did in the old uv, where it repeats outside [0, 1].
+
+    Args:
+        after: the same faces in the same order, with new uv.
+    """
+    a, b, c = np.moveaxis(before.uv[before.faces].astype(np.float64), 1, 0)
+    # Texels that the surface shows, which are more than the image has where it repeats.
+    shown = 0.5 * np.abs(np.linalg.det(np.stack([b - a, c - a], axis=-1))).sum() * image.shape[0] * image.shape[1]
+    wanted = 2 ** np.ceil(np.log2(max(*image.shape[:2], shown**0.5)))
+    size = int(np.clip(wanted, MIN_SIZE, MAX_SIZE))
+    uv = bake_corners(after, before.uv[before.faces].astype(np.float64), size)
+    repeats = bool(before.uv.min() < 0 or before.uv.max() > 1)
+    return png_bytes(to_8bit(srgb_from_linear(look_up(image, uv, repeats=repeats))))
 
 
 def atlas_fault(mesh: Mesh) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
-from datagen.scene.shading_normals import corner_normals
+from datagen.scene.shading_normals import corner_normals, split_corners
 
 Point = tuple[float, float, float]
 Points = Float[np.ndarray, "p 3"]
@@ -17,6 +17,9 @@ Profile = Sequence[tuple[float, float]]
 """Points (radius, z) of a lathe's outline."""
 Around = Callable[[Float[np.ndarray, " angle"], Float[np.ndarray, "p 2"]], Float[np.ndarray, "p angle"]]
 """Maps angles in radians and an outline's points to factors on their radii, for sections that are not circles."""
+
+Part = Mesh | tuple[Mesh, Sequence[float]]
+"""A part of a mesh, or one with the place that it is moved to."""
 
 CREASE_DEG = 40.0
 """Faces that meet at a sharper angle than this are shaded with a hard edge."""
@@ -260,15 +263,13 @@ def _pair(point: np.ndarray) -> tuple[float, float]:
 # Assembling
 
 
-def merged(parts: Sequence[Mesh]) -> Mesh:
+def merged(parts: Sequence[Part]) -> Mesh:
     """All parts as one mesh."""
-    offsets = np.cumsum([0, *(len(part.vertices) for part in parts)])
-    return Mesh(
-        vertices=np.concatenate([part.vertices for part in parts]),
-        faces=np.concatenate([part.faces + offset for part, offset in zip(parts, offsets)]).astype(np.int32),
-        normals=np.concatenate([part.normals for part in parts]),
-        uv=np.concatenate([part.uv for part in parts]),
-    )
+    fixed = [_transformed(part[0], np.eye(3), part[1]) if isinstance(part, tuple) else vars(part) for part in parts]
+    offsets = np.cumsum([0, *(len(part["vertices"]) for part in fixed)])
+    faces = [part["faces"] + offset for part, offset in zip(fixed, offsets)]
+    joined = {name: np.concatenate([part[name] for part in fixed]) for name in ("vertices", "normals", "uv")}
+    return Mesh(**joined, faces=np.concatenate(faces).astype(np.int32))
 
 
 def moved(mesh: Mesh, offset: Sequence[float]) -> Mesh:
@@ -297,15 +298,19 @@ def rotation(axis: Point, angle_deg: float) -> np.ndarray:
 
 def transformed(mesh: Mesh, linear: np.ndarray, offset: Sequence[float]) -> Mesh:
     """The mesh under x -> linear x + offset; faces are flipped if `linear` mirrors, so that they stay outward."""
+    return Mesh(**_transformed(mesh, linear, offset))
+
+
+def _transformed(mesh: Mesh, linear: np.ndarray, offset: Sequence[float]) -> dict[str, np.ndarray]:
     normals = mesh.normals.astype(np.float64) @ np.linalg.inv(linear)
     faces = mesh.faces[:, ::-1] if np.linalg.det(linear) < 0 else mesh.faces
     vertices = mesh.vertices.astype(np.float64) @ np.asarray(linear).T + np.asarray(offset, np.float64)
-    return Mesh(
-        vertices=vertices.astype(np.float32),
-        faces=np.ascontiguousarray(faces),
-        normals=(normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
-        uv=mesh.uv,
-    )
+    return {
+        "vertices": vertices.astype(np.float32),
+        "faces": np.ascontiguousarray(faces),
+        "normals": (normals / np.linalg.norm(normals, axis=-1, keepdims=True)).astype(np.float32),
+        "uv": mesh.uv,
+    }
 
 
 def deformed(mesh: Mesh, deform: Callable[[Points], Points], *, crease_deg: float = CREASE_DEG) -> Mesh:
@@ -322,11 +327,9 @@ def shaded(positions: Points, faces: np.ndarray, *, crease_deg: float) -> Mesh:
     assert np.isfinite(positions).all(), "a point is not finite"
     corners = positions[faces]
     faces = faces[np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 1]), axis=-1) > 0]
-    normals, at = corner_normals(positions, faces, crease_deg=crease_deg), faces.reshape(-1)
-    # Corners that agree on point and normal become one vertex.
-    keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
-    _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return _mesh(positions[at[first]], index.reshape(-1, 3), normals[first])
+    normals = corner_normals(positions, faces, crease_deg=crease_deg)
+    at, first, index = split_corners(faces, normals)
+    return _mesh(positions[at], index, normals[first])
 
 
 def convex_hull(points: Points, *, crease_deg: float) -> Mesh:

@@ -25,16 +25,18 @@ def with_new_normals(mesh: Mesh, *, crease_deg: float) -> Mesh:
     """The mesh with smooth normals; vertices are split where faces meet at more than the crease angle. uv are kept."""
     positions, faces = welded(mesh)
     normals = corner_normals(positions.astype(np.float64), faces, crease_deg=crease_deg)
-    at = mesh.faces.reshape(-1)
-    # Corners that agree on vertex and normal stay one vertex.
+    at, first, index = split_corners(mesh.faces, normals)
+    return Mesh(vertices=mesh.vertices[at], faces=index, normals=normals[first].astype(np.float32), uv=mesh.uv[at])
+
+
+def split_corners(
+    faces: np.ndarray, normals: Float[np.ndarray, "corner 3"]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The vertex and the corner of each new vertex, and new faces: corners that agree on vertex and normal are one."""
+    at = faces.reshape(-1)
     keys = np.concatenate([at[:, None], np.rint(normals * 4096).astype(np.int64)], axis=-1)
     _, first, index = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    return Mesh(
-        vertices=mesh.vertices[at[first]],
-        faces=index.reshape(-1, 3).astype(np.int32),
-        normals=normals[first].astype(np.float32),
-        uv=mesh.uv[at[first]],
-    )
+    return at[first], first, index.reshape(-1, 3).astype(np.int32)
 
 
 def corner_normals(

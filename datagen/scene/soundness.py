@@ -7,32 +7,41 @@ import re
 from itertools import combinations, permutations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from datagen.data.cameras import direction_of
 from datagen.data.config import SPLITS
 from datagen.data.depth_range import seeing
 from datagen.data.meshes import (
+    Mesh,
+    SurfacePoints,
     check_closed,
     check_mesh,
     check_solid,
     count_shared_faces,
     face_areas,
-    face_corners,
     is_there,
     points_on,
     windings,
 )
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name
-from datagen.scene.contact import touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
+from datagen.scene.materials import check_material
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
 
 MAX_TOUCHING = 0.005
 """Share of the smaller of two surfaces that may lie in the other, if one of them is glass. A ball on a floor has 0.1 %,
 a tumbler 4 %."""
+
+TOLERANCE = 1e-4
+"""Planes closer than this count as one, in metres: a gap of a tenth of a millimetre is never intended."""
+
+SAMPLES = 1024
+"""Points on a surface, spread by area, with which its contact is measured."""
+SAMPLES_ON_FACES = 1 << 14
+"""Further points, as many on each face and at least one, where it matters which faces touch."""
 
 MIN_DISTANCE, MAX_DISTANCE = 0.02, 1000.0
 """Allowed distance in metres from the cameras to their target. Cameras see from a millimetre to ten kilometres."""
@@ -50,25 +59,44 @@ NAMED = 3
 
 
 def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
-    """Rejects a scene that would crash a native library or silently render wrong.
+    """Rejects a scene that would crash a native library or silently render wrong; cheap checks come first.
 
     Args:
         is_checked: the scene was checked when it was saved, so only single numbers are checked again.
     """
     check_name(scene.name, where="scene name")
     check_names(scene)
-    if not any(is_there(item.mesh) for item in scene.objects):
+    there, solids = _there(scene), _solids(scene)
+    if not there:
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one with a mesh")
-    for item in scene.objects:
-        where = f"scene {scene.name}: object {item.name}"
-        if not is_there(item.mesh):
-            continue
-        check_mesh(item.mesh, where=where)
-        if item.material.medium is not None:
-            check_closed(item.mesh, where=where)
-    _check_nesting(scene)
-    if not is_checked:
-        check_sound(scene)
+    for item in there:
+        check_material(item.material, where=f"scene {scene.name}: object {item.name}")
+    for item in there:
+        check_mesh(item.mesh, where=f"scene {scene.name}: object {item.name}")
+    for item in solids:
+        check_closed(item.mesh, where=f"scene {scene.name}: object {item.name}")
+    _check_nesting(scene, solids)
+    if is_checked:
+        return
+    cameras = camera_places(scene.cameras)
+    _check_seen(scene, there)
+    _check_units(scene, there, cameras)
+    _check_normals(scene, there)
+    for item in solids:
+        check_solid(item.mesh, where=f"scene {scene.name}: object {item.name}")
+    check_cameras_outside(scene, cameras)
+    _check_contact(scene, there)
+    _check_overlaps(scene, solids)
+
+
+def _there(scene: Scene) -> list[SceneObject]:
+    """The objects that no edit removed."""
+    return [item for item in scene.objects if is_there(item.mesh)]
+
+
+def _solids(scene: Scene) -> list[SceneObject]:
+    """Those of glass or liquid, whose meshes are closed."""
+    return [item for item in _there(scene) if item.material.medium is not None]
 
 
 def check_names(scene: Scene) -> None:
@@ -81,22 +109,6 @@ def check_names(scene: Scene) -> None:
     for name in names:
         if not re.fullmatch(OBJECT_NAME, name):
             raise HyalineError(f"scene {scene.name}: object name {name!r}; expected letters, digits, _ and -")
-
-
-def check_sound(scene: Scene) -> None:
-    """The checks of `check_scene` beyond single numbers, cheapest first."""
-    there = [item for item in scene.objects if is_there(item.mesh)]
-    cameras = camera_places(scene.cameras)
-    _check_seen(scene, there)
-    _check_units(scene, there, cameras)
-    for item in there:
-        _check_normals(item, where=_where(scene, item))
-    for item in there:
-        if item.material.medium is not None:
-            check_solid(item.mesh, where=_where(scene, item))
-    check_cameras_outside(scene, cameras)
-    _check_contact(scene, there)
-    _check_overlaps(scene, there)
 
 
 def _check_seen(scene: Scene, there: list[SceneObject]) -> None:
@@ -128,10 +140,6 @@ def camera_places(rig: CameraRig | CameraList) -> Float[np.ndarray, "place 3"]:
     return np.concatenate([np.array(rig.target) + rig.radius * directions.reshape(-1, 3), between, walk[-1:]])
 
 
-def _where(scene: Scene, item: SceneObject) -> str:
-    return f"scene {scene.name}: object {item.name}"
-
-
 def _check_units(scene: Scene, there: list[SceneObject], cameras: Float[np.ndarray, "place 3"]) -> None:
     """Rejects scenes that were evidently not modelled in metres."""
     rig = scene.cameras
@@ -141,93 +149,179 @@ def _check_units(scene: Scene, there: list[SceneObject], cameras: Float[np.ndarr
             f"{MIN_DISTANCE:g} to {MAX_DISTANCE:g}: lengths are metres, scale meshes, textures and cameras"
         )
     for item in there:
+        where = f"scene {scene.name}: object {item.name}"
         low, high = (bound(item.mesh.vertices, axis=0).astype(np.float64) for bound in (np.min, np.max))
         size = float((high - low).max())
         nearest = float(np.linalg.norm(np.maximum(np.maximum(low - cameras, cameras - high), 0), axis=-1).min())
         if size < SMALLEST * nearest:
             raise HyalineError(
-                f"{_where(scene, item)}: is {size:.3g} m large and at least {nearest:.3g} m from every camera, too "
+                f"{where}: is {size:.3g} m large and at least {nearest:.3g} m from every camera, too "
                 "small to be seen; lengths are metres, scale it or remove it"
             )
         is_around = ((low <= rig.target) & (rig.target <= high)).all()
         if float((high - low).min()) > LARGEST * rig.radius and not is_around:
             raise HyalineError(
-                f"{_where(scene, item)}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from their "
+                f"{where}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from their "
                 "target; lengths are metres, scale it (by 0.001 if it was modelled in millimetres)"
             )
 
 
-def _check_normals(item: SceneObject, *, where: str) -> None:
-    if count := count_without_normal(item.mesh):
-        raise HyalineError(f"{where}: {count} vertex normals are 0; expected unit vectors, compute its normals again")
-    if (share := opposing_share(item.mesh)) > MAX_OPPOSING:
-        raise HyalineError(
-            f"{where}: {100 * share:.1f} % of the vertex normals point to the back of their faces; expected at most "
-            f"{100 * MAX_OPPOSING:g} %, compute its normals again"
-        )
+def _check_normals(scene: Scene, there: list[SceneObject]) -> None:
+    for item in there:
+        if count := count_without_normal(item.mesh):
+            raise HyalineError(
+                f"scene {scene.name}: object {item.name}: {count} vertex normals are 0; expected unit vectors, compute "
+                "its normals again"
+            )
+        if (share := opposing_share(item.mesh)) > MAX_OPPOSING:
+            raise HyalineError(
+                f"scene {scene.name}: object {item.name}: {100 * share:.1f} % of the vertex normals point to the back "
+                f"of their faces; expected at most {100 * MAX_OPPOSING:g} %, compute its normals again"
+            )
 
 
 def check_cameras_outside(scene: Scene, places: Float[np.ndarray, "place 3"]) -> None:
     """Rejects cameras, by their positions, that are inside glass: rays start in air."""
-    for item in scene.objects:
-        if not is_there(item.mesh) or item.material.medium is None:
-            continue
-        low, high = item.mesh.vertices.min(axis=0), item.mesh.vertices.max(axis=0)
-        close = places[((places >= low) & (places <= high)).all(axis=-1)]
-        if len(close) and (inside := windings(face_corners(item.mesh), close) > 0).any():
-            place = ", ".join(f"{value:.3g}" for value in close[inside][0])
+    for item in _solids(scene):
+        if (place := _inside(item.mesh, places)) is not None:
             raise HyalineError(
-                f"{_where(scene, item)}: a camera is inside this glass, at ({place}), but rays must start in air; "
-                "move it or the cameras, or scale it if it was not modelled in metres"
+                f"scene {scene.name}: object {item.name}: a camera is inside this glass, at "
+                f"({', '.join(f'{value:.3g}' for value in place)}), but rays must start in air; move it or the "
+                "cameras, or scale it if it was not modelled in metres"
             )
 
 
-def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
-    """Rejects glass whose surface coincides with another: a ray hits only one of them."""
-    for small, large in combinations(sorted(there, key=surface_area), 2):
-        if not (small.material.is_glass or large.material.is_glass):
-            continue
-        if (share := touching_share(small.mesh, large.mesh)) > MAX_TOUCHING:
-            raise HyalineError(
-                f"{_where(scene, small)}: {100 * share:.1f} % of its surface lies in faces of {large.name}, and one of "
-                "them is glass; leave a gap of a millimetre, or extend one into the other"
-            )
+def _inside(mesh: Mesh, places: Float[np.ndarray, "place 3"]) -> Float[np.ndarray, "3"] | None:
+    """The first of some places that is inside a closed mesh."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    close = places[((places > low) & (places < high)).all(axis=-1)]
+    inside = close[windings(mesh.vertices[mesh.faces], close) > 0] if len(close) else close
+    return inside[0] if len(inside) else None
 
 
-def surface_area(item: SceneObject) -> float:
-    """Square metres."""
-    return float(face_areas(item.mesh).sum())
-
-
-def _check_overlaps(scene: Scene, there: list[SceneObject]) -> None:
+def _check_overlaps(scene: Scene, solids: list[SceneObject]) -> None:
     """Rejects more than MAX_NESTED dielectrics of which two overlap, by points on the surface of either."""
-    glass = [item for item in there if item.material.medium is not None]
-    if len(glass) <= MAX_NESTED:
+    if len(solids) <= MAX_NESTED:
         return
-    points = {item.name: points_on(item.mesh, OVERLAP_POINTS).position for item in glass}
-    for one, other in permutations(glass, 2):
-        low, high = other.mesh.vertices.min(axis=0), other.mesh.vertices.max(axis=0)
-        close = points[one.name]
-        close = close[((close > low) & (close < high)).all(axis=-1)]
-        if len(close) and (windings(face_corners(other.mesh), close) > 0).any():
+    points = [points_on(item.mesh, OVERLAP_POINTS).position for item in solids]
+    for (one, on_one), (other, _) in permutations(zip(solids, points, strict=True), 2):
+        if _inside(other.mesh, on_one) is not None:
             raise HyalineError(
-                f"scene {scene.name}: objects {one.name} and {other.name} overlap, and there are {len(glass)} "
+                f"scene {scene.name}: objects {one.name} and {other.name} overlap, and there are {len(solids)} "
                 f"dielectrics; where any overlap, expected at most {MAX_NESTED}"
             )
 
 
-def _check_nesting(scene: Scene) -> None:
+def _check_nesting(scene: Scene, solids: list[SceneObject]) -> None:
     """Rejects dielectrics whose order is undefined: too many for priorities, or with coincident faces."""
-    there = [item for item in scene.objects if is_there(item.mesh)]
-    glass = [(item, medium) for item in there if (medium := item.material.medium) is not None]
-    if len(glass) > MAX_NESTED and len({medium.priority for _, medium in glass}) > 1:
+    priorities = {medium.priority for item in solids if (medium := item.material.medium)}
+    if len(solids) > MAX_NESTED and len(priorities) > 1:
         raise HyalineError(
-            f"scene {scene.name}: has {len(glass)} dielectrics of different priority; expected at most {MAX_NESTED}, "
+            f"scene {scene.name}: has {len(solids)} dielectrics of different priority; expected at most {MAX_NESTED}, "
             "or the same priority for all and no overlaps"
         )
-    for (one, _), (other, _) in combinations(glass, 2):
+    for one, other in combinations(solids, 2):
         if count := count_shared_faces(one.mesh, other.mesh):
             raise HyalineError(
                 f"scene {scene.name}: objects {one.name} and {other.name} share {count} faces; "
                 "extend one into the other and give it the lower priority, or leave a gap"
             )
+
+
+# Coincident surfaces lose layers, and glass vanishes there
+
+
+def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
+    """Rejects glass whose surface coincides with another: a ray hits only one of them."""
+    order = [there[place] for place in np.argsort([face_areas(item.mesh).sum() for item in there], kind="stable")]
+    sampled = [points_on(item.mesh, SAMPLES) for item in order]
+    for (small, points), (large, _) in combinations(zip(order, sampled, strict=True), 2):
+        if not (small.material.is_glass or large.material.is_glass):
+            continue
+        share = float(np.isfinite(_distances(small.mesh, large.mesh, TOLERANCE, points)).mean())
+        if share > MAX_TOUCHING:
+            raise HyalineError(
+                f"scene {scene.name}: object {small.name}: {100 * share:.1f} % of its surface lies in faces of "
+                f"{large.name}, and one of them is glass; leave a gap of a millimetre, or extend one into the other"
+            )
+
+
+def touching_share(mesh: Mesh, other: Mesh, *, within: float = TOLERANCE, are_opposed: bool = False) -> float:
+    """The share of a mesh's surface that lies in faces of another, measured at `SAMPLES` points.
+
+    Args:
+        within: distance in metres up to which it lies in them.
+        are_opposed: only in faces with opposite normals: the meshes touch from outside.
+    """
+    found = _distances(mesh, other, within, points_on(mesh, SAMPLES), are_opposed=are_opposed)
+    return float(np.isfinite(found).mean())
+
+
+def touching_faces(mesh: Mesh, other: Mesh) -> Bool[np.ndarray, " face"]:
+    """Which faces of a mesh lie in faces of another, at least in part."""
+    every = np.arange(len(mesh.faces))
+    sampled = points_on(mesh, SAMPLES, part=every, count_a_part=max(1, SAMPLES_ON_FACES // len(every)))
+    return np.isin(every, sampled.face[np.isfinite(_distances(mesh, other, TOLERANCE, sampled))])
+
+
+def _distances(
+    mesh: Mesh, other: Mesh, limit: float, sampled: SurfacePoints, *, are_opposed: bool = False
+) -> Float[np.ndarray, " sample"]:
+    """Distance from points of a mesh to the plane of a parallel face that each is over; inf beyond `limit`.
+
+    Args:
+        are_opposed: the faces must have opposite normals.
+    """
+    distance = np.full(len(sampled.position), np.inf)
+    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
+    if (low > other_high + limit).any() or (other_low > high + limit).any():
+        return distance
+    from scipy.spatial import KDTree
+
+    corners = other.vertices[other.faces].astype(np.float64)
+    corners = corners[_meets(corners, sampled.position)]
+    if not len(corners):
+        return distance
+    normals, mine = _unit_normals(corners), _unit_normals(mesh.vertices[mesh.faces[sampled.face]].astype(np.float64))
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + limit
+    tree = KDTree(sampled.position)
+    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
+    near = np.flatnonzero(counts)
+    for piece in np.array_split(near, max(1, int(counts.sum()) >> 20)):
+        if len(piece):
+            found = tree.query_ball_point(middle[piece], radius[piece])
+            point = np.concatenate([np.asarray(places, np.int64) for places in found])
+            face = np.repeat(piece, counts[piece])
+            # Faces with a parallel normal whose plane contains the point.
+            height = np.abs(np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face]))
+            near = height <= limit
+            point, face, height = point[near], face[near], height[near]
+            cosine = np.einsum("pc,pc->p", mine[point], normals[face])
+            parallel = (-cosine if are_opposed else np.abs(cosine)) > 0.9
+            point, face, height = point[parallel], face[parallel], height[parallel]
+            is_over = _is_over(sampled.position[point], corners[face], normals[face])
+            np.minimum.at(distance, point[is_over], height[is_over])
+    return distance
+
+
+def _meets(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " face"]:
+    """Faces whose bounding box overlaps that of the points."""
+    low, high = points.min(axis=0) - TOLERANCE, points.max(axis=0) + TOLERANCE
+    return ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=-1)
+
+
+def _unit_normals(corners: Float[np.ndarray, "pair 3 3"]) -> Float[np.ndarray, "pair 3"]:
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def _is_over(
+    point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"], normals: Float[np.ndarray, "pair 3"]
+) -> Bool[np.ndarray, " pair"]:
+    """Points whose projection on the face's plane is in the face."""
+    is_over = np.ones(len(point), bool)
+    for start in range(3):
+        corner, following = corners[:, start], corners[:, (start + 1) % 3]
+        is_over &= np.einsum("pc,pc->p", np.cross(normals, following - corner), point - corner) >= 0
+    return is_over

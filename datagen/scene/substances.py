@@ -1,9 +1,9 @@
 """Indices of refraction of glasses, crystals and liquids, by name."""
 
+import functools
 import math
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.values import Color
 
 SUBSTANCES: dict[str, float] = {
     "air": 1.0,
@@ -72,7 +72,8 @@ def index_of(ior: Ior) -> float:
     return SUBSTANCES[ior] if isinstance(ior, str) else ior
 
 
-def indices_of(ior: Ior, dispersion: Dispersion) -> Color:
+@functools.cache
+def indices_of(ior: Ior, dispersion: Dispersion) -> tuple[float, float, float]:
     """The index of each colour channel: n_C for red, n_d for green and n_F for blue.
 
     Source for numbers: KHR_materials_dispersion's README, in which red and blue differ equally from green.

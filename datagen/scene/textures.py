@@ -1,64 +1,11 @@
-"""Colours of surfaces: one colour, a procedural texture, or an image."""
+"""Procedural textures. Noise is a hash of lattice points: a point has the same colour in every run and machine."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from jaxtyping import Float, Float32
 
-from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative
-from datagen.scene.values import Color, Vector, check_positive, check_range
-
-
-@checked
-@dataclass(frozen=True, kw_only=True)
-class SolidTexture:
-    """A procedural 3D texture, which has no seams; baked into the object's atlas."""
-
-    pattern: Literal["checker", "stripes", "wood", "marble", "speckle"]
-    colors: tuple[Color, Color]
-    """Linear reflectance, each in [0, 1]."""
-    scale: float
-    """Length of one period in metres."""
-    axis: Literal["x", "y", "z"] = "x"
-    """Axis that stripes and wood rings run across; the other patterns ignore it."""
-    origin: Vector = (0.0, 0.0, 0.0)
-    """Origin of the pattern in metres; it moves with the object."""
-
-    def __post_init__(self) -> None:
-        for color in self.colors:
-            check_range("texture color", color, 0, 1)
-        check_positive("texture scale", self.scale)
-
-
-@checked
-@dataclass(frozen=True, kw_only=True)
-class ImageTexture:
-    """An sRGB image in the object's own uv."""
-
-    path: str
-    """PNG, relative to the scene's folder."""
-
-    def __post_init__(self) -> None:
-        check_relative(self.path, where="texture path")
-        if not self.path.endswith((".png", ".PNG")):
-            raise HyalineError(f"texture path: is {self.path!r}; expected a PNG inside the scene's folder")
-
-
-Reflectance = Color | SolidTexture | ImageTexture
-
-
-def check_reflectance(color: Reflectance) -> None:
-    """Checks that a colour does not exceed 1; textures check themselves."""
-    if isinstance(color, tuple):
-        check_range("color", color, 0, 1)
-
-
-# Procedural textures. Noise is a hash of lattice points: a point has the same colour in every run and on every machine
-
+from datagen.scene.materials import SolidTexture
 
 Positions = Float[np.ndarray, "*points 3"]
 Values = Float[np.ndarray, "*points"]

@@ -11,8 +11,7 @@ branch ends, the first start in the queue comes next.
 
 from typing import TYPE_CHECKING
 
-from datagen.scene.contact import skipped_length
-from datagen.scene.media import medium_of, no_solids
+from datagen.scene.media import medium_of, no_solids, skipped_length
 from datagen.trace.branch_outputs import EndOutputs, Kept, Outputs, Start, State
 from datagen.trace.surface_hits import Bounce, Hit, Kernel, Sides, bounce_of, meet, sides_of
 from datagen.trace.surface_tables import OPAQUE, Limits, SurfaceTables

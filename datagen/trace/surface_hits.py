@@ -65,7 +65,7 @@ class Hit(NamedTuple):
     outward: "mi.Vector3f"
     """Unit normal of the face on the side from which the ray comes."""
     offset: "mi.Float"
-    """Distance off the surface at which a new ray starts (datagen/scene/contact.py)."""
+    """Distance off the surface at which a new ray starts (datagen/scene/media.py)."""
 
 
 class Sides(NamedTuple):

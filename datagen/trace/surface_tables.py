@@ -10,11 +10,9 @@ from jaxtyping import Float32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.render.mitsuba_scene import linear_texels
-from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.scene.description import Scene
-from datagen.scene.materials import Material
-from datagen.scene.materials.optics import Event, Surface
-from datagen.scene.media import Media
+from datagen.scene.materials import Event, Material, Surface
+from datagen.scene.media import RAY_OFFSET, Media, largest_coordinate
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -10,8 +10,7 @@ from datagen.data.images import npy_bytes, png_bytes
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json
 from datagen.disk.storage import dump_json
-from datagen.quantities.surfaces import surfaces_of
-from datagen.quantities.view_quantities import NormalKind
+from datagen.quantities import NormalKind, surfaces_of
 from hyaline_export.formats import Format
 from hyaline_export.source import Source, frame, mask_png, rgb_png, tracked
 

@@ -15,7 +15,7 @@ from datagen.data.images import png_bytes
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.quantities.view_quantities import ViewQuantities, quantities
+from datagen.quantities import ViewQuantities, quantities
 from datagen.terminal.command import track
 
 Role = Literal["train", "val", "test"]

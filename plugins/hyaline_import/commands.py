@@ -4,7 +4,7 @@ import shlex
 from pathlib import Path
 
 from datagen.data.paths import DATA_ROOT
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import next_command, say, say_all, tell
 from hyaline_import.datasets.choices import DatasetImportChoices
 

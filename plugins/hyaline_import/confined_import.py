@@ -16,8 +16,8 @@ from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
 from datagen.machine.confined import confined
 from datagen.scene.description import EnvironmentMap, Scene
+from datagen.scene.finding import ImportChoices
 from datagen.scene.folder import load_scene, save_scene, scene_files
-from datagen.scene.import_choices import ImportChoices
 from hyaline_import.importing import import_scene
 
 RECORD = "import.json"

@@ -16,10 +16,9 @@ from datagen.data.meshes import open_edges, volume_within, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
-from datagen.scene.materials import Material
+from datagen.scene.materials import Color, Material
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.substances import SUBSTANCES
-from datagen.scene.values import Color
 from hyaline_import.remarks import Remarks
 from hyaline_import.surfaces import mesh_of, seams_joined
 

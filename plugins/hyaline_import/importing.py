@@ -27,13 +27,12 @@ from datagen.scene.description import (
     Scene,
     SceneObject,
 )
-from datagen.scene.finding import DEFAULT_RESOLUTION
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene
+from datagen.scene.rig import LIGHT
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
-from datagen.scene.staging import LIGHT
 from hyaline_import.cameras import listed_cameras, read_camera_file
 from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (

@@ -9,8 +9,8 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, face_corners, open_edges
 from datagen.scene.description import EnvironmentMap, RectangleLight, SceneObject
-from datagen.scene.staging import subject_box
-from datagen.scene.values import Color, as_vector
+from datagen.scene.materials import Color, as_vector
+from datagen.scene.rig import subject_box
 from hyaline_import.foreign import ForeignLight, ForeignMap
 from hyaline_import.remarks import Remarks
 from hyaline_import.staging import is_enclosed

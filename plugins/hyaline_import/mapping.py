@@ -14,11 +14,20 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
 from datagen.disk.names import file_name
-from datagen.scene.import_choices import Thin
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.scene.finding import Thin
+from datagen.scene.materials import (
+    Color,
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    Reflectance,
+    RoughDielectric,
+    ThinDielectric,
+)
 from datagen.scene.substances import MAX_DISPERSION
-from datagen.scene.textures import ImageTexture, Reflectance
-from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
 from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
 from hyaline_import.remarks import Remarks

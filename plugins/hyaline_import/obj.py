@@ -17,8 +17,8 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_relative, find_file
 from datagen.disk.records import shown
 from datagen.scene.images import opened_image
+from datagen.scene.materials import Color
 from datagen.scene.substances import SUBSTANCES
-from datagen.scene.values import Color
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,

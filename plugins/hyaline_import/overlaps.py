@@ -23,13 +23,11 @@ from datagen.data.meshes import (
     windings,
 )
 from datagen.disk.errors import HyalineError
-from datagen.scene.contact import TOLERANCE, touching_faces, touching_share
 from datagen.scene.description import SceneObject
-from datagen.scene.materials import Dielectric
-from datagen.scene.materials.optics import MAX_PRIORITY
+from datagen.scene.materials import MAX_PRIORITY, Dielectric
 from datagen.scene.media import MAX_NESTED
 from datagen.scene.modelling import merged
-from datagen.scene.soundness import MAX_TOUCHING
+from datagen.scene.soundness import MAX_TOUCHING, TOLERANCE, touching_faces, touching_share
 from hyaline_import.remarks import Remarks
 
 STEP = 2 * TOLERANCE

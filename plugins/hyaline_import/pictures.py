@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32, UInt8
 from datagen.data.images import linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh, face_areas
 from datagen.scene.images import opened_image
-from datagen.scene.values import Color
+from datagen.scene.materials import Color
 from hyaline_import.cutouts import Cut, Opacity, corner_uv_of
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
 from hyaline_import.remarks import Remarks

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.scene.sources import SceneSource
+from datagen.scene.finding import SceneSource
 from datagen.terminal.command import say, say_all
 
 if TYPE_CHECKING:
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from datagen.data.config import Resolution
     from datagen.scene.description import Scene
-    from datagen.scene.import_choices import ImportChoices
+    from datagen.scene.finding import ImportChoices
 
 
 def _is_foreign(given: str) -> bool:

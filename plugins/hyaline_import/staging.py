@@ -8,11 +8,9 @@ from jaxtyping import Float
 from datagen.data.config import Resolution
 from datagen.data.meshes import face_corners
 from datagen.scene.description import CameraRig, SceneObject, SoftEnvironment
-from datagen.scene.materials import Diffuse
+from datagen.scene.materials import Color, Diffuse, SolidTexture
 from datagen.scene.modelling import sheet
-from datagen.scene.staging import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
-from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color
+from datagen.scene.rig import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
 from hyaline_import.remarks import Remarks
 
 USUAL_SIZE = (0.02, 5.0)

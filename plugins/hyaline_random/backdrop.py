@@ -15,9 +15,9 @@ from jaxtyping import Float
 from datagen.data.images import encode_float_exr
 from datagen.data.meshes import Mesh
 from datagen.scene.description import EnvironmentMap, SceneObject
-from datagen.scene.materials import Diffuse, Plastic
+from datagen.scene.materials import Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
-from datagen.scene.textures import SolidTexture, fractal_noise
+from datagen.scene.textures import fractal_noise
 from hyaline_random.chance import between, color_pair, happens, pattern, pick, weigh, wood
 from hyaline_random.solids import corners_of, polygon
 

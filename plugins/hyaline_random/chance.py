@@ -6,10 +6,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from datagen.scene.materials import Dielectric, RoughDielectric, ThinDielectric
+from datagen.scene.materials import Color, Dielectric, RoughDielectric, SolidTexture, ThinDielectric
 from datagen.scene.substances import Ior
-from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color
 
 Choice = TypeVar("Choice")
 

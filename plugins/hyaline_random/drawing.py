@@ -19,10 +19,9 @@ from datagen.data.meshes import face_corners, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
-from datagen.scene.materials import ThinDielectric
+from datagen.scene.materials import ThinDielectric, Vector
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import Vector
 from datagen.terminal.command import say
 from hyaline_random.backdrop import draw_backdrop
 from hyaline_random.chance import between

@@ -5,14 +5,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from datagen.disk.errors import HyalineError
-from datagen.scene.sources import SceneSource
+from datagen.scene.finding import SceneSource
 from datagen.terminal.command import choose
 from datagen.terminal.plugins import Group
 
 if TYPE_CHECKING:
     from datagen.data.config import Resolution
     from datagen.scene.description import Scene
-    from datagen.scene.import_choices import ImportChoices
+    from datagen.scene.finding import ImportChoices
 
 FAMILIES: Group = Group(
     name="hyaline.random_families",

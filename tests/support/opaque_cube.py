@@ -9,10 +9,9 @@ from pathlib import Path
 from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import save_scene
-from datagen.scene.materials import Diffuse
+from datagen.scene.materials import Diffuse, SolidTexture
 from datagen.scene.modelling import cylinder, moved, rounded_box
 from datagen.scene.soundness import check_scene
-from datagen.scene.textures import SolidTexture
 
 
 def opaque_cube() -> Scene:

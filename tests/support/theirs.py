@@ -9,7 +9,7 @@ import numpy as np
 from datagen.data.dataset import Dataset
 from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
-from datagen.quantities.surfaces import surfaces_of
+from datagen.quantities import surfaces_of
 from hyaline_export.source import ROLES, Source, frame, mask_png, rgba_png
 
 

@@ -20,9 +20,8 @@ from datagen.data.writing import commit_view, write_head
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import scene_files
-from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
+from datagen.scene.materials import Dielectric, Diffuse, Plastic, SolidTexture, ThinDielectric
 from datagen.scene.modelling import ball, moved, rounded_box, sheet
-from datagen.scene.textures import SolidTexture
 
 BALL = (np.array([0.0, 0.0, 0.7]), 0.3)
 """Centre and radius of the ball of glass."""

@@ -23,8 +23,15 @@ from datagen.data.paths import TRUTH
 from datagen.data.writing import write_head
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import scene_files
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture
+from datagen.scene.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Plastic,
+    RoughDielectric,
+    ThinDielectric,
+)
 from datagen.trace.light_path import LightPathTracer
 from datagen.trace.surface_tables import tints_of
 from model.methods.light_path.config import LightPathConfig

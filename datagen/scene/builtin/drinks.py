@@ -12,7 +12,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Dielectric, Diffuse, Plastic
+from datagen.scene.materials import Color, Dielectric, Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -31,8 +31,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
-from datagen.scene.values import Color
 
 TABLE_TOP = 0.74
 GENEROUS = 1.4

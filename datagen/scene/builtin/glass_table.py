@@ -8,8 +8,9 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import (
+    Part,
     ball,
     curved,
     cylinder,
@@ -26,7 +27,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 RUG_TOP = 0.009
 TABLE_TOP = 0.74
@@ -105,26 +105,26 @@ def _furniture() -> list[SceneObject]:
 def _table_frame() -> Mesh:
     low, high = RUG_TOP + GAP, TABLE_TOP - 0.018 - GAP
     leg = cylinder(0.016, high - low, top_radius=0.027, bevel=0.003)
-    parts = [moved(leg, (x, y, low)) for x in (-0.42, 0.42) for y in (-0.27, 0.27)]
+    parts: list[Part] = [(leg, (x, y, low)) for x in (-0.42, 0.42) for y in (-0.27, 0.27)]
     for side in (-1, 1):
-        parts.append(moved(rounded_box((0.82, 0.018, 0.05), bevel=0.003), (0, side * 0.27, high - 0.035)))
-        parts.append(moved(rounded_box((0.018, 0.52, 0.05), bevel=0.003), (side * 0.42, 0, high - 0.035)))
+        parts.append((rounded_box((0.82, 0.018, 0.05), bevel=0.003), (0, side * 0.27, high - 0.035)))
+        parts.append((rounded_box((0.018, 0.52, 0.05), bevel=0.003), (side * 0.42, 0, high - 0.035)))
     return merged(parts)
 
 
 def _chair() -> Mesh:
     """A chair facing -y, its seat's centre above the origin; coarse proxies fill the holes of its slatted back."""
-    parts = [moved(rounded_box((0.42, 0.035, 0.022), bevel=0.006), (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
-    parts += [moved(rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
-    parts += [moved(cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
+    board = rounded_box((0.42, 0.035, 0.022), bevel=0.006)
+    parts: list[Part] = [(board, (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
+    parts += [(rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
+    parts += [(cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
     for x in (-0.19, 0.19):
         path = np.array([(x, 0.20, 0.003), (x, 0.185, 0.25), (x, 0.185, 0.45), (x, 0.215, 0.75), (x, 0.26, 1.0)])
         parts.append(tube(curved([tuple(p) for p in path], count=16), 0.017, segments=20))
     for height, back in ((0.56, 0.193), (0.96, 0.25)):
-        parts.append(moved(rounded_box((0.38, 0.02, 0.05), bevel=0.006), (0, back, height)))
-    for x in np.linspace(-0.12, 0.12, 5):
-        slat = rounded_box((0.026, 0.010, 0.40), bevel=0.004)
-        parts.append(moved(turned(slat, (1, 0, 0), -8.2), (x, 0.2215, 0.76)))
+        parts.append((rounded_box((0.38, 0.02, 0.05), bevel=0.006), (0, back, height)))
+    slat = turned(rounded_box((0.026, 0.010, 0.40), bevel=0.004), (1, 0, 0), -8.2)
+    parts += [(slat, (x, 0.2215, 0.76)) for x in np.linspace(-0.12, 0.12, 5)]
     return transformed(merged(parts), rotation((0, 0, 1), 14.0), (-0.22, 0.80, RUG_TOP + GAP))
 
 

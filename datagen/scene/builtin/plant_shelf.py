@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic
+from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic, SolidTexture
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -26,7 +26,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 WALL_Y = 0.45
 LEVELS = (0.12, 0.55, 1.0)

@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
 from datagen.scene.modelling import (
     ball,
     deformed,
@@ -22,7 +22,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 INNER, WALL, RIM, BOTTOM = 0.80, 0.05, 0.33, 0.20
 """The basin in metres: inner width, thickness of its walls, height of its rim and of its bottom."""

@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
 from datagen.scene.modelling import (
     ball,
     convex_hull,
@@ -25,7 +25,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 BENCH_TOP = 0.75
 SHEET = 0.005

@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
-from datagen.scene.materials import Conductor, Diffuse, Plastic, ThinDielectric
+from datagen.scene.materials import Conductor, Diffuse, Plastic, SolidTexture, ThinDielectric
 from datagen.scene.modelling import (
     ball,
     curved,
@@ -24,7 +24,6 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import SolidTexture
 
 PLINTH_TOP = 0.90
 WIDTH, DEPTH, HEIGHT = 0.86, 0.52, 0.52

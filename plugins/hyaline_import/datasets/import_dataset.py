@@ -20,7 +20,7 @@ from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import track
 from datagen.terminal.plugins import Group

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.disk.errors import HyalineError
+from datagen.scene.materials import Color
 from datagen.scene.substances import SUBSTANCES
-from datagen.scene.values import Color
 from hyaline_import.foreign import (
     PLAIN,
     Factor,

@@ -7,7 +7,7 @@ import numpy as np
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import shown
-from datagen.scene.values import Color
+from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.mitsuba.nodes import Node
 from hyaline_import.pictures import stored

@@ -12,7 +12,7 @@ import numpy as np
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import find_file
 from datagen.disk.records import shown
-from datagen.scene.values import Color
+from datagen.scene.materials import Color
 from hyaline_import.foreign import read_foreign
 
 MAX_VALUE = 1e9

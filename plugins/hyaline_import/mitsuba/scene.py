@@ -18,8 +18,8 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import MAP_ENDINGS
 from datagen.scene.images import read_map
+from datagen.scene.materials import Color
 from datagen.scene.modelling import ball, sheet
-from datagen.scene.values import Color
 from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
     MAX_SURFACES,

@@ -18,7 +18,7 @@ from datagen.data.ply import write_ply
 from datagen.data.transforms import lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraList
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from hyaline_export.formats import export_dataset
 from hyaline_import.cameras import colmap_images, read_camera_file
 from hyaline_import.importing import import_scene

@@ -24,7 +24,7 @@ from datagen.data.meshes import face_areas
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from hyaline_import.foreign_files import READERS
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.remarks import Remarks

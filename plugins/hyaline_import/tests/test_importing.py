@@ -19,14 +19,13 @@ from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import load_sealed
-from datagen.scene.contact import touching_share
 from datagen.scene.description import Scene, SceneObject
+from datagen.scene.finding import ImportChoices
 from datagen.scene.folder import load_scene, scene_files
-from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, ImageTexture, Plastic
 from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras
-from datagen.scene.textures import ImageTexture
+from datagen.scene.soundness import touching_share
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.lights import glowing
 from hyaline_import.surfaces import edge_tilt_deg, mesh_of

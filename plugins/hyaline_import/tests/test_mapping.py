@@ -9,9 +9,17 @@ from PIL import Image
 from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.scene.import_choices import Thin
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture
+from datagen.scene.finding import Thin
+from datagen.scene.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    RoughDielectric,
+    ThinDielectric,
+)
 from hyaline_import.foreign import ForeignMaterial
 from hyaline_import.gltf.scene import read_gltf
 from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of

@@ -13,8 +13,7 @@ from support.meshes import polygon_ply
 from support.soon import soon
 
 from datagen.data.meshes import open_edges, signed_volume
-from datagen.scene.materials import Diffuse, ThinDielectric
-from datagen.scene.textures import ImageTexture
+from datagen.scene.materials import Diffuse, ImageTexture, ThinDielectric
 from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.foreign_files import READERS
 from hyaline_import.pictures import stored

@@ -21,7 +21,7 @@ from datagen.data.meshes import (
     welded,
 )
 from datagen.disk.errors import HyalineError
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball, merged, moved
 from hyaline_import.importing import import_scene

@@ -15,7 +15,7 @@ from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import SceneObject
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import say

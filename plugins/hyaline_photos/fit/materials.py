@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.scene.values import as_vector
+from datagen.scene.materials import as_vector
 from hyaline_photos.fit.shapes import Glass
 
 STEPS = 7

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from datagen.scene.values import as_vector
+from datagen.scene.materials import as_vector
 from datagen.terminal.command import track
 from hyaline_photos.fit.materials import (
     INDICES,

@@ -173,7 +173,7 @@ Place place_of(Hit hit, vec3 d) {
     return place;
 }
 
-// The way through a wall that a ray skips which starts off its other face. Source: datagen/scene/contact.py.
+// The way through a wall that a ray skips which starts off its other face. Source: datagen/scene/media.py.
 float skipped_length(Place place, vec3 d) { return place.offset / max(abs(dot(d, place.outward)), SKIP_COSINE); }
 
 // A ray that goes straight on through all that it meets.

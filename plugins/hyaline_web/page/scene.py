@@ -16,12 +16,11 @@ from datagen.data.layers import UV_SCALE, quantize_uv, round_mantissa
 from datagen.data.meshes import PLASTIC, Mesh, is_there, open_edges
 from datagen.data.paths import follows_light
 from datagen.disk.records import Json
-from datagen.scene.contact import MIN_COSINE as SKIP_COSINE
-from datagen.scene.contact import RAY_OFFSET
 from datagen.scene.description import CameraRig, Scene
 from datagen.scene.edits import CLEAR_GLASS, GREY
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Material
+from datagen.scene.media import RAY_OFFSET, SKIP_COSINE
 from datagen.trace.surface_hits import MIN_COSINE
 from datagen.trace.surface_tables import EVENTS, Texels, Tints, tints_of
 from hyaline_web.page.packing import (

@@ -16,8 +16,7 @@ from support.traced_dataset import glass_scene, write_traced_dataset
 from datagen.data.images import png_bytes
 from datagen.data.ply import read_ply, write_ply
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.materials import Plastic
-from datagen.scene.textures import ImageTexture
+from datagen.scene.materials import ImageTexture, Plastic
 from model.methods.light_path.pixels import _load_surfaces
 
 pytestmark = pytest.mark.promise("R4")

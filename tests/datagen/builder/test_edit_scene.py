@@ -20,12 +20,12 @@ from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, open_variant,
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.contact import TOLERANCE, touching_share
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import edit_scene, edits_name, moved_mesh, parse_edit
-from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.materials import Dielectric, Diffuse, SolidTexture
 from datagen.scene.modelling import ball, cylinder, moved
-from datagen.scene.textures import SolidTexture, evaluate_texture
+from datagen.scene.soundness import TOLERANCE, touching_share
+from datagen.scene.textures import evaluate_texture
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.predict import with_copies
 

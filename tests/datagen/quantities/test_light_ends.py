@@ -10,10 +10,8 @@ from support.traced_dataset import SLAB, glass_scene, write_traced_dataset
 from datagen.data.cameras import Camera, Cameras, look_at
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.quantities.surfaces import Surfaces, surfaces_of
-from datagen.quantities.view_quantities import LightEnds, find_light_ends, quantities
-from datagen.scene.materials import Diffuse
-from datagen.scene.textures import SolidTexture
+from datagen.quantities import LightEnds, Surfaces, find_light_ends, quantities, surfaces_of
+from datagen.scene.materials import Diffuse, SolidTexture
 
 IOR = 1.6
 

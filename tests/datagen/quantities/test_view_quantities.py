@@ -6,8 +6,9 @@ from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
 
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
-from datagen.quantities.view_quantities import ViewQuantities, quantities
-from datagen.scene.textures import SolidTexture, evaluate_texture
+from datagen.quantities import ViewQuantities, quantities
+from datagen.scene.materials import SolidTexture
+from datagen.scene.textures import evaluate_texture
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,10 @@ from datagen.data.cameras import Camera, Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Lobe, RectangleLight, Scene, SceneObject, SoftEnvironment
-from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric
+from datagen.scene.materials import Dielectric, Diffuse, Plastic, ThinDielectric, as_vector
 from datagen.scene.media import Media, find_media
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
-from datagen.scene.values import as_vector
 
 use_mitsuba()
 

@@ -16,10 +16,10 @@ from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import load_geometry_mitsuba, to_columns
-from datagen.scene.contact import RAY_OFFSET, largest_coordinate
 from datagen.scene.description import CameraRig, RectangleLight, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import save_scene
 from datagen.scene.materials import Dielectric, Diffuse, RoughDielectric
+from datagen.scene.media import RAY_OFFSET, largest_coordinate
 from datagen.scene.modelling import moved, transformed
 from datagen.trace.light_path import LightPathTracer
 

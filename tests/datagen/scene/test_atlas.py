@@ -1,55 +1,41 @@
+import dataclasses
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
-from support.meshes import chart_map
+from support.meshes import chart_map, mesh_of
 
 from datagen.data.meshes import Mesh, face_corners
+from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_positions, coverage, unwrap, unwrap_all
-from datagen.scene.modelling import ball, merged, rounded_box, sheet
+from datagen.scene.modelling import ball, merged, moved, rounded_box, sheet
 
-
-def mesh_of(solid: trimesh.Trimesh) -> Mesh:
-    return Mesh(
-        vertices=np.asarray(solid.vertices, np.float32),
-        faces=np.asarray(solid.faces, np.int32),
-        normals=np.array(solid.vertex_normals, np.float32),
-        uv=np.zeros((len(solid.vertices), 2), np.float32),
-    )
+SHAPES = {
+    "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
+    "ball": ball(2.0, subdivisions=3),
+    "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
+    "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
+}
 
 
 @pytest.fixture(scope="module")
 def unwrapped() -> dict[str, Mesh]:
     """Shapes of several kinds, one of them of two parts, unwrapped by one child."""
-    return unwrap_all(
-        {
-            "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
-            "ball": ball(2.0, subdivisions=3),
-            "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
-            "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
-        }
-    )
+    return unwrap_all(SHAPES)
 
 
-KINDS = ("box", "ball", "knotted", "two")
-
-
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SHAPES)
 def test_no_texel_centre_lies_inside_two_triangles(unwrapped: dict[str, Mesh], kind: str) -> None:
     counts = coverage(unwrapped[kind], 1024)
     assert counts.max() == 1
     assert (counts > 0).mean() > 0.3
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SHAPES)
 def test_every_face_keeps_its_place_its_corners_normals_and_gets_an_area(unwrapped: dict[str, Mesh], kind: str) -> None:
-    sources = {
-        "box": rounded_box((0.4, 0.3, 0.2), bevel=0.02, segments=1),
-        "ball": ball(2.0, subdivisions=3),
-        "knotted": mesh_of(trimesh.creation.torus(1.0, 0.3, major_sections=24, minor_sections=12)),
-        "two": merged([ball(0.1, subdivisions=2), sheet((5, 5, 5), (3, 0, 0), (0, 2, 0), cells=(3, 2))]),
-    }
-    mesh, source = unwrapped[kind], sources[kind]
+    mesh, source = unwrapped[kind], SHAPES[kind]
     np.testing.assert_array_equal(face_corners(mesh), face_corners(source))
     np.testing.assert_array_equal(mesh.normals[mesh.faces], source.normals[source.faces])
     a, b, c = np.moveaxis(mesh.uv[mesh.faces].astype(np.float64), 1, 0)
@@ -59,7 +45,7 @@ def test_every_face_keeps_its_place_its_corners_normals_and_gets_an_area(unwrapp
     assert mesh.uv.max() <= 1
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", SHAPES)
 def test_between_two_charts_lies_a_texel_of_gutter_at_256(unwrapped: dict[str, Mesh], kind: str) -> None:
     assert gutter_violations(unwrapped[kind], 256) == 0
 
@@ -132,19 +118,33 @@ def test_a_chart_thinner_than_a_texel_still_has_its_position() -> None:
     assert (bake_positions(mesh, 64)[..., 2] == 5).any()
 
 
-@pytest.mark.parametrize("value", [np.nan, np.inf, 1e30])
-def test_values_that_hang_xatlas_are_refused(value: float) -> None:
-    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
-    vertices = mesh.vertices.copy()
-    vertices[0, 0] = value
-    bad = Mesh(vertices=vertices, faces=mesh.faces, normals=mesh.normals, uv=mesh.uv)
-    with pytest.raises(HyalineError, match="chair: vertices are not finite"):
-        unwrap(bad, where="chair")
+SHEET = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
 
 
-def test_faces_out_of_range_and_empty_meshes_are_refused() -> None:
-    mesh = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
-    with pytest.raises(HyalineError, match="chair: faces refer to missing vertices; expected 0 to 3"):
-        unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces + 2, normals=mesh.normals, uv=mesh.uv), where="chair")
-    with pytest.raises(HyalineError, match="chair: has no faces"):
-        unwrap(Mesh(vertices=mesh.vertices, faces=mesh.faces[:0], normals=mesh.normals, uv=mesh.uv), where="chair")
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"vertices": SHEET.vertices * np.float32(np.nan)}, "is nan|not finite|finite numbers"),
+        ({"vertices": SHEET.vertices + np.float32(np.inf)}, "finite numbers"),
+        ({"vertices": SHEET.vertices + np.float32(1e30)}, r"a coordinate is 1e\+30 m"),
+        ({"normals": SHEET.normals * np.float32(np.nan)}, "normals are not finite"),
+        ({"faces": SHEET.faces + 2}, "a face names vertex 5; expected 0 to 3"),
+        ({"faces": SHEET.faces[:0]}, "has 4 vertices and 0 faces"),
+    ],
+)
+def test_what_hangs_xatlas_is_refused(change: dict[str, np.ndarray], message: str) -> None:
+    with pytest.raises(HyalineError, match=f"chair: .*({message})"):
+        unwrap(dataclasses.replace(SHEET, **change), where="chair")
+
+
+def test_copies_of_a_surface_share_one_atlas_that_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    # Powers of two, so that it is the same surface but for its place.
+    whole = dataclasses.replace(SHAPES["box"], vertices=np.rint(SHAPES["box"].vertices * 1024) / np.float32(1024))
+    found = unwrap_all({str(index): moved(whole, (index, 0, 0)) for index in range(3)})
+    for index in range(3):
+        np.testing.assert_array_equal(found[str(index)].vertices, found["0"].vertices + np.float32([index, 0, 0]))
+        np.testing.assert_array_equal(found[str(index)].uv, found["0"].uv)
+    (kept,) = (tmp_path / "hyaline" / "atlases").iterdir()
+    kept.write_bytes(b"no archive")
+    assert write_ply(unwrap(whole, where="box")) == write_ply(found["0"])

@@ -12,8 +12,19 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json, to_json
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import SceneObject, SoftEnvironment
-from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture, SolidTexture
+from datagen.scene.materials import (
+    Conductor,
+    Dielectric,
+    Diffuse,
+    ImageTexture,
+    Material,
+    Plastic,
+    RoughDielectric,
+    SolidTexture,
+    ThinDielectric,
+)
+from datagen.scene.soundness import check_scene
+from datagen.scene.substances import PARTINGS, SUBSTANCES, indices_of
 
 use_mitsuba()
 
@@ -96,8 +107,57 @@ class FrostedGlass(Dielectric):
 
 def test_a_material_that_is_not_listed_is_refused_by_the_objects_name_instead_of_drawn_opaque() -> None:
     strange, message = FrostedGlass(), "its material is a FrostedGlass; expected one of Dielectric, RoughDielectric"
-    floor = synthetic_scene().objects[1]
-    with unchecked(), pytest.raises(HyalineError, match=rf"^object floor: {message}"):
-        dataclasses.replace(floor, material=strange)
+    scene = synthetic_scene()
+    objects = tuple(dataclasses.replace(item, material=strange) for item in scene.objects[:1])
+    with unchecked(), pytest.raises(HyalineError, match=rf"object {objects[0].name}: {message}"):
+        check_scene(dataclasses.replace(scene, objects=objects))
     with unchecked(), pytest.raises(HyalineError, match=rf"^light paths: object 2: {message}"):
         LightPathTracer((quad(0.0), quad(1.0)), (None, strange))
+
+
+ABBE = {
+    "bk7": 64.17,
+    "f2": 36.43,
+    "sf10": 28.53,
+    "sf11": 25.68,
+    "fused-silica": 67.82,
+    "water": 55.7,
+    "diamond": 55.3,
+    "sapphire": 72.3,
+}
+"""V_d of Schott's and Corning's data sheets; of water, diamond and sapphire as handbooks give it."""
+
+
+@pytest.mark.parametrize("name", ABBE)
+def test_measured_lines_give_the_abbe_number_of_the_data_sheet(name: str) -> None:
+    red, green, blue = indices_of(name, "measured")
+    assert (green - 1) / (blue - red) == pytest.approx(ABBE[name], rel=5e-3)
+    assert green == SUBSTANCES[name]
+
+
+def test_every_substance_parts_blue_from_green_more_than_green_from_red() -> None:
+    for name, (below, above) in PARTINGS.items():
+        assert above > 1.5 * below > 0 or name == "air", name
+
+
+def test_a_number_parts_red_and_blue_as_gltf_says() -> None:
+    """The example of KHR_materials_dispersion: half a spread of (ior - 1) * 0.025 * dispersion on each side."""
+    assert indices_of(1.5, 0.4) == pytest.approx((1.495, 1.5, 1.505))
+    red, green, blue = indices_of("bk7", 20 / 64.17)
+    assert (green - 1) / (blue - red) == pytest.approx(64.17)
+    assert indices_of(1.5, 0.0) == (1.5, 1.5, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        ({"dispersion": -0.1}, "dispersion: is -0.1; expected 20 over the Abbe number, from 0 to 20"),
+        ({"dispersion": "much"}, "dispersion: is 'much'; expected a number, or 'measured'"),
+        ({"dispersion": "measured"}, "dispersion: is 'measured' for ior 1.5; expected ior to be one of air, "),
+        ({"ior": "ice", "dispersion": "measured"}, "dispersion: is 'measured' for ior 'ice'; expected ior to be one"),
+    ],
+)
+def test_a_dispersion_that_is_not_known_is_refused(fields: dict, message: str) -> None:
+    for kind in (Dielectric, RoughDielectric):
+        with pytest.raises(HyalineError, match=f"^{message}"):
+            kind(**fields)

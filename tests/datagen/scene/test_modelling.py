@@ -10,6 +10,7 @@ from support.synthetic import synthetic_scene
 
 from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume, winding_number
 from datagen.render.mitsuba_scene import bake_texture, linear_texels
+from datagen.scene.materials import SolidTexture
 from datagen.scene.modelling import (
     ball,
     cylinder,
@@ -28,7 +29,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from datagen.scene.textures import PATTERNS, SolidTexture, evaluate_texture, fractal_noise, value_noise
+from datagen.scene.textures import PATTERNS, evaluate_texture, fractal_noise, value_noise
 
 CIRCLE = np.linspace(0, 2 * np.pi, 60, endpoint=False)
 HELIX = np.stack([np.cos(CIRCLE), np.sin(CIRCLE), CIRCLE], axis=-1)
@@ -226,7 +227,10 @@ def test_a_baked_texture_is_kept_and_a_damaged_one_is_baked_again(
     for _ in range(2):
         np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
         (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
-    kept.write_bytes(kept.read_bytes()[:-50])
-    np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+    data = kept.read_bytes()
+    for damaged in (data[:-50], data[:9999] + bytes([data[9999] ^ 1]) + data[10000:]):
+        kept.write_bytes(damaged)
+        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
+        assert kept.read_bytes() == data
     linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
     assert len(list((tmp_path / "hyaline" / "textures").iterdir())) == 2

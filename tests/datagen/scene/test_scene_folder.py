@@ -13,10 +13,9 @@ from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.materials import Dielectric, Diffuse
+from datagen.scene.materials import Dielectric, Diffuse, ImageTexture
 from datagen.scene.modelling import ball, merged, moved
 from datagen.scene.soundness import check_scene
-from datagen.scene.textures import ImageTexture
 
 
 def edit(folder: Path, change: object) -> None:

@@ -14,9 +14,9 @@ from datagen.data.cameras import Cameras
 from datagen.data.images import linear_from_srgb
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
-from datagen.scene.materials import Conductor, Plastic
+from datagen.scene.materials import Conductor, ImageTexture, Plastic, SolidTexture
 from datagen.scene.modelling import sheet
-from datagen.scene.textures import ImageTexture, SolidTexture, evaluate_texture
+from datagen.scene.textures import evaluate_texture
 
 use_mitsuba()
 

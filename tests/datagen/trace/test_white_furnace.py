@@ -14,8 +14,7 @@ from datagen.data.cameras import Cameras, look_at
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import SceneObject
-from datagen.scene.materials import Conductor, Dielectric, Material, RoughDielectric, ThinDielectric
-from datagen.scene.textures import ImageTexture
+from datagen.scene.materials import Conductor, Dielectric, ImageTexture, Material, RoughDielectric, ThinDielectric
 from datagen.trace.light_path import LightPathTracer
 from datagen.trace.surface_tables import Limits
 

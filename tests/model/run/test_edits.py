@@ -24,8 +24,7 @@ from datagen.disk.storage import SEAL, commit_sealed, load_sealed, seal_of, sha2
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment
 from datagen.scene.edits import parse_edit
-from datagen.scene.materials import Dielectric, Diffuse
-from datagen.scene.textures import SolidTexture
+from datagen.scene.materials import Dielectric, Diffuse, SolidTexture
 from eval.page.report import make_report
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig

@@ -26,8 +26,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.ply import read_ply, write_ply
 from datagen.disk.errors import HyalineError
 from datagen.look.look import look_page
-from datagen.quantities.surfaces import surfaces_of
-from datagen.quantities.view_quantities import quantities
+from datagen.quantities import quantities, surfaces_of
 from datagen.scene.description import CameraList
 from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric

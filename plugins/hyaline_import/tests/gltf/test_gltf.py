@@ -10,7 +10,7 @@ from support.gltf import BOX, GltfBuilder
 
 from datagen.data.meshes import face_corners, signed_volume
 from datagen.scene.description import CameraList
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.modelling import ball
 from hyaline_import.foreign import ForeignObject, ForeignScene
 from hyaline_import.gltf.scene import read_gltf

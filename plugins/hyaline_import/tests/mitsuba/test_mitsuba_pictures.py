@@ -10,7 +10,7 @@ from datagen.data.config import DatasetConfig, Resolution, SplitConfig
 from datagen.data.images import srgb_from_linear
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
-from datagen.scene.import_choices import ImportChoices
+from datagen.scene.finding import ImportChoices
 from datagen.scene.rig import make_cameras
 from hyaline_import.importing import import_scene
 

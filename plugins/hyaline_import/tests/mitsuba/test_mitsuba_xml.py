@@ -19,10 +19,9 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
+from datagen.scene.finding import ImportChoices
 from datagen.scene.images import linear_pixels, look_up, read_map
-from datagen.scene.import_choices import ImportChoices
-from datagen.scene.materials import Conductor, Dielectric, Plastic, RoughDielectric
-from datagen.scene.values import Color
+from datagen.scene.materials import Color, Conductor, Dielectric, Plastic, RoughDielectric
 from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
 from hyaline_import.importing import import_scene
 from hyaline_import.mitsuba.scene import read_mitsuba

@@ -35,8 +35,7 @@ from datagen.data.meshes import Mesh, no_mesh
 from datagen.data.paths import TRUTH
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.edits import edit_scene, moved_mesh, parse_edit
-from datagen.scene.materials import Conductor, Dielectric
-from datagen.scene.materials.optics import Event, Medium, Surface
+from datagen.scene.materials import Conductor, Dielectric, Event, Medium, Surface
 from datagen.scene.modelling import transformed
 from hyaline_web.page.export import scene_page
 from model.methods.light_path.net import LightPathRenderer

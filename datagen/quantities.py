@@ -7,27 +7,110 @@ World axes are the dataset's: metres, +z up. Camera axes are OpenGL's: +x right,
 camera looks along -z).
 """
 
+import dataclasses
 import functools
-from dataclasses import dataclass
+import weakref
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
-from datagen.data.dataset import View
+from datagen.data.dataset import Dataset, View
+from datagen.data.geometries import read_meshes
 from datagen.data.layers import Layers
-from datagen.data.meshes import is_there
+from datagen.data.meshes import Mesh, is_there
+from datagen.data.paths import TRUTH
 from datagen.disk.checked import checked
-from datagen.quantities.surfaces import Surfaces, surfaces_of
+from datagen.machine.mitsuba_variant import use_mitsuba
+from datagen.scene.description import Scene, image_bytes
+from datagen.scene.folder import open_scene
+from datagen.scene.images import linear_pixels, look_up
+from datagen.scene.materials import Conductor, Diffuse, ImageTexture, Material, Plastic, RoughDielectric, SolidTexture
+from datagen.scene.textures import evaluate_texture
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.surface_tables import Limits
 
 if TYPE_CHECKING:
     from datagen.trace.light_path import LightPathTracer
+    from datagen.trace.peel import Peeler
 
-LIMITS = Limits(max_branches=1, max_vertices=1)
-"""With room for one vertex, the path's last one is kept."""
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Surfaces:
+    """The true geometry of a dataset and its materials. Tables are indexed by object id; 0 means no object."""
+
+    scene: Scene
+    meshes: tuple[Mesh, ...]
+    """In object order, verified; the mesh of object id i is `meshes[i - 1]`."""
+    _images: dict[str, np.ndarray] = field(default_factory=dict, repr=False)
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """Materials in object order."""
+        return tuple(item.material for item in self.scene.objects)
+
+    @property
+    def is_glass(self) -> Bool[np.ndarray, " id"]:
+        """Whether an object is transparent."""
+        return np.array([False, *(material.is_glass for material in self.materials)])
+
+    @property
+    def is_solid(self) -> Bool[np.ndarray, " id"]:
+        """Whether an object is solid glass or liquid; thin panes are not."""
+        return np.array([False, *(material.medium is not None for material in self.materials)])
+
+    @property
+    def ior(self) -> Float32[np.ndarray, " id"]:
+        """Index of refraction of glass, liquids and thin panes; 0 for everything else."""
+        values = [material.surface().ior if material.is_glass else 0.0 for material in self.materials]
+        return np.array([0.0, *values], np.float32)
+
+    def albedo(
+        self, object_id: int, uv: Float[np.ndarray, "hit 2"], position: Float[np.ndarray, "hit 3"]
+    ) -> Float32[np.ndarray, "hit 3"]:
+        """Linear reflectance (Rec. 709) of an object at points on it; NaN for materials without one, such as glass."""
+        material = self.materials[object_id - 1]
+        color = material.color if isinstance(material, Diffuse | Plastic | Conductor) else (np.nan,) * 3
+        match color:
+            case SolidTexture():
+                return evaluate_texture(color, position)
+            case ImageTexture(path=path):
+                if path not in self._images:
+                    self._images[path] = linear_pixels(image_bytes(self.scene, color), where=path)
+                return look_up(self._images[path], uv, repeats=False).astype(np.float32)
+            case _:
+                return np.tile(np.array(color, np.float32), (len(uv), 1))
+
+    @functools.cached_property
+    def peeler(self) -> "Peeler":
+        """Finds the faces along rays. Call `use_mitsuba` first."""
+        from datagen.trace.peel import Peeler
+
+        return Peeler(self.meshes)
+
+    @functools.cached_property
+    def tracer(self) -> "LightPathTracer":
+        """Follows light through the scene; rough glass counts as smooth. Call `use_mitsuba` first."""
+        from datagen.trace.light_path import LightPathTracer
+        from datagen.trace.surface_tables import tints_of
+
+        smooth = (
+            dataclasses.replace(material, roughness=0.0) if isinstance(material, RoughDielectric) else material
+            for material in self.materials
+        )
+        return LightPathTracer(self.meshes, tuple(smooth), tints_of(self.scene, own_uv=True))
+
+
+_OPENED: "weakref.WeakKeyDictionary[Dataset, Surfaces]" = weakref.WeakKeyDictionary()
+
+
+def surfaces_of(dataset: Dataset) -> Surfaces:
+    """The surfaces of an opened dataset, read once and verified."""
+    if dataset not in _OPENED:
+        _OPENED[dataset] = Surfaces(scene=open_scene(dataset), meshes=read_meshes(dataset, TRUTH))
+    return _OPENED[dataset]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,7 +154,8 @@ def find_light_ends(camera: Camera, tracer: "LightPathTracer", is_glass: Bool[np
     shape = (camera.height, camera.width)
     origin, directions = camera.rays()
     rays = directions.reshape(-1, 3)
-    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
+    # With room for one vertex, the path's last one is kept.
+    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, Limits(max_branches=1, max_vertices=1))
     object_id, has_left = paths.object_id[0, 0].reshape(shape), paths.has_left[0].reshape(shape)
     has_ended = (object_id > 0) & ~is_glass[object_id] & ~has_left
     is_known = has_ended | has_left
@@ -214,10 +298,23 @@ class ViewQuantities:
                 point slightly away from the camera.
             axes: world, or camera (+x right, +y up, +z towards the viewer).
         """
-        normals = self._normals[kind]
-        if axes == "world":
-            return normals
-        return (normals @ self.view.camera.world_from_camera[:3, :3]).astype(np.float32)
+        with naming_parts("normals"):
+            use_mitsuba()
+        normals = np.zeros((*self.object_id.shape, 3))
+        origin, directions = self._rays
+        hits = self.surfaces.peeler.trace(origin, directions.reshape(-1, 3), 1)
+        for place, mesh in enumerate(mesh for mesh in self.surfaces.meshes if is_there(mesh)):
+            of_mesh = hits.shape[0] == place
+            mask = of_mesh.reshape(self.object_id.shape)
+            face, (b1, b2) = mesh.faces[hits.prim[0, of_mesh]], hits.barycentric[0, of_mesh].astype(np.float64).T
+            corners = mesh.vertices[face].astype(np.float64)
+            found = across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            if kind == "shading":
+                found = np.einsum("kh,hkc->hc", [1 - b1 - b2, b1, b2], mesh.normals[face].astype(np.float64))
+            side = np.where((across * directions[mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
+            normals[mask] = side * found / np.linalg.norm(found, axis=-1, keepdims=True)
+        normals = normals.astype(np.float32)
+        return normals if axes == "world" else (normals @ self.view.camera.world_from_camera[:3, :3]).astype(np.float32)
 
     # What they are made of
 
@@ -229,7 +326,8 @@ class ViewQuantities:
         up in baked textures.
         """
         albedo = np.full((*self.object_id.shape, 3), np.nan, np.float32)
-        for object_id, mask in self._objects_in_view():
+        for object_id in np.unique(self.object_id[self.object_id > 0]).tolist():
+            mask = self.object_id == object_id
             uv = self.layers.uv[0][mask] / 65535
             albedo[mask] = self.surfaces.albedo(object_id, uv, self.position[mask].astype(np.float64))
         return albedo
@@ -266,7 +364,8 @@ class ViewQuantities:
     @functools.cached_property
     def light_ends(self) -> LightEnds:
         """Refractive flow, attenuation, and the end of each pixel's refracted path. Traces rays: needs Mitsuba."""
-        _use_mitsuba_for("light_ends")
+        with naming_parts("light_ends"):
+            use_mitsuba()
         return find_light_ends(self.view.camera, self.surfaces.tracer, self.surfaces.is_glass)
 
     # Parts
@@ -275,35 +374,12 @@ class ViewQuantities:
     def _rays(self) -> tuple[np.ndarray, np.ndarray]:
         return self.view.camera.rays()
 
-    @functools.cached_property
-    def _normals(self) -> dict[str, np.ndarray]:
-        shading, geometric = (np.zeros((*self.object_id.shape, 3)) for _ in range(2))
-        _use_mitsuba_for("normals")
-        origin, directions = self._rays
-        hits = self.surfaces.peeler.trace(origin, directions.reshape(-1, 3), 1)
-        for place, mesh in enumerate(mesh for mesh in self.surfaces.meshes if is_there(mesh)):
-            of_mesh = hits.shape[0] == place
-            mask = of_mesh.reshape(self.object_id.shape)
-            face, (b1, b2) = mesh.faces[hits.prim[0, of_mesh]], hits.barycentric[0, of_mesh].astype(np.float64).T
-            corners = mesh.vertices[face].astype(np.float64)
-            across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            smooth = np.einsum("kh,hkc->hc", [1 - b1 - b2, b1, b2], mesh.normals[face].astype(np.float64))
-            side = np.where((across * directions[mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)
-            geometric[mask] = side * across / np.linalg.norm(across, axis=-1, keepdims=True)
-            shading[mask] = side * smooth / np.linalg.norm(smooth, axis=-1, keepdims=True)
-        return {"shading": shading.astype(np.float32), "geometric": geometric.astype(np.float32)}
-
-    @functools.cached_property
-    def _opaque_layer(self) -> tuple[np.ndarray, np.ndarray]:
-        """Index of the first opaque layer (1, h, w), and whether there is one (h, w)."""
+    def _at_opaque(self, values: np.ndarray) -> np.ndarray:
+        """The values of layers at the first opaque one; 0 where there is none."""
         ids = self.layers.object_id
         is_opaque = (ids > 0) & ~self.surfaces.is_glass[ids]
-        return is_opaque.argmax(axis=0)[None], np.asarray(is_opaque.any(axis=0))
-
-    def _at_opaque(self, values: np.ndarray) -> np.ndarray:
-        layer, is_there = self._opaque_layer
-        found = np.take_along_axis(values, layer, axis=0)[0]
-        return np.where(is_there, found, np.zeros((), values.dtype))
+        found = np.take_along_axis(values, is_opaque.argmax(axis=0)[None], axis=0)[0]
+        return np.where(is_opaque.any(axis=0), found, np.zeros((), values.dtype))
 
     def _along_axis(self, depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
         cosine = self._rays[1].astype(np.float64) @ -self.view.camera.world_from_camera[:3, 2]
@@ -313,17 +389,6 @@ class ViewQuantities:
         origin, directions = self._rays
         places = origin.astype(np.float64) + depth[..., None].astype(np.float64) * directions
         return np.where(depth[..., None] > 0, places, 0).astype(np.float32)
-
-    def _objects_in_view(self) -> list[tuple[int, Bool[np.ndarray, "h w"]]]:
-        """Each object that some rays hit first, with the mask of these rays."""
-        return [(int(index), self.object_id == index) for index in np.unique(self.object_id) if index > 0]
-
-
-def _use_mitsuba_for(part: str) -> None:
-    from datagen.machine.mitsuba_variant import use_mitsuba
-
-    with naming_parts(part):
-        use_mitsuba()
 
 
 @checked
