@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.cameras import Cameras, direction_of, look_at
+from datagen.data.cameras import Cameras, direction_of, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layers import Layers, quantize_uv, start_layers

@@ -15,12 +15,11 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_proxy_records
 from datagen.data.layers import DTYPES, LayerStore, array_file, record_path_of_layers
-from datagen.data.paths import TRUTH, geometry_root, image_path, layers_root, record_path
+from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import EDIT_MASKS_FOLDER, VARIANTS_FOLDER, edit_mask_files
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import is_name
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES
-from datagen.disk.storage import MAKE_AGAIN, sha256_file
+from datagen.disk.storage import MAKE_AGAIN, is_name, sha256_file
 from datagen.terminal.command import fail, say_all, tell, tell_json
 
 NAMED = 3
@@ -103,15 +102,8 @@ class _Search:
         """A dataset or a variant: views, edit masks and geometries; the files of its head."""
         root = dataset.root
         views = [view for split in dataset.splits if split not in dataset.withheld for view in dataset.views(split)]
-        pictures = [image_path(root, view.split, view.index) for view in views]
-        self.known |= {path.with_suffix(ending) for path in pictures for ending in dataset.endings}
-        self.add_views(
-            root,
-            {
-                record_path(root, view.split, view.index): lambda view=view: view.record.files  # Opened when called.
-                for view in views
-            },
-        )
+        self.known |= {root / view.file(ending) for view in views for ending in dataset.endings}
+        self.add_views(root, {view.record_path: lambda view=view: view.record.files for view in views})
         if dataset.edit is not None:
             masks = root / EDIT_MASKS_FOLDER
             self.add_record(masks / EDIT_MASKS.head, masks, lambda: edit_mask_files(masks))

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, check_relative
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import check_name, check_relative
 
 MAX_SIDE = 8192
 """Pixels; a larger number is probably a typo."""

@@ -18,11 +18,10 @@ from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import decode_ply, write_ply
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, is_name
+from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import commit_all, commit_sealed, dump_json, load_sealed, read_promised, seal_bytes, sha256
+from datagen.disk.records import Json, dump_json, entry, from_json, load_sealed, to_json
+from datagen.disk.storage import check_name, commit_all, is_name, read_all, sha256
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
@@ -110,9 +109,7 @@ def write_proxies(
         old = proxy_files(root)
         refuse_taken(root, PROXIES, files, old)
         remove_files(root, sorted(set(old) - set(files)))
-        commit_sealed(root / PROXIES.head, content)
-    else:
-        begin(root, PROXIES, seal_bytes(content))
+    begin(root, PROXIES, content, replace=True)
     commit_all(root, files)
 
 
@@ -200,9 +197,9 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     dataset = dataset.home
     check_has_meshes(dataset)
     root = geometry_root(dataset.root, geometry)
-    meshes = {}
-    for name, (file, promised) in _mesh_files(dataset, geometry).items():
-        meshes[name], _ = decode_ply(read_promised(root, file, promised), where=str(root / file))
+    files, meshes = _mesh_files(dataset, geometry), {}
+    for (name, (file, _)), data in zip(files.items(), read_all(root, dict(files.values())), strict=True):
+        meshes[name], _ = decode_ply(data, where=str(root / file))
         check_mesh(meshes[name], where=str(root / file))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
 
@@ -216,8 +213,7 @@ def geometry_hash(dataset: Dataset, geometry: str) -> str:
     """Hash of a geometry's meshes, verified, which layers record."""
     check_has_meshes(dataset)
     root = geometry_root(dataset.home.root, geometry)
-    files = _mesh_files(dataset.home, geometry).values()
-    return sha256(b"".join(read_promised(root, file, promised) for file, promised in files))
+    return sha256(b"".join(read_all(root, dict(_mesh_files(dataset.home, geometry).values()))))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import read_regular
+from datagen.disk.storage import read_regular
 
 
 def srgb_from_linear(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:

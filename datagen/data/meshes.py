@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 
 MAX_EXTENT = 1e5
@@ -28,7 +27,6 @@ FOLDED = 1e-6
 _POINTS_AT_ONCE = 1 << 20
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """A triangle mesh in world space with one normal and one uv per vertex.

@@ -29,10 +29,9 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import decode_png
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import EDIT_MASKS
-from datagen.disk.records import entry, from_json
-from datagen.disk.storage import load_sealed, read_promised
+from datagen.disk.records import entry, from_json, load_sealed
+from datagen.disk.storage import check_name, is_name, read_promised
 
 VARIANTS_FOLDER = "variants"
 """In a dataset and in a run."""

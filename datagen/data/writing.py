@@ -28,8 +28,8 @@ from datagen.data.layers import layers_files
 from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.variants import edit_mask_files
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours, remove_files
-from datagen.disk.records import Json, to_json
-from datagen.disk.storage import commit, commit_all, commit_same, commit_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.records import Json, commit_sealed, seal_of, to_json
+from datagen.disk.storage import commit_all, commit_same, sha256
 
 
 def write_head(
@@ -66,10 +66,7 @@ def write_head(
         license=stated_license,
     )
     head = {key: to_json(value) for key, value in vars(record).items() if value is not None}
-    if replace and is_ours(root, DATASET):
-        commit(root / DATASET.head, seal_bytes(head))
-    else:
-        begin(root, DATASET, seal_bytes(head))
+    begin(root, DATASET, head, replace=replace)
     dataset = open_dataset(root)
     if dataset.seal == seal_of(head):
         for path, data in files.items():

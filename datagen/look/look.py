@@ -9,7 +9,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
 from datagen.data.layers import record_path_of_layers
-from datagen.data.paths import TRUTH, layers_root, record_path
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import MAKE_AGAIN
@@ -102,7 +102,7 @@ def folder_sizes(root: Path) -> dict[str, int]:
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
     """An even selection of the views of a split that exist."""
-    there = [view for view in range(dataset.num_views[split]) if record_path(dataset.root, split, view).is_file()]
+    there = [view.index for view in dataset.views(split) if view.record_path.is_file()]
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
 
 
@@ -185,7 +185,7 @@ def _noise_chart(dataset: Dataset) -> Markup:
         return tag("p", "The pictures were imported, so their noise is unknown.")
     lines = []
     for split in dataset.splits:
-        built = [view for view in dataset.views(split) if record_path(dataset.root, split, view.index).is_file()]
+        built = [view for view in dataset.views(split) if view.record_path.is_file()]
         ceilings = [(float(view.index), view.record.ceiling_db) for view in built]
         known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
         lines.append(Line(name=split, points=known))

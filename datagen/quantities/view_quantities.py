@@ -18,7 +18,7 @@ from datagen.data.cameras import Camera
 from datagen.data.dataset import View
 from datagen.data.layers import Layers
 from datagen.data.meshes import is_there
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.quantities.surfaces import Surfaces, surfaces_of
 from datagen.terminal.distribution import naming_parts
 from datagen.trace.surface_tables import Limits

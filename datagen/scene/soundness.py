@@ -9,9 +9,8 @@ from itertools import combinations, permutations
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import direction_of
+from datagen.data.cameras import direction_of, seeing
 from datagen.data.config import SPLITS
-from datagen.data.depth_range import seeing
 from datagen.data.meshes import (
     check_closed,
     check_mesh,
@@ -24,7 +23,7 @@ from datagen.data.meshes import (
     windings,
 )
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name
+from datagen.disk.storage import check_name
 from datagen.scene.contact import touching_share
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.media import MAX_NESTED

@@ -7,9 +7,9 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Float32
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative
+from datagen.disk.records import checked
+from datagen.disk.storage import check_relative
 from datagen.scene.values import Color, Vector, check_positive, check_range
 
 

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.records import read_regular
-from datagen.disk.storage import commit
+from datagen.disk.storage import commit, read_regular
 from model.state import State
 
 CHECKPOINT_VERSION = 1

@@ -23,8 +23,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.records import read_regular, shown
+from datagen.disk.errors import DamagedError, HyalineError, shown
+from datagen.disk.storage import read_regular
 from datagen.terminal.command import choose
 from model.methods.table import METHODS
 from model.run.train_flags import folder_name, parse_train

@@ -23,8 +23,8 @@ from jaxtyping import UInt8
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import from_json, parse_json, read_regular
-from datagen.disk.storage import commit
+from datagen.disk.records import from_json, parse_json
+from datagen.disk.storage import commit, read_regular
 
 COSTS = "costs.json"
 MAX_BYTES = 1 << 16

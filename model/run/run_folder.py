@@ -34,10 +34,20 @@ from datagen.data.geometries import describe_geometry
 from datagen.data.paths import find_dataset, view_name
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, refuse_taken, remove_files
-from datagen.disk.records import Json, from_json, load_json, parse_json, read_regular, shown, to_json
-from datagen.disk.storage import SEAL, check_files, commit, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.records import (
+    SEAL,
+    Json,
+    commit_sealed,
+    from_json,
+    load_json,
+    load_sealed,
+    parse_json,
+    seal_of,
+    to_json,
+)
+from datagen.disk.storage import check_files, commit, read_regular
 from model.methods.protocol import Inputs, MethodConfig
 from model.methods.table import METHODS, open_inputs
 from model.run.logs import COSTS, EVENTS, SNAPSHOTS, list_events, list_snapshots
@@ -143,14 +153,12 @@ def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
     If it is killed at any moment, the folder holds the old run or a new one: never files without a record.
     """
     content = cast(dict[str, Json], to_json(record))
-    if not is_ours(out, FOLDER):
-        begin(out, FOLDER, seal_bytes(content))
-    elif overwrite:
+    if overwrite and is_ours(out, FOLDER):
         refuse_taken(out, FOLDER, [] if _is_run(out / NEXT_RUN) else [NEXT_RUN], [])
         commit_sealed(out / NEXT_RUN, content)
         finish_clearing(out)
     else:
-        commit_sealed(out / RUN, content)
+        begin(out, FOLDER, content, replace=True)
 
 
 def refuse_other_folders(out: Path) -> None:

@@ -26,8 +26,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.writing import commit_view, head_contents, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
-from datagen.disk.records import read_regular
-from datagen.disk.storage import read_promised, sha256
+from datagen.disk.storage import read_promised, read_regular, sha256
 from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Split
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import dump_json, load_sealed, sha256
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import Json, dump_json, from_json, load_sealed
+from datagen.disk.storage import sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say
 from datagen.terminal.command import track as progress

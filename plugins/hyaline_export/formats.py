@@ -11,8 +11,7 @@ from pathlib import Path
 from datagen.data.config import OWN_LICENSE, OWN_LICENSE_ADDRESS
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, naming
-from datagen.disk.names import real_path
-from datagen.disk.storage import sync_folder
+from datagen.disk.storage import real_path, sync_folder
 from datagen.terminal.command import say
 from datagen.terminal.plugins import Group
 from hyaline_export.source import Source

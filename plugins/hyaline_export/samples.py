@@ -10,8 +10,7 @@ import numpy as np
 
 from datagen.data.images import npy_bytes, png_bytes
 from datagen.data.transforms import CONVENTION, lens_keys
-from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
+from datagen.disk.records import Json, dump_json
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import NormalKind, ViewQuantities
 from hyaline_export.files import bounds_keys, frame, mask_png, rgb_png

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
-from datagen.disk.names import file_name
+from datagen.disk.storage import file_name
 from datagen.scene.import_choices import Thin
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
 from datagen.scene.substances import MAX_DISPERSION

@@ -14,9 +14,8 @@ from datagen.data.images import read_png
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
 from datagen.data.shape_errors import ShapeErrors, shape_errors
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import load_sealed
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import Json, from_json, load_sealed, to_json
 from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart

@@ -7,10 +7,9 @@ import numpy as np
 from support.meshes import box
 from support.synthetic import pixel_rays
 
-from datagen.data.cameras import Cameras, look_at
+from datagen.data.cameras import Cameras, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layers import start_layers

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.textures import ImageTexture, Reflectance, SolidTexture, check_reflectance
 from datagen.scene.values import check_roughness

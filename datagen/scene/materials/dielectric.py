@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.scene.materials.optics import Medium, Optics, Plugin, Surface, TexturePlugin, rgb
 from datagen.scene.substances import Dispersion, Ior, check_dispersion, check_ior, index_of, indices_of
 from datagen.scene.values import Color, check_range

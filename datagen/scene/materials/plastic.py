@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin
 from datagen.scene.substances import Ior, check_ior, index_of
 from datagen.scene.textures import Reflectance, check_reflectance

@@ -3,7 +3,7 @@
 import dataclasses
 from dataclasses import dataclass
 
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.scene.materials.dielectric import Dielectric
 from datagen.scene.materials.optics import Plugin, Surface, TexturePlugin
 from datagen.scene.substances import index_of

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.scene.materials.optics import Optics, Plugin, Surface, TexturePlugin, rgb
 from datagen.scene.substances import Ior, check_ior, index_of
 from datagen.scene.values import Color, check_range

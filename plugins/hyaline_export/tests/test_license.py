@@ -11,7 +11,7 @@ from support.gltf import BOX, GltfBuilder
 from support.synthetic import synthetic_scene
 
 from datagen.data.dataset import open_dataset
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import save_scene
 from hyaline_export.formats import FORMATS

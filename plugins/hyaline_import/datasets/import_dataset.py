@@ -10,10 +10,9 @@ from typing import cast
 import numpy as np
 
 from datagen.builder.build import open_or_start
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Cameras, seeing, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, Imported, Resolution, Split, SplitConfig, unknown_license
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import seeing, with_depth_range
 from datagen.data.writing import commit_imported_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding

@@ -8,9 +8,8 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datagen.data.cameras import Cameras, Lens
+from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
-from datagen.data.depth_range import with_depth_range
 from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles

@@ -9,8 +9,7 @@ import torch
 from support.synthetic import quad, synthetic_scene
 
 from datagen.builder.build import build_dataset, peel_dataset
-from datagen.builder.edit_masks import find_edit_mask, shows_objects
-from datagen.builder.variants import build_variant, plan_edit
+from datagen.builder.variants import build_variant, find_edit_mask, plan_edit, shows_objects
 from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies

@@ -22,7 +22,7 @@ from datagen.data.geometries import geometry_hash
 from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import one_writer, shared_writers
+from datagen.disk.storage import one_writer
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
@@ -123,7 +123,7 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
 
 def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
     refused = pytest.raises(HyalineError, match="another process is writing there")
-    with shared_writers(tmp_path), shared_writers(tmp_path), refused, one_writer(tmp_path):
+    with one_writer(tmp_path, shared=True), one_writer(tmp_path, shared=True), refused, one_writer(tmp_path):
         pass
-    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
+    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), one_writer(tmp_path, shared=True):
         pass

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, check_relative, file_name, find_file, printable
+from datagen.disk.errors import HyalineError, printable
+from datagen.disk.storage import check_name, check_relative, file_name, find_file
 from datagen.terminal.command import fail, say, tell
 from eval.tables.grids import Column, Grid
 from eval.tables.looks import grid_text

@@ -8,7 +8,8 @@ import pytest
 from support.soon import soon
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import MAX_JSON_BYTES, load_json, load_toml, read_regular
+from datagen.disk.records import MAX_JSON_BYTES, load_json
+from datagen.disk.storage import read_regular
 
 pytestmark = pytest.mark.promise("R6")
 
@@ -43,19 +44,6 @@ def test_json_without_surprises_is_read_as_it_is(tmp_path: Path) -> None:
     assert load_json(path) == {"a": expected, "type": {}}
     path.write_text('{"a": ' + "[" * 63 + "]" * 63 + "}")
     assert list(load_json(path)) == ["a"]
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        *(b"a = nan", b"a = 1e999", b"a = " + b"9" * 5000, b"a = " + b"9" * 4000, b"a = 1\na = 2", b"a = 2020-02-02"),
-        *(b"a = " + b"[" * 60_000, b".".join([b"a"] * 100) + b" = 1", b"\xff", b"#" * 2_000_000),
-    ],
-)
-def test_toml_that_holds_surprises_is_refused_in_one_line(tmp_path: Path, text: bytes) -> None:
-    path = tmp_path / "file.toml"
-    path.write_bytes(text)
-    assert refusal(load_toml, path).startswith("FILE: ")
 
 
 def test_what_is_no_regular_file_is_never_opened(tmp_path: Path) -> None:

@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit, commit_first, commit_sealed, load_sealed, one_writer
+from datagen.disk.records import commit_sealed, load_sealed
+from datagen.disk.storage import commit, commit_first, one_writer
 
 
 def test_a_sealed_file_notices_any_flipped_bit(tmp_path: Path) -> None:

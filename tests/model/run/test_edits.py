@@ -20,7 +20,8 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, open_variant, read_edit_mask
-from datagen.disk.storage import SEAL, commit_sealed, load_sealed, seal_of, sha256
+from datagen.disk.records import SEAL, commit_sealed, load_sealed, seal_of
+from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment
 from datagen.scene.edits import parse_edit

@@ -16,7 +16,7 @@ from support.training import SMALL, quick, run_bytes
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import seal_bytes
+from datagen.disk.records import seal_bytes
 from model.run import train as train_module
 from model.run.checkpoint import fingerprint, load_state
 from model.run.predict import render_predictions
