@@ -13,7 +13,6 @@ from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.images import read_png
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
-from datagen.data.shape_errors import ShapeErrors, shape_errors
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.records import Json, from_json, load_sealed, to_json
 from datagen.scene.folder import open_scene
@@ -22,6 +21,7 @@ from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
 from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
 from hyaline_photos.fit.lathe import perpendicular
+from hyaline_photos.shape_errors import ShapeErrors, shape_errors
 
 CAPTURE = "capture"
 """Layout of datasets of photographs, whose scene has stand-ins for glass."""
