@@ -49,11 +49,6 @@ class Resolution:
         """Side of the square with the same area, rounded down; the default resolution of textures."""
         return math.isqrt(self.pixels)
 
-    @property
-    def is_power_of_two_square(self) -> bool:
-        """True for 64 x 64, 128 x 128 and so on."""
-        return self.width == self.height and self.width & (self.width - 1) == 0
-
     def times(self, scale: int) -> Self:
         """The resolution scaled by an integer."""
         return type(self)(width=scale * self.width, height=scale * self.height)
@@ -309,7 +304,6 @@ class Head:
 OWN_LICENSE = "CC0-1.0"
 """SPDX name of the licence of built-in and random scenes, which code generates, and of pictures of them. CC0, because
 pictures end up in batches, crops and merged sets that cannot carry attributions."""
-OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 MAX_LICENSE_LENGTH = 500
 """Characters of a foreign file's licence that are kept."""

@@ -69,10 +69,6 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
 
 
-MAX_EDGES = 0.9
-"""Share of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
-
-
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
     if picture.mode.startswith("I"):  # Grey of 16 bits, which Pillow would clip, not scale.
@@ -80,16 +76,6 @@ def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
     return np.asarray(picture.convert("RGB")).max(axis=-1) > 127
-
-
-def refuse_inverted(masks: Bool[np.ndarray, "view h w"], *, where: str) -> None:
-    """Raises a HyalineError if the masks of one object cover nearly all edges of pictures, as inverted ones do."""
-    share = np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
-    if share > MAX_EDGES:
-        raise HyalineError(
-            f"{where}: its masks show {100 * share:.0f} % of the pictures' edges; expected white where the object is "
-            "seen, black around it: invert them, or take pictures from farther away"
-        )
 
 
 def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:
@@ -212,10 +198,3 @@ def read_npy(data: bytes, *, where: str) -> Float32[np.ndarray, "h w"]:
     if not np.isfinite(values).all():
         raise HyalineError(f"{where}: holds numbers that are not finite; expected metres, 0 where nothing is")
     return values
-
-
-def npy_bytes(values: np.ndarray) -> bytes:
-    """The NumPy file of an array."""
-    buffer = io.BytesIO()
-    np.save(buffer, np.ascontiguousarray(values), allow_pickle=False)
-    return buffer.getvalue()

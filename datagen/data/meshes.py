@@ -97,18 +97,6 @@ def component_of_faces(mesh: Mesh) -> np.ndarray:
     return component
 
 
-def winding_number(point: np.ndarray, corners: np.ndarray) -> float:
-    """The winding number of triangles (face, 3, 3) around a point: 1 inside a closed outward surface, 0 outside.
-
-    Source: Van Oosterom and Strackee 1983, the solid angle of a triangle.
-    """
-    a, b, c = np.moveaxis(corners.astype(np.float64) - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    numerator = np.einsum("fi,fi->f", a, np.cross(b, c))
-    denominator = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    return float(np.arctan2(numerator, denominator).sum() / (2 * np.pi))
-
-
 def open_edges(mesh: Mesh) -> int:
     """The number of edges that are not shared by exactly two oppositely wound faces; 0 for a closed mesh."""
     _, faces = welded(mesh)

@@ -72,20 +72,9 @@ def open_variant(dataset: Dataset, name: str) -> Dataset:
     return open_dataset(variant_root(dataset.root, name))
 
 
-def is_larger(variant: Dataset) -> bool:
-    """True for a variant of larger pictures."""
-    return variant.parent is not None and variant.config.resolution != variant.parent.config.resolution
-
-
 def evenly(count: int, total: int) -> list[int]:
     """`count` of `total` things, in order and as far apart as they can be."""
     return [(2 * place + 1) * total // (2 * count) for place in range(count)]
-
-
-def parent_views(variant: Dataset, split: Split) -> list[int]:
-    """The views of the parent's split that a variant with larger pictures shows."""
-    assert variant.parent is not None
-    return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
 EDIT_MASKS_FOLDER = "edit-masks"

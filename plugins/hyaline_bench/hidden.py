@@ -17,7 +17,6 @@ import os
 import secrets
 import shlex
 from pathlib import Path
-from typing import cast
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, Split
@@ -141,11 +140,10 @@ def _write(root: Path, source: Dataset, config: DatasetConfig, scene: dict[str, 
                 made,
                 split,
                 view.index,
-                png=data[".png"],
-                exr=data[".exr"],
+                data,
                 seed=0,
-                spp=cast(int, record.spp),
-                noise_mse=cast(float, record.noise_mse),
-                variant=cast(str, record.variant),
+                spp=record.spp,
+                noise_mse=record.noise_mse,
+                variant=record.variant,
             )
     return made

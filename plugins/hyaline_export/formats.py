@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.data.config import OWN_LICENSE, OWN_LICENSE_ADDRESS
+from datagen.data.config import OWN_LICENSE
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, naming
 from datagen.disk.storage import real_path, sync_folder
@@ -26,6 +26,8 @@ class Format:
     hint: str
     """The command that opens the export, with OUT for the folder."""
 
+
+OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 FORMATS: Group[Format] = Group(
     name="hyaline.exports",

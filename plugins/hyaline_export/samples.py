@@ -4,11 +4,12 @@ train/NAME.png, train/NAME.depth.npy, ...     also val, interpolating, extrapola
 dataset.json                                  objects, materials, near, far, box; each file's content and unit
 """
 
+import io
 from collections.abc import Iterator
 
 import numpy as np
 
-from datagen.data.images import npy_bytes, png_bytes
+from datagen.data.images import png_bytes
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.records import Json, dump_json
 from datagen.quantities.surfaces import surfaces_of
@@ -54,6 +55,12 @@ def _arrays(found: ViewQuantities, *, flow: bool) -> Iterator[tuple[str, np.ndar
         yield ending, getattr(found.light_ends, name)
 
 
+def _npy_bytes(values: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.ascontiguousarray(values), allow_pickle=False)
+    return buffer.getvalue()
+
+
 def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
     for item in tracked(source.views):
         stem = f"{item.group}/{item.name}"
@@ -61,7 +68,7 @@ def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
         about = frame(item, f"{item.name}.png", role=item.role, split=item.view.split, view=item.view.index)
         yield f"{stem}.camera.json", dump_json({"convention": CONVENTION, **lens_keys(item.view.camera), **about})
         for ending, array in _arrays(item.quantities, flow=source.flow):
-            encode = npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
+            encode = _npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
             yield f"{stem}.{ending}", encode(array)
     objects: list[Json] = [
         {"object_id": index + 1, "name": item.name, "material": type(item.material).__name__}

@@ -19,7 +19,7 @@ from datagen.data.meshes import (
     open_edges,
     points_on,
     signed_volume,
-    winding_number,
+    windings,
 )
 from proxies.meshing.solid import Solid, outside_by, used_positions
 
@@ -143,7 +143,7 @@ def enclosed_share(proxy: Mesh, truth: Mesh) -> float:
     around = face_corners(proxy).astype(np.float64)
     for part in np.unique(component):
         mine = np.flatnonzero((component == part) & is_inside)
-        if len(mine) and winding_number(corners[mine[0], 0], around) < 0.5:
+        if len(mine) and windings(around, corners[mine[:1], 0])[0] < 1:
             is_inside[mine] = False
     return float(is_inside.mean())
 

@@ -97,7 +97,7 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
             radiance = linear_from_srgb(picture / 255).astype(np.float32)
             exr = encode_exr(radiance, np.zeros_like(radiance))
             png = png_bytes(picture)
-            commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+            commit_view(dataset, split, view, {".png": png, ".exr": exr}, seed=0, spp=4, noise_mse=1e-5, variant="none")
             dataset.layer_store().write(split, view, layers, overflow_share=0.0)
     return dataset
 

@@ -13,7 +13,7 @@ from datagen.builder.build import open_or_start
 from datagen.data.cameras import Cameras, seeing, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, Imported, Resolution, Split, SplitConfig, unknown_license
 from datagen.data.dataset import Dataset
-from datagen.data.writing import commit_imported_view
+from datagen.data.writing import commit_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
@@ -150,7 +150,7 @@ def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
         missing = [view for split in dataset.splits for view in dataset.views(split) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)
         for view in track(missing, label="import", total=total, done=total - len(missing)):
-            commit_imported_view(dataset, view.split, view.index, plan.files(view.split, view.index))
+            commit_view(dataset, view.split, view.index, plan.files(view.split, view.index))
     return dataset
 
 
