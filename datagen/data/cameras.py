@@ -9,7 +9,7 @@ import dataclasses
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from jaxtyping import Float, Float32, Float64, Int
@@ -89,23 +89,14 @@ class Lens:
 
     def camera(self, world_from_camera: Float[np.ndarray, "4 4"]) -> "Camera":
         """The camera with this lens at a place."""
-        return Camera(
-            world_from_camera=world_from_camera,
-            fov_x=self.fov_x,
-            width=self.width,
-            height=self.height,
-            center=self.center,
-        )
+        return Camera(world_from_camera=world_from_camera, **self._lens())
 
     def cameras(self, world_from_camera: Float[np.ndarray, "view 4 4"]) -> "Cameras":
         """The cameras with this lens at these places."""
-        return Cameras(
-            world_from_camera=world_from_camera,
-            fov_x=self.fov_x,
-            width=self.width,
-            height=self.height,
-            center=self.center,
-        )
+        return Cameras(world_from_camera=world_from_camera, **self._lens())
+
+    def _lens(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(Lens)}
 
     def is_like(self, other: "Lens") -> bool:
         """True for a lens that shows the same, to a thousandth of its angle and of the picture's width."""

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, Self
 
@@ -76,8 +75,6 @@ SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
 TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
 ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
 """The splits of the variant `angles`: degrees outside the directions that training cameras cover."""
-
-SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
 DATASET_VERSION = 3
 
@@ -154,20 +151,6 @@ class DatasetConfig:
         """The size of a split; splits by angle have the size of `extrapolating`."""
         sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
         return sizes["extrapolating" if split in ANGLE_SPLITS else split]
-
-
-def describe_views(views: Iterable[tuple[Split, int]]) -> str:
-    """Names views, such as `train 3-7, 12; extrapolating 0`."""
-    by_split: dict[str, list[int]] = {}
-    for split, view in sorted(views, key=lambda item: (SPLIT_ORDER[item[0]], item[1])):
-        by_split.setdefault(split, []).append(view)
-    parts = []
-    for split, numbers in by_split.items():
-        starts = [view for view in numbers if view - 1 not in numbers]
-        ends = [view for view in numbers if view + 1 not in numbers]
-        runs = [f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)]
-        parts.append(f"{split} {', '.join(runs)}")
-    return "; ".join(parts)
 
 
 def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:

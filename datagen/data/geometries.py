@@ -136,8 +136,10 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     root = geometry_root(dataset.root, kind)
     if not (root / PROXIES.head).is_file():
         check_has_meshes(dataset)
-        if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
-            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
+        made = list_geometries(dataset)
+        is_known = kind.partition("-")[0] in (*PROXY_KINDS, MIXED, FITTED)
+        if not is_known or difflib.get_close_matches(kind, made, n=1, cutoff=0.5):
+            choose("geometry", kind, made if is_known else {*made, *PROXY_KINDS} - {TRUTH})
         raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):
@@ -182,10 +184,7 @@ def list_geometries(dataset: Dataset) -> list[str]:
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:
     """Raises unless the dataset has the geometry; suggests the nearest name, or the command that makes the proxy."""
-    made = list_geometries(dataset)
-    if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
-        choose("geometry", geometry, made)
-    if geometry not in made:
+    if geometry not in list_geometries(dataset):
         read_proxy_records(dataset, geometry)
 
 
@@ -202,11 +201,6 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
         meshes[name], _ = decode_ply(data, where=str(root / file))
         check_mesh(meshes[name], where=str(root / file))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
-
-
-def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
-    """The scene's own meshes, in object order; none if pictures were imported without meshes."""
-    return read_meshes(dataset, TRUTH) if dataset.objects else ()
 
 
 def geometry_hash(dataset: Dataset, geometry: str) -> str:

@@ -90,11 +90,7 @@ def begin(root: Path, kind: FolderKind, head: dict[str, Json], *, replace: bool 
 
 
 def refuse_others(root: Path, kind: FolderKind) -> None:
-    """Refuses a folder that is neither ours nor empty, before work is done for it.
-
-    Raises:
-        HyalineError: naming a file in it.
-    """
+    """Refuses a folder that is neither ours nor empty, before work is done for it; the error names a file in it."""
     foreign = _first_foreign(root)
     if foreign is None or is_ours(root, kind):
         return
@@ -122,7 +118,6 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     """Refuses to write an output file where one stands; with `overwrite`, where something else than a file stands.
 
     Raises:
-        HyalineError: naming it.
         OSError: nothing can be written there.
     """
     if path.exists() and not path.is_file():
@@ -133,11 +128,7 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
 
 
 def refuse_links(root: Path, relative: Path) -> None:
-    """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours.
-
-    Raises:
-        HyalineError: naming the link.
-    """
+    """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours."""
     path = root
     for part in relative.parts:
         path = path / part

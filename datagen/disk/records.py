@@ -61,8 +61,7 @@ def to_json(value: object) -> Json:
 def from_json(kind: type[T], data: Json, *, where: str) -> T:
     """The record of class `kind` that `data` describes; the inverse of `to_json`.
 
-    Raises:
-        HyalineError: an unknown or missing key, or a value of the wrong type, named with its place.
+    Errors name the place of an unknown or missing key, or of a value of the wrong type.
     """
     return typing.cast(T, _parse(kind, data, where))
 
@@ -147,11 +146,7 @@ def _parse_record(kind: type, entries: dict[str, Json], where: str) -> object:
 
 
 def entry(data: Mapping[str, Value], key: str, *, where: object) -> Value:
-    """The value of a key that has to be there.
-
-    Raises:
-        HyalineError: it is not.
-    """
+    """The value of a key that has to be there."""
     if key not in data:
         raise HyalineError(f"{where}: key {key!r} is missing; build it again")
     return data[key]
@@ -221,11 +216,7 @@ def commit_sealed(path: Path, data: dict[str, Json]) -> None:
 
 
 def load_sealed(path: Path) -> dict[str, Json]:
-    """The content of a sealed JSON file, without its seal.
-
-    Raises:
-        DamagedError: any byte differs from what was sealed.
-    """
+    """The content of a sealed JSON file, without its seal; a DamagedError if any byte differs from what was sealed."""
     if path.is_symlink():
         raise DamagedError(f"{path}: is a link; expected the file itself; {MAKE_AGAIN}")
     text = read_regular(path, at_most=MAX_JSON_BYTES)

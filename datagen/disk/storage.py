@@ -36,11 +36,7 @@ def is_name(text: str) -> bool:
 
 
 def check_name(text: str, *, where: str) -> str:
-    """`text`, when it `is_name`.
-
-    Raises:
-        HyalineError: it is anything else, such as a path, or begins with a dot or a dash.
-    """
+    """`text`, when it `is_name`; an error for anything else, such as a path or what begins with a dot or a dash."""
     if not is_name(text):
         raise HyalineError(
             f"{where}: is {_shortened(text)!r}; expected a name of letters, digits, _ - . + and commas, "
@@ -57,9 +53,7 @@ def file_name(text: str) -> str:
 def check_relative(text: str, *, where: str) -> str:
     """`text`, when it is a path below whatever it is joined to.
 
-    Raises:
-        HyalineError: it is absolute or too long, has a part that is `..` or empty, or holds control characters or a
-            backslash.
+    An error if it is absolute or too long, has a part `..` or an empty one, or holds control characters or a backslash.
     """
     parts = text.split("/")
     is_long = len(text.encode(errors="replace")) > MAX_PATH or max(map(len, parts)) > MAX_NAME
@@ -73,10 +67,7 @@ def check_relative(text: str, *, where: str) -> str:
 def find_file(root: Path, relative: str, *, where: str) -> Path:
     """The path of a regular file that `relative` names below `root`; links may lead to it, but not out of `root`.
 
-    A path at which nothing stands is returned as it is.
-
-    Raises:
-        HyalineError: not a path below `root`, or what stands there is a folder, a pipe, a device, or a link out.
+    A path at which nothing stands is returned as it is; a folder, a pipe or a device there is an error.
     """
     path = root / check_relative(relative, where=where)
     if os.path.lexists(path):
@@ -85,11 +76,7 @@ def find_file(root: Path, relative: str, *, where: str) -> Path:
 
 
 def check_regular(path: Path, root: Path, *, where: str) -> None:
-    """Refuses links that lead out of `root`, and anything but regular files.
-
-    Raises:
-        DamagedError: it is one of these, or a link that leads nowhere.
-    """
+    """Raises a DamagedError for links that lead nowhere or out of `root`, and for anything but regular files."""
     try:
         target = path.resolve(strict=True)
         is_file = target.is_file()
@@ -141,11 +128,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, *, at_most: int | None = None) -> bytes:
-    """The bytes of a regular file.
-
-    Raises:
-        HyalineError: see `open_regular`; or it holds more than `at_most` bytes.
-    """
+    """The bytes of a file that `open_regular` opens, of at most so many bytes."""
     with open_regular(path) as file, _refusing(path):
         size = os.fstat(file.fileno()).st_size
         if at_most is not None and size > at_most:
@@ -171,19 +154,6 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def sha256_file(path: Path) -> str:
-    """Hex SHA-256 of a file's bytes.
-
-    Raises:
-        DamagedError: the file is missing.
-        HyalineError: it is not a regular file, or cannot be read.
-    """
-    try:
-        return sha256(read_regular(path))
-    except DamagedError as error:
-        raise DamagedError(f"{error}; {MAKE_AGAIN}") from None
-
-
 def check_files(root: Path, files: Mapping[str, str]) -> None:
     """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
     for relative, promised in files.items():
@@ -196,11 +166,7 @@ def read_all(root: Path, files: Mapping[str, str]) -> list[bytes]:
 
 
 def read_promised(root: Path, relative: str, promised: str) -> bytes:
-    """The bytes of a file below `root`, which are those that were promised.
-
-    Raises:
-        DamagedError: missing, or its SHA-256 is another.
-    """
+    """The bytes of a file below `root`; a DamagedError if it is missing, or not the one whose SHA-256 was promised."""
     path = find_file(root, relative, where=str(root))
     try:
         data = read_regular(path)

@@ -24,7 +24,7 @@ from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import read_meshes
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import read_regular, sha256
 from model.batches.layers import trace_layers
 from model.batches.rays import PixelSource, RayBatch, draw_patches, take_colors
 from model.losses.pixel_losses import PatchTerms
@@ -120,7 +120,7 @@ def find_vgg(config: LossConfig) -> LossConfig:
             f"{path}: no {kind.upper()} weights; put torchvision's {WEIGHT_FILES[kind]} there, or set --vgg-weights to "
             f"its path, random (a stand-in) or none"
         )
-    digest = sha256_file(path)
+    digest = sha256(read_regular(path))
     if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
         raise HyalineError(f"{path}: damaged, its SHA-256 is {digest[:8]}...; put {WEIGHT_FILES[kind]} there again")
     return dataclasses.replace(config, vgg_sha256=digest)

@@ -80,7 +80,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
         count = _extract(path, file, folder)
         try:
             found = verify_dataset(folder)
-            problems = found.problems or (found.remarks if found.verified < count else [])
+            problems = found.problems or (found.remarks if len(found.files) < count else [])
         except HyalineError as error:
             problems = [str(error)]
         if problems:

@@ -16,7 +16,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.writing import commit_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import read_regular, sha256
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.import_choices import ImportChoices
@@ -166,7 +166,7 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
     """Names the content of files in their order, and what decides how they are taken over."""
     digest = hashlib.sha256(choices.encode())
     for file in files:
-        digest.update(sha256_file(file).encode())
+        digest.update(sha256(read_regular(file)).encode())
     return digest.hexdigest()
 
 

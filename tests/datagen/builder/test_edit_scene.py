@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from support.synthetic import quad, synthetic_scene
 
 from datagen.builder.build import build_dataset, peel_dataset
@@ -25,8 +24,6 @@ from datagen.scene.edits import edit_scene, edits_name, moved_mesh, parse_edit
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, cylinder, moved
 from datagen.scene.textures import SolidTexture, evaluate_texture
-from model.nets.texture import NeuralTextures, object_layout
-from model.run.predict import with_copies
 
 use_mitsuba()
 
@@ -145,20 +142,6 @@ def test_an_edit_mask_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
         far[22:38, 18:42] = False
         assert (found[far & ~shown] == LIGHT).mean() < 0.02
     assert (find_edit_mask(shown, before, shared)[far & ~shown] == ELSEWHERE).all()
-
-
-# Textures of copies
-
-
-def test_a_copy_looks_up_the_texels_of_its_original() -> None:
-    textures = NeuralTextures(object_layout((4, 8, 2)), 3)
-    torch.nn.init.normal_(textures.table)
-    textures.layout = with_copies(textures.layout, [1, 1], 3)
-    uv = torch.rand(50, 1, 2)
-    ids = torch.full((50, 1), 2, dtype=torch.uint8)
-    for copy in (4, 5):
-        assert torch.equal(textures(uv, torch.full_like(ids, copy)), textures(uv, ids))
-    assert not torch.equal(textures(uv, torch.full_like(ids, 1)), textures(uv, ids))
 
 
 # On disk

@@ -14,7 +14,6 @@ from support.commands import run
 from support.synthetic import synthetic_scene
 
 from datagen.builder.build import render_dataset
-from datagen.data.config import describe_views
 from datagen.data.dataset import open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
@@ -31,7 +30,9 @@ def children(process: int) -> list[int]:
     return [child for child in found if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
 
 
-def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_command_that_goes_on(tmp_path: Path) -> None:
+def test_a_killed_worker_is_one_line_that_counts_missing_views_and_names_the_command_that_goes_on(
+    tmp_path: Path,
+) -> None:
     save_scene(synthetic_scene(), tmp_path / "scene")
     out = tmp_path / "out"
     words = ["build", "--scene", str(tmp_path / "scene"), "--out", str(out), *FLAGS, "--workers", "2"]
@@ -44,10 +45,9 @@ def test_a_killed_worker_is_one_line_that_names_the_missing_views_and_the_comman
     assert command.returncode == 1
     assert "Traceback" not in said
     kept = {path.name: path.read_bytes() for path in out.glob("records/train/*.json")}
-    missing = [view for view in range(8) if f"{view:04d}.json" not in kept]
     error = said.splitlines()[-1]
     assert error.startswith(f"error: {out}: render: a worker process was killed (")
-    assert describe_views(("train", view) for view in missing) in error
+    assert "of 10 views are missing" in error
     assert error.endswith(f"; go on with `datagen {' '.join(words)}`")
     run(shlex.join(["datagen", *words]))
     dataset = open_dataset(out)

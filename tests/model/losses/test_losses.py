@@ -16,7 +16,7 @@ from datagen.data.config import Resolution, square
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from model.batches.layers import load_pixels
 from model.batches.rays import RayBatch, take_colors
@@ -101,7 +101,7 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     with pytest.raises(HyalineError, match="damaged, its SHA-256 is"):
         find_vgg(LossConfig(vgg_weights="auto"))  # Not the file that the name promises.
     source = find_vgg(LossConfig(vgg_weights=str(place)))
-    assert source.vgg_sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
+    assert source.vgg_sha256 == sha256(place.read_bytes()) and source.describe() == "pre-trained VGG16"
     loss = PerceptualLoss("vgg16", str(place))
     assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
     with pytest.raises(HyalineError, match="not the weights of these layers"):
