@@ -12,7 +12,7 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it,
                                          with the cameras beside it where the scene lists them
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them, with near and far (metres along the
-                                         ray, data/depth_range.py); `test` is the interpolating split
+                                         ray, data/cameras.py); `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)

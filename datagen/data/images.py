@@ -103,21 +103,23 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
     import OpenEXR
 
     halves = np.clip(np.concatenate([radiance, noise], axis=-1), -MAX_HALF, MAX_HALF).astype(np.float16)
-    channels = {name: np.ascontiguousarray(halves[..., place]) for place, name in enumerate(EXR_CHANNELS)}
-    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()
-    OpenEXR.File(header, channels, num_threads=0).write(buffer)
-    return buffer.getvalue()
+    channels = {name: halves[..., place] for place, name in enumerate(EXR_CHANNELS)}
+    return _exr_bytes(channels, OpenEXR.PIZ_COMPRESSION)
 
 
 def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> bytes:
     """An EXR of 32-bit floats by channel name, losslessly compressed. The same values give the same bytes."""
     import OpenEXR
 
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()
+    return _exr_bytes(channels, OpenEXR.ZIP_COMPRESSION)
+
+
+def _exr_bytes(channels: Mapping[str, np.ndarray], compression: object) -> bytes:
+    import OpenEXR
+
     planes = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    OpenEXR.File(header, planes, num_threads=0).write(buffer)
+    buffer = io.BytesIO()
+    OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, planes, num_threads=0).write(buffer)
     return buffer.getvalue()
 
 

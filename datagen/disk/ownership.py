@@ -63,12 +63,10 @@ def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared:
     if within is not None:
         refuse_links(within, root.relative_to(within))
     with one_writer(root, shared=shared):
-        if is_ours(root, kind):
-            for folder in _own_folders(root, kind):
-                refuse_links(root, folder.relative_to(root))
-            if not shared:
-                _remove_temporaries(root, kind)
-        elif not shared and _first_foreign(root) is None:
+        ours = is_ours(root, kind)
+        for folder in _own_folders(root, kind) if ours else ():
+            refuse_links(root, folder.relative_to(root))
+        if not shared and (ours or _first_foreign(root) is None):
             _remove_temporaries(root, kind)
         yield
 

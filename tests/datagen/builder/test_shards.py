@@ -17,7 +17,7 @@ from support.synthetic import synthetic_scene
 
 from datagen.builder.build import open_or_start
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import DatasetConfig, square
 from datagen.data.geometries import geometry_hash
 from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
@@ -98,10 +98,7 @@ def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene
 
 
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
-    few = SplitConfig(views=3, spp=2)
-    config = DatasetConfig(
-        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
-    )
+    config = DatasetConfig.even("s", square(8), 3, spp=2)
     scene = synthetic_scene()
     cameras = make_cameras(scene.cameras, config)
 

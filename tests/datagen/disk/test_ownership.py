@@ -11,11 +11,11 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, remove_files
-from datagen.disk.records import commit_sealed, load_sealed
+from datagen.disk.records import Json, commit_sealed, load_sealed
 from datagen.disk.storage import sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
-HEAD = {"version": 1}
+HEAD: dict[str, Json] = {"version": 1}
 
 
 def tree(root: Path) -> dict[str, bytes]:
