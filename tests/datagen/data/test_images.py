@@ -9,8 +9,6 @@ from datagen.data.images import decode_exr, encode_exr, linear_from_srgb, srgb_f
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 
-pytestmark = pytest.mark.promise("R6")
-
 
 @pytest.fixture(scope="module")
 def good() -> bytes:
@@ -44,6 +42,7 @@ def test_radiance_beyond_half_precision_stays_finite() -> None:
     assert (decode_exr(encode_exr(bright, bright), where="view.exr")[0] == 65504).all()
 
 
+@pytest.mark.promise("R6")
 def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
     decode_exr(good, where="view.exr")
     for length in range(len(good)):
@@ -51,6 +50,7 @@ def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
             decode_exr(good[:length], where="view.exr")
 
 
+@pytest.mark.promise("R6")
 def test_a_bit_that_flipped_in_the_header_is_refused_or_read_at_once(good: bytes) -> None:
     rng = np.random.default_rng(0)
     end = good.index(b"screenWindowWidth")
