@@ -22,7 +22,7 @@ from datagen.data.geometries import read_meshes
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
-from datagen.disk.checked import checked
+from datagen.disk.records import checked
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, image_bytes
 from datagen.scene.folder import open_scene

@@ -9,9 +9,8 @@ from jaxtyping import Float, Real
 from datagen.data.cameras import Camera, look_at
 from datagen.data.cameras import Cameras as Cameras
 from datagen.data.config import MAX_VIEWS
-from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import checked
 
 
 @checked

@@ -17,8 +17,8 @@ from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layers import Layers, check_settings, round_mantissa
 from datagen.data.meshes import Mesh as Mesh
 from datagen.data.paths import DATA_ROOT, TRUTH
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError as HyalineError
+from datagen.disk.records import checked
 from datagen.quantities import LightEnds as LightEnds
 from datagen.quantities import ViewQuantities as ViewQuantities
 from datagen.quantities import quantities as quantities

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from datagen.data.config import MAX_VIEWS
 from datagen.data.paths import DATA_ROOT
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import checked
 from datagen.terminal.command import say
 from hyaline.runs import RUNS, Run
 

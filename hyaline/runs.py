@@ -14,9 +14,9 @@ from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, View
 from datagen.data.images import read_png
 from datagen.data.paths import TRUTH, find_dataset, view_name
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError, NumericsError
-from datagen.disk.names import real_path
+from datagen.disk.records import checked
+from datagen.disk.storage import real_path
 from datagen.terminal.command import choose
 from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of

@@ -10,9 +10,8 @@ import numpy as np
 from jaxtyping import Float, Int, Integer, Real
 
 from datagen.data.meshes import Mesh
-from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import printable
+from datagen.disk.errors import HyalineError, printable
+from datagen.disk.records import checked
 from datagen.scene import description
 from datagen.scene.description import (
     MAX_OBJECTS,

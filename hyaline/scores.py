@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, UInt8
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import checked
 from eval.score import metrics
 
 

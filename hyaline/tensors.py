@@ -10,8 +10,8 @@ from torch.utils import data
 
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
+from datagen.disk.records import checked
 
 
 @checked

@@ -13,8 +13,7 @@ import torch
 from torch import Tensor
 
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.records import read_regular
-from datagen.disk.storage import commit
+from datagen.disk.storage import commit, read_regular
 
 State = None | bool | int | float | str | Tensor | list | tuple | dict
 """What a checkpoint can hold: what `weights_only=True` reads back; the containers hold states again."""

@@ -101,7 +101,7 @@ def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport,
     from rich.table import Table
     from rich.text import Text
 
-    from datagen.disk.names import printable
+    from datagen.disk.errors import printable
 
     # Names may hold square brackets, which rich would take for mark-up.
     title = Text(printable(f"{geometry} proxies of {dataset.root}"))

@@ -2,7 +2,7 @@
 
 import contextlib
 import shlex
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,6 @@ from datagen.data.config import (
     Imported,
     Split,
     config_difference,
-    describe_views,
     unknown_license,
 )
 from datagen.data.dataset import Dataset, open_dataset
@@ -80,8 +79,7 @@ def render_task(job: RenderJob, task: Task) -> None:
         job.dataset,
         split,
         view,
-        png=picture_bytes(truth),
-        exr=radiance_bytes(truth),
+        {".png": picture_bytes(truth), ".exr": radiance_bytes(truth)},
         seed=seed,
         spp=truth.spp,
         noise_mse=truth.noise_mse,
@@ -173,10 +171,9 @@ def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     say(f"{dataset.root}: rendering {len(missing)} of {len(views)} views with {use_mitsuba()}")
-    with _told_missing(missing, lambda task: views[task].is_built, where=f"{dataset.root}: render"):
-        finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
-        for _ in track(finished, label="render", total=len(views), done=len(views) - len(missing)):
-            pass
+    finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
+    where, done = f"{dataset.root}: render", len(views) - len(missing)
+    _wait_for(finished, label="render", where=where, total=len(views), done=done)
 
 
 def peel_dataset(
@@ -190,12 +187,10 @@ def peel_dataset(
         _start_layers(dataset, geometry, meshes_hash, num_layers=num_layers, overwrite=overwrite, shard=shard)
         store, tasks = dataset.layer_store(geometry), _tasks(dataset, shard)
         missing = [task for task in tasks if not store.is_peeled(*task)]
-        if not missing:
-            return
-        with _told_missing(missing, lambda task: store.is_peeled(*task), where=f"{root}: peel"):
+        if missing:
             finished = in_workers(peel_task, missing, workers, PeelJob, (dataset.root, geometry))
-            for _ in track(finished, label=f"peel {geometry}", total=len(tasks), done=len(tasks) - len(missing)):
-                pass
+            done = len(tasks) - len(missing)
+            _wait_for(finished, label=f"peel {geometry}", where=f"{root}: peel", total=len(tasks), done=done)
 
 
 def _start_layers(
@@ -227,16 +222,14 @@ def _start_layers(
     start_layers(root, size, **settings, replace=True)
 
 
-@contextlib.contextmanager
-def _told_missing(tasks: list[Task], is_made: Callable[[Task], bool], *, where: str) -> Iterator[None]:
-    """Adds to the error of a killed worker which of its tasks are not done, and the command that goes on."""
+def _wait_for(work: Iterable[object], *, label: str, where: str, total: int, done: int) -> None:
+    """Waits for workers, with a line of progress; the error of a killed one says how many views it leaves."""
     try:
-        yield
+        for _ in track(work, label=label, total=total, done=done):
+            done += 1
     except WorkerKilledError as error:
-        left = [task for task in tasks if not is_made(task)]
-        raise WorkerKilledError(
-            f"{where}: {error}; {len(left)} views are missing ({describe_views(left)}); go on with `{this_command()}`"
-        ) from None
+        left = f"at most {total - done} of {total} views are missing"
+        raise WorkerKilledError(f"{where}: {error}; {left}; go on with `{this_command()}`") from None
 
 
 def summary(dataset: Dataset, geometry: str) -> list[str]:

@@ -16,7 +16,7 @@ from datagen.builder.choices import (
 from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layers import check_settings, record_path_of_layers
-from datagen.data.paths import DATA_ROOT, TRUTH, layers_root, record_path
+from datagen.data.paths import DATA_ROOT, TRUTH, layers_root
 from datagen.data.variants import TWINS, list_variants, open_variant
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
@@ -114,11 +114,11 @@ def count_missing(dataset: Dataset) -> tuple[int, int]:
     paths = [
         path
         for one in (dataset, *(variant for variant in variants if variant.edit is None))
-        for split, count in one.num_views.items()
-        for view in range(count)
+        for split in one.splits
+        for view in one.views(split)
         for path in (
-            record_path(one.root, split, view),
-            record_path_of_layers(layers_root(one.root, TRUTH), split, view),
+            view.record_path,
+            record_path_of_layers(layers_root(one.root, TRUTH), split, view.index),
         )
     ]
     return sum(not path.is_file() for path in paths), len(paths)

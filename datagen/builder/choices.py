@@ -128,15 +128,8 @@ class FilmChoices:
 
 
 def _preset(name: str, side: int, train: tuple[int, int], test: tuple[int, int]) -> DatasetConfig:
-    split = SplitConfig(views=test[0], spp=test[1])
-    return DatasetConfig(
-        scene="scene",
-        preset=name,
-        resolution=square(side),
-        train=SplitConfig(views=train[0], spp=train[1]),
-        interpolating=split,
-        extrapolating=split,
-    )
+    config = DatasetConfig.even("scene", square(side), test[0], spp=test[1])
+    return dataclasses.replace(config, preset=name, train=SplitConfig(views=train[0], spp=train[1]))
 
 
 PRESETS: dict[str, DatasetConfig] = {

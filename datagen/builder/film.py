@@ -19,8 +19,7 @@ from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
-from datagen.disk.records import read_regular
-from datagen.disk.storage import commit
+from datagen.disk.storage import commit, read_regular
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import open_scene
 from datagen.scene.rig import make_path

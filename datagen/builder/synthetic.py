@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.cameras import Cameras, direction_of, look_at
+from datagen.data.cameras import Cameras, direction_of, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layers import Layers, quantize_uv, start_layers
@@ -139,7 +138,8 @@ def write_synthetic_dataset(
         for view in range(config.split(split).views):
             layers = trace(*pixel_rays(stored, view), num_layers)
             picture = shade(layers)
-            png, exr = png_bytes(picture), encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
-            commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+            exr = encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
+            files = {".png": png_bytes(picture), ".exr": exr}
+            commit_view(dataset, split, view, files, seed=0, spp=4, noise_mse=1e-5, variant="none")
             store.write(split, view, layers, overflow_share=0.0)
     return dataset

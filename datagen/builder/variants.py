@@ -1,13 +1,16 @@
 """Variants of a dataset: what each is to be (cameras, size, scene), and its making inside the dataset."""
 
+import contextlib
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
 from datagen.builder.angles import make_angle_cameras
 from datagen.builder.build import peel_dataset, render_dataset
 from datagen.builder.choices import Shard
-from datagen.builder.edit_masks import write_edit_masks
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
     TEST_SPLITS,
@@ -28,14 +31,28 @@ from datagen.data.geometries import (
     read_proxy_records,
     write_proxies,
 )
+from datagen.data.images import png_bytes, srgb_from_linear
 from datagen.data.meshes import Mesh, is_there, no_mesh
-from datagen.data.paths import TRUTH, geometry_root, layers_root
+from datagen.data.paths import TRUTH, geometry_root, layers_root, view_name
 from datagen.data.ply import write_ply
-from datagen.data.variants import ANGLES, evenly, list_variants, open_variant, scale_name, variant_root
+from datagen.data.variants import (
+    ANGLES,
+    EDIT_MASKS_FOLDER,
+    ELSEWHERE,
+    LIGHT,
+    OBJECT,
+    edit_mask_files,
+    evenly,
+    list_variants,
+    open_variant,
+    scale_name,
+    variant_root,
+)
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.ownership import DATASET, LAYERS, PROXIES, holding, is_ours, refuse_taken
-from datagen.disk.storage import load_sealed, sha256
+from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours, refuse_taken
+from datagen.disk.records import Json, load_sealed
+from datagen.disk.storage import check_files, commit_all, sha256
 from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.rig import cameras_within
@@ -235,3 +252,84 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
     }
     of_variant = tuple(statistics[original] for original in originals.values())
     write_proxies(variant, geometry, wanted, of_variant, kinds, materials)
+
+
+# Edit masks: where an edit shows in the pictures of its dataset, found from both truths, pixel by pixel
+
+
+SIGMAS = 3.0
+"""Least difference that counts, in standard deviations of its noise."""
+LEAST = 0.5 / 255
+"""And when it is at least half a step of an 8-bit picture."""
+WINDOW = 5
+"""Pixels a side over which difference and noise are averaged: light spreads, the noise of single pixels does not."""
+
+
+def write_edit_masks(base: Dataset, edited: Dataset) -> None:
+    """Finds and commits the edit masks of all test views, unless they are there; both truths are built and peeled."""
+    root = edited.root / EDIT_MASKS_FOLDER
+    if is_ours(root, EDIT_MASKS) and load_sealed(root / EDIT_MASKS.head).get("dataset") == edited.seal:
+        with contextlib.suppress(HyalineError):  # Missing or damaged masks are made again.
+            check_files(root, edit_mask_files(root))
+            return
+    files: dict[str, bytes] = {}
+    for split in TEST_SPLITS:
+        for view in range(edited.num_views[split]):
+            shown = shows_objects(base, edited, split, view)
+            mask = find_edit_mask(shown, _read_halves(base, split, view), _read_halves(edited, split, view))
+            files[f"{split}/{view_name(view)}.png"] = png_bytes(np.repeat(mask[..., None], 3, axis=-1))
+    promised: dict[str, Json] = {f"{EDIT_MASKS_FOLDER}/{file}": sha256(data) for file, data in files.items()}
+    content: dict[str, Json] = {"dataset": edited.seal, "files": promised}
+    with holding(root, EDIT_MASKS, within=edited.root):
+        begin(root, EDIT_MASKS, content, replace=True)
+        commit_all(root, files)
+
+
+def shows_objects(base: Dataset, edited: Dataset, split: Split, view: int) -> Bool[np.ndarray, "h w"]:
+    """Pixels whose centre ray meets a changed object in either scene, before or as its first opaque surface."""
+    assert edited.edit is not None
+    shape = edited.config.resolution.shape
+    shown = np.zeros(shape, bool)
+    for dataset in (base, edited):
+        is_changed = np.array([False, *(item.name in edited.edit.changed for item in dataset.objects)])
+        is_glass = np.array([True, *(item.is_glass for item in dataset.objects)])
+        in_view = np.ones(shape, bool)
+        for object_id in dataset.view(split, view).layers().object_id:
+            shown |= in_view & is_changed[object_id]
+            in_view &= is_glass[object_id]
+    return shown
+
+
+def find_edit_mask(
+    shown: Bool[np.ndarray, "h w"], before: Float[np.ndarray, "half h w 3"], after: Float[np.ndarray, "half h w 3"]
+) -> UInt8[np.ndarray, "h w"]:
+    """Where an edit shows.
+
+    Args:
+        shown: pixels that show a changed object.
+        before: the two independent halves of the truth before the edit, in sRGB.
+        after: the same after it. Where both truths were rendered with the same random numbers, their noise is the same
+            but for light that the edit touches; so the noise is taken from the difference, not from each truth.
+    """
+    from scipy.ndimage import uniform_filter
+
+    def mean_around(values: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+        return uniform_filter(np.where(shown, 0, values), WINDOW, mode="constant")
+
+    # Of the pixels around that show no changed object, which would outshine what its light does beside it.
+    share = np.maximum(mean_around(np.ones(shown.shape)), WINDOW**-2)
+    first, second = after - before
+    means = [mean_around(channel) / share for channel in np.moveaxis((first + second) / 2, -1, 0)]
+    # The variance of the mean of two halves is the mean square of half their difference.
+    variance = mean_around((((first - second) / 2) ** 2).mean(axis=-1)) / share
+    # A running sum of squares may end a little below zero.
+    deviation = np.sqrt(np.maximum(variance, 0) / (share * WINDOW**2))
+    difference = np.sqrt(np.mean(np.square(means), axis=0))
+    is_light = difference > np.maximum(SIGMAS * deviation, LEAST)
+    return np.where(shown, OBJECT, np.where(is_light, LIGHT, ELSEWHERE)).astype(np.uint8)
+
+
+def _read_halves(dataset: Dataset, split: Split, view: int) -> Float[np.ndarray, "half h w 3"]:
+    """The two independent halves of a view's truth, in sRGB."""
+    radiance, half_difference = dataset.view(split, view).radiance_and_noise()
+    return srgb_from_linear(np.stack([radiance + half_difference, radiance - half_difference]))

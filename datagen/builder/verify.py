@@ -15,12 +15,11 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_proxy_records
 from datagen.data.layers import DTYPES, LayerStore, array_file, record_path_of_layers
-from datagen.data.paths import TRUTH, geometry_root, image_path, layers_root, record_path
+from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import EDIT_MASKS_FOLDER, VARIANTS_FOLDER, edit_mask_files
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import is_name
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES
-from datagen.disk.storage import MAKE_AGAIN, sha256_file
+from datagen.disk.storage import MAKE_AGAIN, is_name, read_regular, sha256
 from datagen.terminal.command import fail, say_all, tell, tell_json
 
 NAMED = 3
@@ -36,11 +35,6 @@ class Findings(NamedTuple):
     """A line for each damage."""
     remarks: list[str]
     """What is not damage."""
-
-    @property
-    def verified(self) -> int:
-        """How many files verify."""
-        return len(self.files)
 
 
 def verify_dataset(root: Path) -> Findings:
@@ -58,14 +52,14 @@ def tell_findings(root: Path, found: Findings, *, as_json: bool) -> None:
     say_all(found.remarks)
     if as_json:
         lists = {"problems": found.problems, "remarks": found.remarks}
-        tell_json({"dataset": str(root), "verified": found.verified, **lists})
+        tell_json({"dataset": str(root), "verified": len(found.files), **lists})
     else:
         for problem in found.problems:
             tell(problem)
     if found.problems:
         fail(f"{root}: {len(found.problems)} problems, listed above; {MAKE_AGAIN}")
     if not as_json:
-        tell(f"{root}: {found.verified} files verified")
+        tell(f"{root}: {len(found.files)} files verified")
 
 
 class _Search:
@@ -103,15 +97,8 @@ class _Search:
         """A dataset or a variant: views, edit masks and geometries; the files of its head."""
         root = dataset.root
         views = [view for split in dataset.splits if split not in dataset.withheld for view in dataset.views(split)]
-        pictures = [image_path(root, view.split, view.index) for view in views]
-        self.known |= {path.with_suffix(ending) for path in pictures for ending in dataset.endings}
-        self.add_views(
-            root,
-            {
-                record_path(root, view.split, view.index): lambda view=view: view.record.files  # Opened when called.
-                for view in views
-            },
-        )
+        self.known |= {root / view.file(ending) for view in views for ending in dataset.endings}
+        self.add_views(root, {view.record_path: lambda view=view: view.record.files for view in views})
         if dataset.edit is not None:
             masks = root / EDIT_MASKS_FOLDER
             self.add_record(masks / EDIT_MASKS.head, masks, lambda: edit_mask_files(masks))
@@ -140,12 +127,10 @@ class _Search:
             if store.head.geometry != geometry_hash(dataset, store.geometry):
                 self.problems.setdefault(store.root / LAYERS.head, "was made of other meshes than are there now")
         views: list[tuple[Split, int]] = [
-            (split, view) for split, count in dataset.num_views.items() for view in range(count)
+            (view.split, view.index) for split in dataset.splits for view in dataset.views(split)
         ]
         self.known |= {store.root / array_file(*view, name) for view in views for name in DTYPES}
-        reads = {
-            record_path_of_layers(store.root, *view): lambda view=view: store.record(*view).files for view in views
-        }
+        reads = {record_path_of_layers(store.root, *view): lambda at=view: store.record(*at).files for view in views}
         self.add_views(store.root, reads)
         return {}
 
@@ -155,9 +140,10 @@ class _Search:
             if obstacle := _obstacle(self.root, path):
                 self.problems.setdefault(*obstacle)
             elif path not in self.problems:
-                digest = files[path.relative_to(self.root).as_posix()] = sha256_file(path)
-                if promised not in (None, digest):
-                    del files[path.relative_to(self.root).as_posix()]
+                digest = sha256(read_regular(path))
+                if promised in (None, digest):
+                    files[path.relative_to(self.root).as_posix()] = digest
+                else:
                     self.problems[path] = "damaged or edited (checksum differs)"
         for path in self.known:  # What is in the way of files that are not made yet.
             if (obstacle := _obstacle(self.root, path)) and os.path.lexists(obstacle[0]):

@@ -7,16 +7,17 @@ top. A lens is given by its horizontal angle in radians, its principal point by 
 
 import dataclasses
 import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
-from jaxtyping import Float, Float32, Int
+from jaxtyping import Float, Float32, Float64, Int
 
-from datagen.data.config import MAX_SIDE, Resolution
-from datagen.disk.checked import checked
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import shown
+from datagen.data.config import MAX_SIDE, Resolution, Split
+from datagen.data.meshes import Mesh, face_corners
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import checked
 
 MAX_FOV_DEG = 170.0
 MAX_SKEW = 1e-3
@@ -88,23 +89,14 @@ class Lens:
 
     def camera(self, world_from_camera: Float[np.ndarray, "4 4"]) -> "Camera":
         """The camera with this lens at a place."""
-        return Camera(
-            world_from_camera=world_from_camera,
-            fov_x=self.fov_x,
-            width=self.width,
-            height=self.height,
-            center=self.center,
-        )
+        return Camera(world_from_camera=world_from_camera, **self._lens())
 
     def cameras(self, world_from_camera: Float[np.ndarray, "view 4 4"]) -> "Cameras":
         """The cameras with this lens at these places."""
-        return Cameras(
-            world_from_camera=world_from_camera,
-            fov_x=self.fov_x,
-            width=self.width,
-            height=self.height,
-            center=self.center,
-        )
+        return Cameras(world_from_camera=world_from_camera, **self._lens())
+
+    def _lens(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in dataclasses.fields(Lens)}
 
     def is_like(self, other: "Lens") -> bool:
         """True for a lens that shows the same, to a thousandth of its angle and of the picture's width."""
@@ -278,3 +270,80 @@ def subpixel_rays(
     d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)
     origins = np.broadcast_to(world_from_camera[:, None, :3, 3], d_world.shape)
     return origins.reshape(-1, 3).astype(np.float32), d_world.reshape(-1, 3).astype(np.float32)
+
+
+# Depth range: how near and how far the surfaces in pictures are
+
+
+MARGIN = 0.01
+"""Near is this share nearer than the nearest surface, and far this share farther than the farthest."""
+
+NO_SURFACE = (0.1, 10.0)
+"""Near and far in metres if no picture shows a surface."""
+
+LEAST_NEAR = 1e-6
+"""Metres. A surface may pass through a camera."""
+
+
+def with_depth_range(cameras: Mapping[Split, Cameras], meshes: Sequence[Mesh]) -> dict[Split, Cameras]:
+    """The cameras with one near and one far for all of them, in metres along the ray.
+
+    Every surface inside any picture lies between them, hidden surfaces included, with a margin; triangles that a
+    picture shows in part count as a whole. They are rounded outwards to five digits, so that files do not depend on the
+    last bit of a sum.
+    """
+    corners = _corners(meshes)
+    found = [_depths(poses, matrix, corners) for poses in cameras.values() for matrix in poses.world_from_camera]
+    seen = np.array([depths for depths in found if depths is not None]).reshape(-1, 2)
+    near, far = NO_SURFACE
+    if len(seen):
+        near = max(_rounded((1 - MARGIN) * seen[:, 0].min(), up=False), LEAST_NEAR)
+        far = _rounded((1 + MARGIN) * seen[:, 1].max(), up=True)
+    return {split: dataclasses.replace(poses, near=near, far=far) for split, poses in cameras.items()}
+
+
+def seeing(cameras: Cameras, mesh: Mesh) -> Iterator[bool]:
+    """For each camera, whether its picture may show a part of a mesh, hidden or not."""
+    corners = _corners([mesh])
+    return (_depths(cameras, matrix, corners) is not None for matrix in cameras.world_from_camera)
+
+
+def _corners(meshes: Sequence[Mesh]) -> Float64[np.ndarray, "face 3 3"]:
+    return np.concatenate([np.zeros((0, 3, 3)), *map(face_corners, meshes)])
+
+
+def _depths(
+    lens: Lens, world_from_camera: Float[np.ndarray, "4 4"], corners: Float64[np.ndarray, "face 3 3"]
+) -> tuple[float, float] | None:
+    """Distances of the nearest and the farthest point of the triangles that are not beside a picture, nor behind it."""
+    from trimesh.triangles import closest_point
+
+    from_camera = corners - world_from_camera[:3, 3]
+    (focal, _, column), (_, _, row), _ = lens.intrinsics
+    # Normals, inwards, of the planes through the camera that bound what the picture shows, in the camera's axes.
+    planes = np.array(
+        [
+            (focal, 0, -column),
+            (-focal, 0, column - lens.width),
+            (0, -focal, -row),
+            (0, focal, row - lens.height),
+            (0, 0, -1),
+        ]
+    )
+    is_inside = from_camera @ (world_from_camera[:3, :3] @ planes.T) >= 0
+    shown = from_camera[np.all(is_inside.any(axis=1), axis=1)]
+    if not len(shown):
+        return None
+    distance = np.linalg.norm(shown, axis=2)
+    longest = np.linalg.norm(shown - np.roll(shown, 1, axis=1), axis=2).max(axis=1)
+    # A triangle whose corners are all farther than the nearest one by more than an edge holds no nearer point.
+    close = shown[distance.min(axis=1) - longest <= distance.min()]
+    nearest = np.linalg.norm(closest_point(close, np.zeros((len(close), 3))), axis=1)
+    return float(min(nearest.min(), distance.min())), float(distance.max())
+
+
+def _rounded(value: float, *, up: bool) -> float:
+    """To five digits, away from the surfaces."""
+    unit = 10.0 ** (np.floor(np.log10(max(value, LEAST_NEAR))) - 4)
+    steps = np.ceil(value / unit) if up else np.floor(value / unit)
+    return float(f"{steps * unit:.5g}")

@@ -3,13 +3,11 @@
 import dataclasses
 import math
 import re
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, Self
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, check_relative
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import check_name, check_relative
 
 MAX_SIDE = 8192
 """Pixels; a larger number is probably a typo."""
@@ -50,11 +48,6 @@ class Resolution:
         """Side of the square with the same area, rounded down; the default resolution of textures."""
         return math.isqrt(self.pixels)
 
-    @property
-    def is_power_of_two_square(self) -> bool:
-        """True for 64 x 64, 128 x 128 and so on."""
-        return self.width == self.height and self.width & (self.width - 1) == 0
-
     def times(self, scale: int) -> Self:
         """The resolution scaled by an integer."""
         return type(self)(width=scale * self.width, height=scale * self.height)
@@ -82,8 +75,6 @@ SPLITS: tuple[Split, ...] = ("train", "interpolating", "extrapolating")
 TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
 ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
 """The splits of the variant `angles`: degrees outside the directions that training cameras cover."""
-
-SPLIT_ORDER: dict[Split, int] = {split: place for place, split in enumerate((*SPLITS, *ANGLE_SPLITS))}
 
 DATASET_VERSION = 3
 
@@ -160,20 +151,6 @@ class DatasetConfig:
         """The size of a split; splits by angle have the size of `extrapolating`."""
         sizes = {"train": self.train, "interpolating": self.interpolating, "extrapolating": self.extrapolating}
         return sizes["extrapolating" if split in ANGLE_SPLITS else split]
-
-
-def describe_views(views: Iterable[tuple[Split, int]]) -> str:
-    """Names views, such as `train 3-7, 12; extrapolating 0`."""
-    by_split: dict[str, list[int]] = {}
-    for split, view in sorted(views, key=lambda item: (SPLIT_ORDER[item[0]], item[1])):
-        by_split.setdefault(split, []).append(view)
-    parts = []
-    for split, numbers in by_split.items():
-        starts = [view for view in numbers if view - 1 not in numbers]
-        ends = [view for view in numbers if view + 1 not in numbers]
-        runs = [f"{start}" if start == end else f"{start}-{end}" for start, end in zip(starts, ends, strict=True)]
-        parts.append(f"{split} {', '.join(runs)}")
-    return "; ".join(parts)
 
 
 def config_difference(old: DatasetConfig, new: DatasetConfig) -> str | None:

@@ -12,7 +12,7 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
       scene/                             the scene as rendered: scene.json, meshes/*.ply; `--scene FOLDER` reads it,
                                          with the cameras beside it where the scene lists them
       transforms_{train,test,extrapolating}.json   cameras as NeRF tools read them, with near and far (metres along the
-                                         ray, data/depth_range.py); `test` is the interpolating split
+                                         ray, data/cameras.py); `test` is the interpolating split
       images/SPLIT/0000.png              8-bit sRGB: what metrics compare
       images/SPLIT/0000.exr              linear R G B, half floats, and `noise.*`: half the difference of two
                                          independent halves A and B (so A = RGB + noise, B = RGB - noise)
@@ -28,10 +28,10 @@ the scene, 0 where a layer is empty. uv is in [0, 1], v up: texel row `(1 - v) t
                                          the same cameras
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
@@ -55,14 +55,14 @@ from datagen.data.config import (
 )
 from datagen.data.images import decode_exr, decode_png, read_npy
 from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers
-from datagen.data.paths import HIDDEN, TRUTH, layers_root, record_path, where_datasets_are
+from datagen.data.paths import HIDDEN, TRUTH, layers_root, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
-from datagen.disk.checked import checked
-from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.names import real_path
+from datagen.disk.errors import DamagedError, HyalineError, shown
 from datagen.disk.ownership import LAYERS
-from datagen.disk.records import Json, entry, from_json, shown
-from datagen.disk.storage import MAKE_AGAIN, Opened, check_files, load_sealed, read_promised, seal_of, sha256
+from datagen.disk.records import Json, checked, entry, from_json, load_sealed, seal_of
+from datagen.disk.storage import MAKE_AGAIN, check_files, read_promised, real_path
+
+Value = TypeVar("Value")
 
 
 def read_head(root: Path) -> tuple[Head, str]:
@@ -73,6 +73,27 @@ def read_head(root: Path) -> tuple[Head, str]:
         again = "build or import the dataset again in another folder" if version in (1, 2) else "update hyaline"
         raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
     return from_json(Head, content, where=str(path)), seal_of(content)
+
+
+class Opened:
+    """What was made of files, kept for as long as each is the same one, unchanged. Another process opens its own."""
+
+    def __init__(self) -> None:
+        self._kept: dict[Path, tuple[tuple[int, int, int], object]] = {}
+
+    def __reduce__(self) -> "tuple[type[Opened], tuple[()]]":
+        return Opened, ()
+
+    def get(self, path: Path, open_it: Callable[[], Value]) -> Value:
+        """What `open_it` returned when the file at `path` was last new or changed."""
+        try:
+            status = path.stat()
+        except OSError:
+            return open_it()  # Which says what is wrong.
+        mark = (status.st_ino, status.st_size, status.st_mtime_ns)
+        if path not in self._kept or self._kept[path][0] != mark:
+            self._kept[path] = (mark, open_it())
+        return cast(Value, self._kept[path][1])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,11 +161,10 @@ class Dataset:
         """How many views each split has when it is complete."""
         return {split: self.config.split(split).views for split in self.splits}
 
-    @checked
     def view(self, split: Split, index: int) -> "View":
         """One view; nothing is read yet."""
         self._check_split(split)
-        if not 0 <= index < self.num_views[split]:
+        if index not in range(self.num_views[split]):
             raise HyalineError(f"{self.root}: {split} has no view {index}; expected 0 to {self.num_views[split] - 1}")
         return View(dataset=self, split=split, index=index)
 
@@ -152,22 +172,21 @@ class Dataset:
         if split not in self.splits:
             raise HyalineError(f"{self.root}: has no split {split!r}; expected one of {', '.join(self.splits)}")
 
-    @checked
     def views(self, split: Split) -> "list[View]":
         """Every view of a split, in order."""
         self._check_split(split)
         return [View(dataset=self, split=split, index=index) for index in range(self.config.split(split).views)]
 
-    @checked
     def cameras(self, split: Split) -> Cameras:
         """The cameras of one split, verified against the head."""
         self._check_split(split)
         file = TRANSFORMS_FILES[split]
-        return self._opened.get(self.root / file, lambda: self._read_cameras(file))
 
-    def _read_cameras(self, file: str) -> Cameras:
-        promised = entry(self.files, file, where=self.root)
-        return parse_transforms(read_promised(self.root, file, promised), where=str(self.root / file))
+        def read() -> Cameras:
+            promised = entry(self.files, file, where=self.root)
+            return parse_transforms(read_promised(self.root, file, promised), where=str(self.root / file))
+
+        return self._opened.get(self.root / file, read)
 
     @checked
     def layer_store(self, geometry: str = TRUTH) -> LayerStore:
@@ -176,7 +195,6 @@ class Dataset:
         head = layers_root(self.root, geometry) / LAYERS.head
         return self._opened.get(head, lambda: open_layers(self.root, geometry, self.config.resolution))
 
-    @checked
     def object_id(self, name: str) -> int:
         """The id that layers hold of an object: 1 + its place among the dataset's objects."""
         names = [item.name for item in self.objects]
@@ -184,7 +202,6 @@ class Dataset:
             raise HyalineError(f"{self.root}: has no object {name!r}; expected one of {', '.join(names)}")
         return 1 + names.index(name)
 
-    @checked
     def noise_ceiling_db(self, split: Split) -> float | None:
         """The mean PSNR in dB that the truth's noise and 8 bits would allow a perfect method on this split.
 
@@ -204,23 +221,28 @@ class View:
     index: int
 
     @property
+    def record_path(self) -> Path:
+        """Where the record is, once the view is there."""
+        return self.dataset.root / f"records/{self.split}/{self.index:04d}.json"
+
+    @property
     def record(self) -> ViewRecord:
         """How the view was rendered."""
-        path = record_path(self.dataset.root, self.split, self.index)
         if self.split in self.dataset.withheld:
             raise HyalineError(
                 f"{self.dataset.root}: has no pictures of test views, which a verifier of hyaline-bench keeps; predict "
                 "these views, and send the verifier your runs"
             )
-        return self.dataset._opened.get(path, lambda: self._read_record(path))
+        return self.dataset._opened.get(self.record_path, self._read_record)
 
-    def _read_record(self, path: Path) -> ViewRecord:
+    def _read_record(self) -> ViewRecord:
+        path = self.record_path
         if not path.is_file():
             raise HyalineError(f"{path}: the view is not built yet; {MAKE_AGAIN}")
         record = from_json(ViewRecord, cast(Json, load_sealed(path)), where=str(path))
         if (record.dataset, record.split, record.view) != (self.dataset.seal, self.split, self.index):
             raise HyalineError(f"{path}: belongs to {record.split} view {record.view} of another dataset; {MAKE_AGAIN}")
-        if set(record.files) != set(map(self._file, self.dataset.endings)):
+        if set(record.files) != set(map(self.file, self.dataset.endings)):
             raise HyalineError(
                 f"{path}: promises {', '.join(sorted(record.files))}; expected its view's pictures; {MAKE_AGAIN}"
             )
@@ -239,11 +261,6 @@ class View:
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
         """The 8-bit sRGB picture: what metrics compare."""
         return np.asarray(self._picture(".png").convert("RGB"))
-
-    @property
-    def image_sha256(self) -> str:
-        """SHA-256 of the file of `image`, verified: a name for the picture that needs no decoding."""
-        return sha256(self._read(".png"))
 
     @property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
@@ -306,17 +323,18 @@ class View:
             return given
         return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
 
-    def _file(self, ending: str) -> str:
+    def file(self, ending: str) -> str:
+        """Where the file with an ending is, by path relative to the dataset."""
         return f"images/{self.split}/{self.index:04d}{ending}"
 
     def _place(self, ending: str) -> str:
-        return str(self.dataset.root / self._file(ending))
+        return str(self.dataset.root / self.file(ending))
 
     def _picture(self, ending: str) -> Image.Image:
         return decode_png(self._read(ending), where=self._place(ending))
 
     def _read(self, ending: str) -> bytes:
-        file = self._file(ending)
+        file = self.file(ending)
         return read_promised(self.dataset.root, file, self.record.files[file])
 
 

@@ -18,11 +18,10 @@ from datagen.data.dataset import Dataset, check_has_meshes
 from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import decode_ply, write_ply
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, is_name
+from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.records import Json, entry, from_json, shown, to_json
-from datagen.disk.storage import commit_all, commit_sealed, dump_json, load_sealed, read_promised, seal_bytes, sha256
+from datagen.disk.records import Json, dump_json, entry, from_json, load_sealed, to_json
+from datagen.disk.storage import check_name, commit_all, is_name, read_all, sha256
 from datagen.terminal.command import choose
 
 PROXIES_VERSION = 1
@@ -110,9 +109,7 @@ def write_proxies(
         old = proxy_files(root)
         refuse_taken(root, PROXIES, files, old)
         remove_files(root, sorted(set(old) - set(files)))
-        commit_sealed(root / PROXIES.head, content)
-    else:
-        begin(root, PROXIES, seal_bytes(content))
+    begin(root, PROXIES, content, replace=True)
     commit_all(root, files)
 
 
@@ -139,8 +136,10 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     root = geometry_root(dataset.root, kind)
     if not (root / PROXIES.head).is_file():
         check_has_meshes(dataset)
-        if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
-            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
+        made = list_geometries(dataset)
+        is_known = kind.partition("-")[0] in (*PROXY_KINDS, MIXED, FITTED)
+        if not is_known or difflib.get_close_matches(kind, made, n=1, cutoff=0.5):
+            choose("geometry", kind, made if is_known else {*made, *PROXY_KINDS} - {TRUTH})
         raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):
@@ -185,10 +184,7 @@ def list_geometries(dataset: Dataset) -> list[str]:
 
 def check_geometry(dataset: Dataset, geometry: str) -> None:
     """Raises unless the dataset has the geometry; suggests the nearest name, or the command that makes the proxy."""
-    made = list_geometries(dataset)
-    if geometry not in made and difflib.get_close_matches(geometry, made, n=1, cutoff=0.5):
-        choose("geometry", geometry, made)
-    if geometry not in made:
+    if geometry not in list_geometries(dataset):
         read_proxy_records(dataset, geometry)
 
 
@@ -200,24 +196,18 @@ def read_meshes(dataset: Dataset, geometry: str) -> tuple[Mesh, ...]:
     dataset = dataset.home
     check_has_meshes(dataset)
     root = geometry_root(dataset.root, geometry)
-    meshes = {}
-    for name, (file, promised) in _mesh_files(dataset, geometry).items():
-        meshes[name], _ = decode_ply(read_promised(root, file, promised), where=str(root / file))
+    files, meshes = _mesh_files(dataset, geometry), {}
+    for (name, (file, _)), data in zip(files.items(), read_all(root, dict(files.values())), strict=True):
+        meshes[name], _ = decode_ply(data, where=str(root / file))
         check_mesh(meshes[name], where=str(root / file))
     return tuple(meshes.get(item.name) or no_mesh() for item in dataset.objects)
-
-
-def true_meshes(dataset: Dataset) -> tuple[Mesh, ...]:
-    """The scene's own meshes, in object order; none if pictures were imported without meshes."""
-    return read_meshes(dataset, TRUTH) if dataset.objects else ()
 
 
 def geometry_hash(dataset: Dataset, geometry: str) -> str:
     """Hash of a geometry's meshes, verified, which layers record."""
     check_has_meshes(dataset)
     root = geometry_root(dataset.home.root, geometry)
-    files = _mesh_files(dataset.home, geometry).values()
-    return sha256(b"".join(read_promised(root, file, promised) for file, promised in files))
+    return sha256(b"".join(read_all(root, dict(_mesh_files(dataset.home, geometry).values()))))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import read_regular
+from datagen.disk.storage import read_regular
 
 
 def srgb_from_linear(linear: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
@@ -69,10 +69,6 @@ def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Im
         raise HyalineError(f"{where}: not a PNG that can be read ({error})") from error
 
 
-MAX_EDGES = 0.9
-"""Share of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
-
-
 def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     """Pixels that a mask shows: opaque ones if some are transparent, otherwise those that are bright in any channel."""
     if picture.mode.startswith("I"):  # Grey of 16 bits, which Pillow would clip, not scale.
@@ -80,16 +76,6 @@ def mask_pixels(picture: Image.Image) -> Bool[np.ndarray, "h w"]:
     if picture.has_transparency_data and (alpha := np.asarray(picture.convert("RGBA"))[..., 3]).min() < 128:
         return alpha > 127
     return np.asarray(picture.convert("RGB")).max(axis=-1) > 127
-
-
-def refuse_inverted(masks: Bool[np.ndarray, "view h w"], *, where: str) -> None:
-    """Raises a HyalineError if the masks of one object cover nearly all edges of pictures, as inverted ones do."""
-    share = np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
-    if share > MAX_EDGES:
-        raise HyalineError(
-            f"{where}: its masks show {100 * share:.0f} % of the pictures' edges; expected white where the object is "
-            "seen, black around it: invert them, or take pictures from farther away"
-        )
 
 
 def png_bytes(image: UInt8[np.ndarray, "h w *c"] | UInt16[np.ndarray, "h w"]) -> bytes:
@@ -117,21 +103,23 @@ def encode_exr(radiance: Float32[np.ndarray, "h w 3"], noise: Float32[np.ndarray
     import OpenEXR
 
     halves = np.clip(np.concatenate([radiance, noise], axis=-1), -MAX_HALF, MAX_HALF).astype(np.float16)
-    channels = {name: np.ascontiguousarray(halves[..., place]) for place, name in enumerate(EXR_CHANNELS)}
-    header = {"compression": OpenEXR.PIZ_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()
-    OpenEXR.File(header, channels, num_threads=0).write(buffer)
-    return buffer.getvalue()
+    channels = {name: halves[..., place] for place, name in enumerate(EXR_CHANNELS)}
+    return _exr_bytes(channels, OpenEXR.PIZ_COMPRESSION)
 
 
 def encode_float_exr(channels: Mapping[str, Float32[np.ndarray, "h w"]]) -> bytes:
     """An EXR of 32-bit floats by channel name, losslessly compressed. The same values give the same bytes."""
     import OpenEXR
 
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    buffer = io.BytesIO()
+    return _exr_bytes(channels, OpenEXR.ZIP_COMPRESSION)
+
+
+def _exr_bytes(channels: Mapping[str, np.ndarray], compression: object) -> bytes:
+    import OpenEXR
+
     planes = {name: np.ascontiguousarray(values) for name, values in channels.items()}
-    OpenEXR.File(header, planes, num_threads=0).write(buffer)
+    buffer = io.BytesIO()
+    OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, planes, num_threads=0).write(buffer)
     return buffer.getvalue()
 
 
@@ -212,10 +200,3 @@ def read_npy(data: bytes, *, where: str) -> Float32[np.ndarray, "h w"]:
     if not np.isfinite(values).all():
         raise HyalineError(f"{where}: holds numbers that are not finite; expected metres, 0 where nothing is")
     return values
-
-
-def npy_bytes(values: np.ndarray) -> bytes:
-    """The NumPy file of an array."""
-    buffer = io.BytesIO()
-    np.save(buffer, np.ascontiguousarray(values), allow_pickle=False)
-    return buffer.getvalue()

@@ -23,20 +23,11 @@ import numpy as np
 from jaxtyping import Bool, Float32, UInt8, UInt16
 
 from datagen.data.config import Resolution, Split
-from datagen.data.paths import TRUTH, geometry_root, layers_root
-from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import LAYERS, PROXIES, begin, is_ours
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import (
-    check_files,
-    commit_all,
-    commit_sealed,
-    home_of,
-    load_sealed,
-    read_promised,
-    seal_bytes,
-    seal_of,
-)
+from datagen.data.paths import TRUTH, layers_root
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.ownership import LAYERS, begin
+from datagen.disk.records import Json, commit_sealed, from_json, load_sealed, seal_of, to_json
+from datagen.disk.storage import check_files, commit_all, read_promised
 
 LAYERS_VERSION = 2
 
@@ -164,13 +155,8 @@ def open_layers(dataset_root: Path, geometry: str, resolution: Resolution) -> La
     """The store of a geometry's layers, its head verified."""
     path = layers_root(dataset_root, geometry) / LAYERS.head
     if not path.is_file():
-        roots = [geometry_root(place, geometry) for place in (dataset_root, home_of(dataset_root))]
-        if geometry != TRUTH and not any((root / PROXIES.head).is_file() for root in roots):
-            raise HyalineError(
-                f"{dataset_root}: has no geometry {geometry}; make proxies with `proxies make`, or fitted glass with "
-                "`model fit`"
-            )
-        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `datagen peel`")
+        makers = "" if geometry == TRUTH else " (a missing geometry by `proxies make` or `model fit`)"
+        raise HyalineError(f"{path}: {geometry} has no straight layers; make them with `datagen peel`{makers}")
     content = load_sealed(path)
     if content.get("version") != LAYERS_VERSION:
         raise HyalineError(
@@ -206,11 +192,7 @@ def start_layers(
             f"{MAX_ARRAY_BYTES // largest}"
         )
     head = LayersHead(version=LAYERS_VERSION, kind="straight", geometry=geometry_hash, num_layers=num_layers)
-    content = cast(dict[str, Json], to_json(head))
-    if not is_ours(root, LAYERS):
-        begin(root, LAYERS, seal_bytes(content))
-    elif replace:
-        commit_sealed(root / LAYERS.head, content)
+    begin(root, LAYERS, cast(dict[str, Json], to_json(head)), replace=replace)
 
 
 def record_path_of_layers(root: Path, split: Split, view: int) -> Path:

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int, Int32
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
 
 MAX_EXTENT = 1e5
@@ -28,7 +27,6 @@ FOLDED = 1e-6
 _POINTS_AT_ONCE = 1 << 20
 
 
-@checked
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mesh:
     """A triangle mesh in world space with one normal and one uv per vertex.
@@ -97,18 +95,6 @@ def component_of_faces(mesh: Mesh) -> np.ndarray:
     _, component = connected_components(graph, directed=False)
     _, component = np.unique(component[faces[:, 0]], return_inverse=True)
     return component
-
-
-def winding_number(point: np.ndarray, corners: np.ndarray) -> float:
-    """The winding number of triangles (face, 3, 3) around a point: 1 inside a closed outward surface, 0 outside.
-
-    Source: Van Oosterom and Strackee 1983, the solid angle of a triangle.
-    """
-    a, b, c = np.moveaxis(corners.astype(np.float64) - point, 1, 0)
-    la, lb, lc = (np.linalg.norm(v, axis=-1) for v in (a, b, c))
-    numerator = np.einsum("fi,fi->f", a, np.cross(b, c))
-    denominator = la * lb * lc + (a * b).sum(-1) * lc + (b * c).sum(-1) * la + (c * a).sum(-1) * lb
-    return float(np.arctan2(numerator, denominator).sum() / (2 * np.pi))
 
 
 def open_edges(mesh: Mesh) -> int:

@@ -6,9 +6,8 @@ import shlex
 from pathlib import Path
 from typing import Literal, get_args
 
-from datagen.data.config import Split
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name
+from datagen.disk.storage import check_name
 
 TRUTH = "truth"
 """The geometry of the scene's own meshes."""
@@ -35,15 +34,6 @@ def follows_light(geometry: str) -> bool:
 
 def view_name(view: int) -> str:
     return f"{view:04d}"
-
-
-def image_path(root: Path, split: Split, view: int) -> Path:
-    """The 8-bit sRGB picture; the linear one is beside it, with the ending `.exr`."""
-    return root / "images" / split / f"{view_name(view)}.png"
-
-
-def record_path(root: Path, split: Split, view: int) -> Path:
-    return root / "records" / split / f"{view_name(view)}.json"
 
 
 def geometry_root(root: Path, geometry: str) -> Path:

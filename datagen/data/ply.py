@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Float64, Int32
 
 from datagen.data.meshes import Mesh, unfolded, vertex_normals
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import read_regular, shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import read_regular
 
 MAX_PLY_BYTES = 1 << 30
 """Twenty million triangles."""

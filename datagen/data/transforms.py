@@ -19,9 +19,9 @@ import numpy as np
 from datagen.data.cameras import TOLERANCE, Cameras, Lens, check_lens, check_pose
 from datagen.data.config import ANGLE_SPLITS, MAX_VIEWS, Split
 from datagen.data.paths import view_name
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular, shown
-from datagen.disk.storage import dump_json
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import MAX_JSON_BYTES, Json, dump_json, parse_json
+from datagen.disk.storage import read_regular
 
 TRANSFORMS_FILES: dict[Split, str] = {
     "train": "transforms_train.json",

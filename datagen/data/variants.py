@@ -29,10 +29,9 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import decode_png
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name, is_name
 from datagen.disk.ownership import EDIT_MASKS
-from datagen.disk.records import entry, from_json
-from datagen.disk.storage import load_sealed, read_promised
+from datagen.disk.records import entry, from_json, load_sealed
+from datagen.disk.storage import check_name, is_name, read_promised
 
 VARIANTS_FOLDER = "variants"
 """In a dataset and in a run."""
@@ -73,20 +72,9 @@ def open_variant(dataset: Dataset, name: str) -> Dataset:
     return open_dataset(variant_root(dataset.root, name))
 
 
-def is_larger(variant: Dataset) -> bool:
-    """True for a variant of larger pictures."""
-    return variant.parent is not None and variant.config.resolution != variant.parent.config.resolution
-
-
 def evenly(count: int, total: int) -> list[int]:
     """`count` of `total` things, in order and as far apart as they can be."""
     return [(2 * place + 1) * total // (2 * count) for place in range(count)]
-
-
-def parent_views(variant: Dataset, split: Split) -> list[int]:
-    """The views of the parent's split that a variant with larger pictures shows."""
-    assert variant.parent is not None
-    return evenly(variant.config.split(split).views, variant.parent.config.split(split).views)
 
 
 EDIT_MASKS_FOLDER = "edit-masks"

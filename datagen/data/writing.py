@@ -5,7 +5,6 @@ of its files. Heads go last, so an interrupted clearing can be repeated.
 """
 
 import contextlib
-import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
@@ -28,8 +27,8 @@ from datagen.data.layers import layers_files
 from datagen.data.transforms import TRANSFORMS_FILES, transforms_bytes
 from datagen.data.variants import edit_mask_files
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours, remove_files
-from datagen.disk.records import Json, to_json
-from datagen.disk.storage import commit, commit_all, commit_same, commit_sealed, seal_bytes, seal_of, sha256
+from datagen.disk.records import Json, commit_sealed, seal_of, to_json
+from datagen.disk.storage import commit_all, commit_same, sha256
 
 
 def write_head(
@@ -66,10 +65,7 @@ def write_head(
         license=stated_license,
     )
     head = {key: to_json(value) for key, value in vars(record).items() if value is not None}
-    if replace and is_ours(root, DATASET):
-        commit(root / DATASET.head, seal_bytes(head))
-    else:
-        begin(root, DATASET, seal_bytes(head))
+    begin(root, DATASET, head, replace=replace)
     dataset = open_dataset(root)
     if dataset.seal == seal_of(head):
         for path, data in files.items():
@@ -106,15 +102,21 @@ def commit_view(
     dataset: Dataset,
     split: Split,
     view: int,
+    files: Mapping[str, bytes],
     *,
-    png: bytes,
-    exr: bytes,
-    seed: int,
-    spp: int,
-    noise_mse: float,
-    variant: str,
+    seed: int | None = None,
+    spp: int | None = None,
+    noise_mse: float | None = None,
+    variant: str | None = None,
 ) -> None:
-    """Commits one rendered view: its pictures, then the record that makes them exist."""
+    """Commits one view: its files, then the record that makes them exist.
+
+    Args:
+        files: the bytes by each of `dataset.endings`.
+        seed: this and what follows is known of rendered views.
+    """
+    assert set(files) == set(dataset.endings), "a view has the files that its dataset names"
+    name = f"{split}/{view:04d}"
     record = ViewRecord(
         dataset=dataset.seal,
         split=split,
@@ -123,26 +125,9 @@ def commit_view(
         spp=spp,
         noise_mse=noise_mse,
         variant=variant,
-        files={},
+        files=commit_all(dataset.root, {f"images/{name}{ending}": data for ending, data in files.items()}),
     )
-    _commit(dataset, record, {".png": png, ".exr": exr})
-
-
-def commit_imported_view(dataset: Dataset, split: Split, view: int, files: Mapping[str, bytes]) -> None:
-    """Commits one imported view.
-
-    Args:
-        files: the bytes of each of `dataset.endings`.
-    """
-    assert set(files) == set(dataset.endings), "an imported view has the files that its dataset names"
-    _commit(dataset, ViewRecord(dataset=dataset.seal, split=split, view=view, files={}), files)
-
-
-def _commit(dataset: Dataset, record: ViewRecord, files: Mapping[str, bytes]) -> None:
-    name = f"{record.split}/{record.view:04d}"
-    hashes = commit_all(dataset.root, {f"images/{name}{ending}": data for ending, data in files.items()})
-    content = cast(dict[str, Json], to_json(dataclasses.replace(record, files=hashes)))
-    commit_sealed(dataset.root / f"records/{name}.json", content)
+    commit_sealed(dataset.root / f"records/{name}.json", cast(dict[str, Json], to_json(record)))
 
 
 CLEARED = {

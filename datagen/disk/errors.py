@@ -1,9 +1,10 @@
-"""The exceptions that a user can act upon, and errors of the operating system in words."""
+"""The exceptions that a user can act upon, values and texts as they show them, and errors of the system in words."""
 
 import contextlib
 import errno
 import os
 import re
+import reprlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -42,6 +43,24 @@ class UsageError(HyalineError):
     """A command was typed that does not exist."""
 
     status = 2
+
+
+_REPR = reprlib.Repr()
+_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
+_REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 4
+_REPR.maxlevel = 3
+
+
+def shown(value: object) -> str:
+    """A value as an error shows it: like `repr`, but in one short line whatever it is."""
+    return _REPR.repr(value)
+
+
+def printable(text: str) -> str:
+    """`text` in one line that a terminal only shows: control characters, line breaks and the like are spelled out."""
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 # Errors of the operating system

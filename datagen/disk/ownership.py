@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative, printable
-from datagen.disk.storage import TEMPORARY, commit_first, load_sealed, one_writer, shared_writers, try_place
+from datagen.disk.errors import HyalineError, printable
+from datagen.disk.records import Json, commit_sealed, load_sealed, seal_bytes
+from datagen.disk.storage import TEMPORARY, check_relative, commit_first, one_writer, try_place
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,34 +62,33 @@ def holding(root: Path, kind: FolderKind, *, within: Path | None = None, shared:
     """
     if within is not None:
         refuse_links(within, root.relative_to(within))
-    with shared_writers(root) if shared else one_writer(root):
-        if is_ours(root, kind):
-            for folder in _own_folders(root, kind):
-                refuse_links(root, folder.relative_to(root))
-            if not shared:
-                _remove_temporaries(root, kind)
-        elif not shared and _first_foreign(root) is None:
+    with one_writer(root, shared=shared):
+        ours = is_ours(root, kind)
+        for folder in _own_folders(root, kind) if ours else ():
+            refuse_links(root, folder.relative_to(root))
+        if not shared and (ours or _first_foreign(root) is None):
             _remove_temporaries(root, kind)
         yield
 
 
-def begin(root: Path, kind: FolderKind, head: bytes) -> None:
-    """Writes the head of a new or empty folder; the caller holds it. Of several processes at once, one head stays.
+def begin(root: Path, kind: FolderKind, head: dict[str, Json], *, replace: bool = False) -> None:
+    """Seals the head of a new or empty folder; the caller holds it. Of several processes at once, one head stays.
+
+    Args:
+        replace: replaces a head of ours that is there.
 
     Raises:
         HyalineError: something else is there.
     """
     refuse_others(root, kind)
     if not is_ours(root, kind):
-        commit_first(root / kind.head, head)
+        commit_first(root / kind.head, seal_bytes(head))
+    elif replace:
+        commit_sealed(root / kind.head, head)
 
 
 def refuse_others(root: Path, kind: FolderKind) -> None:
-    """Refuses a folder that is neither ours nor empty, before work is done for it.
-
-    Raises:
-        HyalineError: naming a file in it.
-    """
+    """Refuses a folder that is neither ours nor empty, before work is done for it; the error names a file in it."""
     foreign = _first_foreign(root)
     if foreign is None or is_ours(root, kind):
         return
@@ -117,7 +116,6 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     """Refuses to write an output file where one stands; with `overwrite`, where something else than a file stands.
 
     Raises:
-        HyalineError: naming it.
         OSError: nothing can be written there.
     """
     if path.exists() and not path.is_file():
@@ -128,11 +126,7 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
 
 
 def refuse_links(root: Path, relative: Path) -> None:
-    """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours.
-
-    Raises:
-        HyalineError: naming the link.
-    """
+    """Refuses a path below a folder of ours on which a link stands: what it leads to is not ours."""
     path = root
     for part in relative.parts:
         path = path / part

@@ -1,26 +1,27 @@
-"""JSON and TOML files that anybody may have written, and the frozen records that they describe.
+"""Frozen records and the JSON that they become: read strictly, sealed on disk, and checked where they are made.
 
 Whatever a file holds, reading it either gives plain values or raises one HyalineError that names the file. Records
-become JSON and come back strictly, by the types of their fields.
+become JSON and come back by the types of their fields. `checked` does the same for what a caller gives.
 """
 
-import contextlib
 import dataclasses
-import errno
+import functools
+import hashlib
+import inspect
 import json
-import os
-import reprlib
-import stat
-import tomllib
+import math
+import re
 import types
 import typing
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import BinaryIO
 
 import msgspec
+import numpy as np
+from jaxtyping import jaxtyped
 
-from datagen.disk.errors import DamagedError, HyalineError, describe_os_error
+from datagen.disk.errors import DamagedError, HyalineError, as_hyaline_error, shown
+from datagen.disk.storage import MAKE_AGAIN, commit, read_regular
 
 if typing.TYPE_CHECKING:
     Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
@@ -28,24 +29,13 @@ else:
     Json = None | bool | int | float | str | list | dict  # What checks annotations at run time takes no recursion.
 T = typing.TypeVar("T")
 Value = typing.TypeVar("Value")
+Entry = typing.TypeVar("Entry", bound=Callable[..., typing.Any])
 
 MAX_JSON_BYTES = 16 << 20
 """The largest that is written here holds the cameras of 10,000 views."""
-MAX_TOML_BYTES = 1 << 16
 MAX_NESTING = 64
-
-_OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
-"""Errors of the machine, not of the file: they are no reason to call it damaged and to make it again."""
-
-_REPR = reprlib.Repr()
-_REPR.maxstring = _REPR.maxother = _REPR.maxlong = 80
-_REPR.maxlist = _REPR.maxtuple = _REPR.maxdict = 4
-_REPR.maxlevel = 3
-
-
-def shown(value: object) -> str:
-    """A value as an error shows it: like `repr`, but in one short line whatever it is."""
-    return _REPR.repr(value)
+SEAL = "sha256"
+"""Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
 
 
 def to_json(value: object) -> Json:
@@ -71,8 +61,7 @@ def to_json(value: object) -> Json:
 def from_json(kind: type[T], data: Json, *, where: str) -> T:
     """The record of class `kind` that `data` describes; the inverse of `to_json`.
 
-    Raises:
-        HyalineError: an unknown or missing key, or a value of the wrong type, named with its place.
+    Errors name the place of an unknown or missing key, or of a value of the wrong type.
     """
     return typing.cast(T, _parse(kind, data, where))
 
@@ -89,7 +78,7 @@ def _parse(kind: typing.Any, data: typing.Any, where: str) -> object:
         return tuple(_parse(one, item, f"{where}[{i}]") for i, (one, item) in enumerate(zip(kinds, values)))
     if origin is dict:
         entries = _converted(dict, data, where, "an object")
-        return {key: _parse(arguments[1], item, f"{where}[{shown(key)}]") for key, item in entries.items()}
+        return {key: _parse(arguments[1], item, f"{where}[{key[:80]!r}]") for key, item in entries.items()}
     if dataclasses.is_dataclass(kind):
         return _parse_record(typing.cast(type, kind), _converted(dict, data, where, "an object"), where)
     if origin is typing.Literal:
@@ -157,47 +146,13 @@ def _parse_record(kind: type, entries: dict[str, Json], where: str) -> object:
 
 
 def entry(data: Mapping[str, Value], key: str, *, where: object) -> Value:
-    """The value of a key that has to be there.
-
-    Raises:
-        HyalineError: it is not.
-    """
+    """The value of a key that has to be there."""
     if key not in data:
         raise HyalineError(f"{where}: key {key!r} is missing; build it again")
     return data[key]
 
 
 # Files
-
-
-def open_regular(path: Path) -> BinaryIO:
-    """A regular file, opened for reading; links are followed.
-
-    Raises:
-        HyalineError: it is missing, or a folder, a pipe or a device, or it cannot be read.
-        OSError: this process is out of memory or file handles.
-    """
-    try:
-        with _refusing(path):
-            # A pipe would wait for its writer, and a device may do anything: they are never opened.
-            if not stat.S_ISREG(path.stat().st_mode):
-                raise HyalineError(f"{path}: is a folder, a pipe or a device; expected a file")
-            return path.open("rb")
-    except ValueError as error:  # A NUL, or half of a surrogate pair.
-        raise HyalineError(f"{shown(str(path))}: cannot be the path of a file ({error})") from error
-
-
-def read_regular(path: Path, *, at_most: int | None = None) -> bytes:
-    """The bytes of a regular file.
-
-    Raises:
-        HyalineError: see `open_regular`; or it holds more than `at_most` bytes.
-    """
-    with open_regular(path) as file, _refusing(path):
-        size = os.fstat(file.fileno()).st_size
-        if at_most is not None and size > at_most:
-            raise HyalineError(f"{path}: holds {size:,} bytes; expected at most {at_most:,}")
-        return file.read()
 
 
 def load_json(path: Path) -> dict[str, Json]:
@@ -224,22 +179,6 @@ def parse_json(text: bytes, *, where: str) -> dict[str, Json]:
     return data
 
 
-def load_toml(path: Path) -> dict[str, Json]:
-    """The content of a TOML file; what is said of `load_json` holds for it, too.
-
-    Raises:
-        HyalineError: see there.
-    """
-    text = read_regular(path, at_most=MAX_TOML_BYTES)
-    try:
-        plain = json.dumps(tomllib.loads(text.decode().replace("\r\n", "\n")))
-    except (ValueError, TypeError) as error:  # Of tomllib or UTF-8; or a date, which is no value here.
-        raise DamagedError(f"{path}: not TOML ({error})") from error
-    except RecursionError:
-        raise DamagedError(f"{path}: nested too deeply; expected at most {MAX_NESTING} levels") from None
-    return parse_json(plain.encode(), where=str(path))
-
-
 def _check(value: object, levels: int) -> None:
     """Refuses nesting that recursion might not survive, and integers that NumPy could not hold."""
     if isinstance(value, (dict, list)):
@@ -251,14 +190,117 @@ def _check(value: object, levels: int) -> None:
         raise HyalineError(f"the number {shown(value)} does not fit into 64 bits")
 
 
-@contextlib.contextmanager
-def _refusing(path: Path) -> Iterator[None]:
-    """Turns errors of the system into a HyalineError, except those that say nothing about the file."""
+# Sealed files
+
+
+def dump_json(data: Json) -> bytes:
+    """Canonical bytes: sorted keys, two spaces, a final newline; NaN and infinity are refused."""
+    return (json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
+
+
+def seal_of(data: dict[str, Json]) -> str:
+    """The hash under which `seal_bytes` seals `data`."""
+    return hashlib.sha256(dump_json(data)).hexdigest()
+
+
+def seal_bytes(data: dict[str, Json]) -> bytes:
+    """The bytes of a sealed JSON file: canonical, with the hash of the rest under `SEAL`."""
+    if SEAL in data:
+        raise ValueError(f"the key {SEAL!r} is reserved")
+    return dump_json({**data, SEAL: seal_of(data)})
+
+
+def commit_sealed(path: Path, data: dict[str, Json]) -> None:
+    """Commits `data` as a sealed JSON file."""
+    commit(path, seal_bytes(data))
+
+
+def load_sealed(path: Path) -> dict[str, Json]:
+    """The content of a sealed JSON file, without its seal; a DamagedError if any byte differs from what was sealed."""
+    if path.is_symlink():
+        raise DamagedError(f"{path}: is a link; expected the file itself; {MAKE_AGAIN}")
+    text = read_regular(path, at_most=MAX_JSON_BYTES)
+    data = parse_json(text, where=str(path))
+    data.pop(SEAL, None)
+    if text != seal_bytes(data):
+        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {MAKE_AGAIN}")
+    return data
+
+
+# What callers give
+
+
+def checked(function: Entry) -> Entry:
+    """Makes a function, or a record, raise a HyalineError for whatever is wrong in a call.
+
+    Arguments must match their annotations, and numbers outside of arrays must be finite. Numbers and arrays of NumPy,
+    and lists, may replace numbers and tuples.
+    """
+    if isinstance(function, type):
+        function.__init__ = checked(function.__init__)
+        return typing.cast(Entry, function)
+    where = function.__qualname__.removesuffix(".__init__")
+    signature = inspect.signature(function)
+
+    @functools.wraps(function)
+    def call(*args: typing.Any, **kwargs: typing.Any) -> typing.Any:
+        try:
+            given = signature.bind(*args, **kwargs)
+        except TypeError as error:
+            names = ", ".join(name for name in signature.parameters if name != "self")
+            raise HyalineError(f"{where}: {error}; expected {names}") from None
+        for name, value in given.arguments.items():
+            parameter = signature.parameters[name]
+            if parameter.kind is not parameter.VAR_KEYWORD:
+                given.arguments[name] = _fitted(value, parameter.annotation, f"{where}: {name}")
+        try:
+            return function(*given.args, **given.kwargs)
+        except (OSError, MemoryError, RuntimeError) as error:
+            if (told := as_hyaline_error(error)) is None:
+                raise
+            raise told from error
+
+    return typing.cast(Entry, call)
+
+
+def _fitted(value: object, kind: typing.Any, where: str) -> object:
+    """The value, or the same in Python's own types, whichever is of a kind."""
+    if isinstance(kind, str) or kind is inspect.Parameter.empty:
+        return value  # `self`, or a name that only type checkers import.
+    found = next((one for one in (value, _in_python(value)) if _is_of(one, kind)), _NOT_ONE)
+    if found is _NOT_ONE or not _is_finite(found):
+        expected = "finite numbers" if found is not _NOT_ONE else _words(kind)
+        raise HyalineError(f"{where}: is {' '.join(shown(value).split())}; expected {expected}")
+    return found
+
+
+_NOT_ONE = object()
+
+
+def _is_of(value: object, kind: typing.Any) -> bool:
+    import typeguard  # Not before: that takes 60 ms.
+
     try:
-        yield
-    except OSError as error:
-        if error.errno in _OUT_OF_RESOURCES:
-            raise
-        if error.errno == errno.ENOENT:
-            raise DamagedError(f"{path}: the file is missing") from error
-        raise HyalineError(describe_os_error(error, path)) from error
+        with jaxtyped("context"):  # Axes that a caller has named mean nothing here.
+            typeguard.check_type(value, kind, collection_check_strategy=typeguard.CollectionCheckStrategy.ALL_ITEMS)
+    except typeguard.TypeCheckError:
+        return False
+    return True
+
+
+def _in_python(value: object) -> object:
+    if isinstance(value, (np.ndarray, np.generic)):
+        value = value.tolist()
+    return tuple(map(_in_python, value)) if isinstance(value, (list, tuple)) else value
+
+
+def _is_finite(value: object) -> bool:
+    if isinstance(value, tuple):
+        return all(map(_is_finite, value))
+    return not isinstance(value, float) or math.isfinite(value)
+
+
+def _words(kind: typing.Any) -> str:
+    """An annotation without the names of modules, such as `Path | str | None`."""
+    short = re.sub(r"\b(?:\w+\.)+(?=[A-Za-z])", "", inspect.formatannotation(kind))
+    return re.sub(r"Literal\[(.*?)\]", r"\1", short)

@@ -1,24 +1,104 @@
-"""How files reach the disk and are read back verified: atomic commits, checksummed JSON, one writer a folder."""
+"""Files on disk: which names and paths may be used, reading regular files alone, whole commits, one writer a folder.
+
+Whatever a file says is checked here before it is joined to a path: a name is one component of a path, a relative path
+stays below its root.
+"""
 
 import contextlib
+import errno
 import fcntl
 import hashlib
-import json
 import os
 import re
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+import stat
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TypeVar, cast
+from typing import BinaryIO
 
-from datagen.disk.errors import DamagedError, HyalineError, naming
-from datagen.disk.names import find_file
-from datagen.disk.records import MAX_JSON_BYTES, Json, parse_json, read_regular
+from datagen.disk.errors import DamagedError, HyalineError, describe_os_error, naming, shown
 
-Value = TypeVar("Value")
+# Names and paths
 
-SEAL = "sha256"
-"""Key under which a sealed JSON file holds the SHA-256 of everything else in it."""
+
+NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.+,-]*")
+MAX_NAME = 220
+"""Characters; a file system takes 255 bytes, and endings follow."""
+MAX_PATH = 1024
+"""Bytes of a whole path, on common file systems."""
+
+_UNFIT_FOR_FILES = re.compile(r"[^\w.+,-]")
+
+
+def is_name(text: str) -> bool:
+    """Whether `text` can be one component of a path everywhere: ASCII letters, digits and `_ . + , -`."""
+    return len(text) <= MAX_NAME and NAME.fullmatch(text) is not None
+
+
+def check_name(text: str, *, where: str) -> str:
+    """`text`, when it `is_name`; an error for anything else, such as a path or what begins with a dot or a dash."""
+    if not is_name(text):
+        raise HyalineError(
+            f"{where}: is {_shortened(text)!r}; expected a name of letters, digits, _ - . + and commas, "
+            f"at most {MAX_NAME} characters"
+        )
+    return text
+
+
+def file_name(text: str) -> str:
+    """The part of a file's name that stands for `text`, whatever it is: what is unfit becomes `_`."""
+    return _UNFIT_FOR_FILES.sub("_", text).lstrip(".-")[:MAX_NAME] or "_"
+
+
+def check_relative(text: str, *, where: str) -> str:
+    """`text`, when it is a path below whatever it is joined to.
+
+    An error if it is absolute or too long, has a part `..` or an empty one, or holds control characters or a backslash.
+    """
+    parts = text.split("/")
+    is_long = len(text.encode(errors="replace")) > MAX_PATH or max(map(len, parts)) > MAX_NAME
+    if is_long or "\\" in text or not text.isprintable() or any(part in ("", ".", "..") for part in parts):
+        raise HyalineError(
+            f"{where}: names {_shortened(text)!r}; expected a file inside the folder, by its path from there"
+        )
+    return text
+
+
+def find_file(root: Path, relative: str, *, where: str) -> Path:
+    """The path of a regular file that `relative` names below `root`; links may lead to it, but not out of `root`.
+
+    A path at which nothing stands is returned as it is; a folder, a pipe or a device there is an error.
+    """
+    path = root / check_relative(relative, where=where)
+    if os.path.lexists(path):
+        check_regular(path, root, where=where)
+    return path
+
+
+def check_regular(path: Path, root: Path, *, where: str) -> None:
+    """Raises a DamagedError for links that lead nowhere or out of `root`, and for anything but regular files."""
+    try:
+        target = path.resolve(strict=True)
+        is_file = target.is_file()
+    except (OSError, RuntimeError) as error:
+        reason = getattr(error, "strerror", None) or "a circle of links"
+        raise DamagedError(f"{where}: {path.name} cannot be read ({reason}); expected a file in {root}") from None
+    if not is_file or not target.is_relative_to(root.resolve()):
+        what = "no regular file" if not is_file else "a link out of its folder"
+        raise DamagedError(f"{where}: {path.name} is {what}; expected a file inside {root}")
+
+
+def real_path(path: Path) -> Path:
+    """The absolute path behind all links; where links go round in a circle it ends, and opening the path says so."""
+    return Path(os.path.realpath(path))  # Path.resolve raises a RuntimeError at a circle before Python 3.13.
+
+
+def _shortened(text: str) -> str:
+    return text if len(text) <= MAX_NAME else f"{text[:MAX_NAME]}..."
+
+
+# Reading
+
 
 TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 """Name of a file while it is written. A killed writer may leave one; no other program uses such names."""
@@ -26,23 +106,78 @@ TEMPORARY = re.compile(r".+\.[0-9a-f]{16}\.hyaline-tmp")
 MAKE_AGAIN = "run the command that made it again, which keeps what is whole"
 """What to do about a damaged or lost file of ours."""
 
+_OUT_OF_RESOURCES = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
+"""Errors of the machine, not of the file: they are no reason to call it damaged and to make it again."""
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """A regular file, opened for reading; links are followed.
+
+    Raises:
+        HyalineError: it is missing, or a folder, a pipe or a device, or it cannot be read.
+        OSError: this process is out of memory or file handles.
+    """
+    try:
+        with _refusing(path):
+            # A pipe would wait for its writer, and a device may do anything: they are never opened.
+            if not stat.S_ISREG(path.stat().st_mode):
+                raise HyalineError(f"{path}: is a folder, a pipe or a device; expected a file")
+            return path.open("rb")
+    except ValueError as error:  # A NUL, or half of a surrogate pair.
+        raise HyalineError(f"{shown(str(path))}: cannot be the path of a file ({error})") from error
+
+
+def read_regular(path: Path, *, at_most: int | None = None) -> bytes:
+    """The bytes of a file that `open_regular` opens, of at most so many bytes."""
+    with open_regular(path) as file, _refusing(path):
+        size = os.fstat(file.fileno()).st_size
+        if at_most is not None and size > at_most:
+            raise HyalineError(f"{path}: holds {size:,} bytes; expected at most {at_most:,}")
+        return file.read()
+
+
+@contextlib.contextmanager
+def _refusing(path: Path) -> Iterator[None]:
+    """Turns errors of the system into a HyalineError, except those that say nothing about the file."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno in _OUT_OF_RESOURCES:
+            raise
+        if error.errno == errno.ENOENT:
+            raise DamagedError(f"{path}: the file is missing") from error
+        raise HyalineError(describe_os_error(error, path)) from error
+
 
 def sha256(data: bytes) -> str:
     """Hex SHA-256."""
     return hashlib.sha256(data).hexdigest()
 
 
-def sha256_file(path: Path) -> str:
-    """Hex SHA-256 of a file's bytes.
+def check_files(root: Path, files: Mapping[str, str]) -> None:
+    """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
+    for relative, promised in files.items():
+        read_promised(root, relative, promised)
 
-    Raises:
-        DamagedError: the file is missing.
-        HyalineError: it is not a regular file, or cannot be read.
-    """
+
+def read_all(root: Path, files: Mapping[str, str]) -> list[bytes]:
+    """The bytes of files below `root`, each of which are those that were promised; see `read_promised`."""
+    return [read_promised(root, relative, promised) for relative, promised in files.items()]
+
+
+def read_promised(root: Path, relative: str, promised: str) -> bytes:
+    """The bytes of a file below `root`; a DamagedError if it is missing, or not the one whose SHA-256 was promised."""
+    path = find_file(root, relative, where=str(root))
     try:
-        return sha256(read_regular(path))
+        data = read_regular(path)
     except DamagedError as error:
         raise DamagedError(f"{error}; {MAKE_AGAIN}") from None
+    if sha256(data) != promised:
+        raise DamagedError(f"{path}: damaged or edited (checksum differs); {MAKE_AGAIN}")
+    return data
+
+
+# Writing
 
 
 def commit(path: Path, data: bytes) -> None:
@@ -117,131 +252,28 @@ def sync_folder(path: Path) -> None:
         os.close(folder)
 
 
-def dump_json(data: Json) -> bytes:
-    """Canonical bytes: sorted keys, two spaces, a final newline; NaN and infinity are refused."""
-    return (json.dumps(data, indent=2, sort_keys=True, allow_nan=False) + "\n").encode()
-
-
-def seal_of(data: dict[str, Json]) -> str:
-    """The hash under which `seal_bytes` seals `data`."""
-    return sha256(dump_json(data))
-
-
-def seal_bytes(data: dict[str, Json]) -> bytes:
-    """The bytes of a sealed JSON file: canonical, with the hash of the rest under `SEAL`."""
-    if SEAL in data:
-        raise ValueError(f"the key {SEAL!r} is reserved")
-    return dump_json({**data, SEAL: seal_of(data)})
-
-
-def commit_sealed(path: Path, data: dict[str, Json]) -> None:
-    """Commits `data` as a sealed JSON file."""
-    commit(path, seal_bytes(data))
-
-
-def load_sealed(path: Path) -> dict[str, Json]:
-    """The content of a sealed JSON file, without its seal.
-
-    Raises:
-        DamagedError: any byte differs from what was sealed.
-    """
-    if path.is_symlink():
-        raise DamagedError(f"{path}: is a link; expected the file itself; {MAKE_AGAIN}")
-    text = read_regular(path, at_most=MAX_JSON_BYTES)
-    data = parse_json(text, where=str(path))
-    data.pop(SEAL, None)
-    if text != seal_bytes(data):
-        raise DamagedError(f"{path}: does not match its own checksum, was damaged or edited; {MAKE_AGAIN}")
-    return data
-
-
-def one_writer(root: Path) -> contextlib.AbstractContextManager[None]:
+@contextlib.contextmanager
+def one_writer(root: Path, *, shared: bool = False) -> Iterator[None]:
     """Holds `root` for this process; the lock ends with the process, however that ends, and leaves no file.
+
+    Args:
+        shared: hold it beside others that share it, too, and know how not to step on each other.
 
     Raises:
         HyalineError: another process is writing there.
     """
-    return _locked(root, fcntl.LOCK_EX)
-
-
-def shared_writers(root: Path) -> contextlib.AbstractContextManager[None]:
-    """Holds `root` beside others that do the same, who know how not to step on each other.
-
-    Raises:
-        HyalineError: another process of this machine holds it for itself.
-    """
-    return _locked(root, fcntl.LOCK_SH)
-
-
-@contextlib.contextmanager
-def _locked(root: Path, how: int) -> Iterator[None]:
     with naming(root):
         root.mkdir(parents=True, exist_ok=True)
         handle = os.open(root, os.O_RDONLY)
     try:
         try:
             with naming(root):
-                fcntl.flock(handle, how | fcntl.LOCK_NB)
+                fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             raise HyalineError(f"{root}: another process is writing there; wait for it, or stop it") from None
         yield
     finally:
         os.close(handle)
-
-
-# Promised files
-
-
-def home_of(root: Path) -> Path:
-    """The dataset in a folder; of a variant, the dataset around it."""
-    outer = root.parent.parent
-    return outer if root.parent.name == "variants" and (outer / "dataset.json").is_file() else root
-
-
-def check_files(root: Path, files: Mapping[str, str]) -> None:
-    """Raises a DamagedError that names the first file whose bytes are not the promised ones."""
-    for relative, promised in files.items():
-        read_promised(root, relative, promised)
-
-
-def read_promised(root: Path, relative: str, promised: str) -> bytes:
-    """The bytes of a file below `root`, which are those that were promised.
-
-    Raises:
-        DamagedError: missing, or its SHA-256 is another.
-    """
-    path = find_file(root, relative, where=str(root))
-    try:
-        data = read_regular(path)
-    except DamagedError as error:
-        raise DamagedError(f"{error}; {MAKE_AGAIN}") from None
-    if sha256(data) != promised:
-        raise DamagedError(f"{path}: damaged or edited (checksum differs); {MAKE_AGAIN}")
-    return data
-
-
-class Opened:
-    """What was made of files, kept for as long as each is the same one, unchanged. Another process opens its own."""
-
-    def __init__(self) -> None:
-        self._kept: dict[Path, tuple[tuple[int, int, int], object]] = {}
-
-    def __reduce__(self) -> "tuple[type[Opened], tuple[()]]":
-        return Opened, ()
-
-    def get(self, path: Path, open_it: Callable[[], Value]) -> Value:
-        """What `open_it` returned when the file at `path` was last new or changed."""
-        try:
-            status = path.stat()
-        except OSError:
-            return open_it()  # Which says what is wrong.
-        mark = (status.st_ino, status.st_size, status.st_mtime_ns)
-        if path not in self._kept or self._kept[path][0] != mark:
-            self._kept[path] = (mark, open_it())
-        return cast(Value, self._kept[path][1])
-
-
-# The user's cache
 
 
 def private_cache(name: str) -> Path | None:

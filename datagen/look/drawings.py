@@ -14,8 +14,9 @@ from jaxtyping import Bool, Float, Int, UInt8
 from datagen.data.cameras import Camera
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, View
-from datagen.data.geometries import true_meshes
+from datagen.data.geometries import read_meshes
 from datagen.data.meshes import is_there
+from datagen.data.paths import TRUTH
 from datagen.data.variants import evenly
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.charts import COLORS
@@ -74,7 +75,7 @@ def draw_cameras(dataset: Dataset) -> Picture:
     depth = FRUSTUM_SHARE * max(float(np.ptp(places, axis=0).max()), 1e-6)
 
     def draw(axes: "Axes") -> None:
-        for item, mesh in zip(dataset.objects, true_meshes(dataset), strict=True):
+        for item, mesh in zip(dataset.objects, read_meshes(dataset, TRUTH) if dataset.objects else (), strict=True):
             if item.is_glass and is_there(mesh):
                 low, high = mesh.vertices[:, :2].min(axis=0), mesh.vertices[:, :2].max(axis=0)
                 axes.fill(*np.array([low, (high[0], low[1]), high, (low[0], high[1])]).T, color="#9fb6c8")

@@ -9,7 +9,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
 from datagen.data.layers import record_path_of_layers
-from datagen.data.paths import TRUTH, layers_root, record_path
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import MAKE_AGAIN
@@ -45,7 +45,7 @@ def look_page(dataset: Dataset) -> bytes:
     stored = [_one_view(dataset, split, gallery, is_open=place == 0) for place, split in enumerate(dataset.splits)]
     count = len(found.problems)
     number = f"{count} things are missing or damaged." if count > 1 else "1 thing is missing or damaged."
-    whole = f"Nothing: all {found.verified:,} files match their checksums."
+    whole = f"Nothing: all {len(found.files):,} files match their checksums."
     missing = [tag("ul", *(tag("li", prose(line), class_="bad") for line in found.problems)) if count else None]
     parts: list[Part] = [
         tag("h1", dataset.name),
@@ -102,7 +102,7 @@ def folder_sizes(root: Path) -> dict[str, int]:
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
     """An even selection of the views of a split that exist."""
-    there = [view for view in range(dataset.num_views[split]) if record_path(dataset.root, split, view).is_file()]
+    there = [view.index for view in dataset.views(split) if view.record_path.is_file()]
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
 
 
@@ -185,7 +185,7 @@ def _noise_chart(dataset: Dataset) -> Markup:
         return tag("p", "The pictures were imported, so their noise is unknown.")
     lines = []
     for split in dataset.splits:
-        built = [view for view in dataset.views(split) if record_path(dataset.root, split, view.index).is_file()]
+        built = [view for view in dataset.views(split) if view.record_path.is_file()]
         ceilings = [(float(view.index), view.record.ceiling_db) for view in built]
         known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
         lines.append(Line(name=split, points=known))

@@ -9,7 +9,8 @@ import sys
 from pathlib import Path
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit_sealed, load_sealed, private_cache, sha256
+from datagen.disk.records import commit_sealed, load_sealed
+from datagen.disk.storage import private_cache, sha256
 
 DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
 """Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.names import real_path
+from datagen.disk.storage import real_path
 from datagen.terminal.command import say
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from datagen.disk.names import printable
+from datagen.disk.errors import printable
 from datagen.pages.html import Markup, tag
 
 if TYPE_CHECKING:

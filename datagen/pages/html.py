@@ -6,7 +6,7 @@ import html
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from datagen.disk.names import printable
+from datagen.disk.errors import printable
 
 VOID = frozenset(
     {"br", "circle", "image", "img", "input", "line", "meta", "path", "polygon", "polyline", "rect", "use"}

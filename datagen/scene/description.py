@@ -12,10 +12,9 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import SPLITS, Split
 from datagen.data.meshes import Mesh
 from datagen.data.transforms import refuse_other_lens
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative, find_file
-from datagen.disk.records import read_regular
+from datagen.disk.records import checked
+from datagen.disk.storage import check_relative, find_file, read_regular
 from datagen.scene.materials import (
     Color,
     ImageTexture,

@@ -14,10 +14,9 @@ from datagen.data.meshes import is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.data.ply import read_ply, write_ply
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms, transforms_bytes
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
-from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, read_regular, shown, to_json
-from datagen.disk.storage import check_files, commit, dump_json
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import MAX_JSON_BYTES, Json, dump_json, from_json, load_json, to_json
+from datagen.disk.storage import check_files, commit, find_file, read_regular
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,

@@ -10,9 +10,9 @@ from typing import ClassVar, Literal, Self, get_args
 import numpy as np
 from jaxtyping import Float
 
-from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative
+from datagen.disk.records import checked
+from datagen.disk.storage import check_relative
 from datagen.scene.substances import Dispersion, Ior, check_dispersion, check_ior, index_of, indices_of
 
 # Numbers

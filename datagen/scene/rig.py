@@ -7,10 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from jaxtyping import Float
 
-from datagen.data.cameras import Cameras, Lens, direction_of, look_at
+from datagen.data.cameras import Cameras, Lens, direction_of, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, Split
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.meshes import r2_steps
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraList, CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint

@@ -9,9 +9,8 @@ from itertools import combinations, permutations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.cameras import direction_of
+from datagen.data.cameras import direction_of, seeing
 from datagen.data.config import SPLITS
-from datagen.data.depth_range import seeing
 from datagen.data.meshes import (
     Mesh,
     SurfacePoints,
@@ -25,7 +24,7 @@ from datagen.data.meshes import (
     windings,
 )
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_name
+from datagen.disk.storage import check_name
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.materials import check_material
 from datagen.scene.media import MAX_NESTED

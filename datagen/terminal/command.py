@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import NoReturn, TypeVar
 
-from datagen.disk.errors import HyalineError, as_hyaline_error, naming
-from datagen.disk.names import printable
+from datagen.disk.errors import HyalineError, as_hyaline_error, naming, printable
 from datagen.terminal.distribution import VERSION, naming_parts
 from datagen.terminal.parsing import MAX_SUGGESTED as MAX_SUGGESTED
 from datagen.terminal.parsing import Command, CommandGroup, parse

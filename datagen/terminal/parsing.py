@@ -18,8 +18,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
-from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, UsageError, shown
 
 Command = Callable[..., None]
 

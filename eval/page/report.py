@@ -19,8 +19,8 @@ from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.paths import list_datasets
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, holding, refuse_others
-from datagen.disk.records import Json
-from datagen.disk.storage import commit, dump_json, seal_bytes
+from datagen.disk.records import Json, dump_json
+from datagen.disk.storage import commit
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import choose, say, track
 from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
@@ -155,7 +155,7 @@ def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
 def write_report(out: Path, files: dict[str, bytes]) -> None:
     """Commits the files of a report into its folder, which must be new, empty or a report's."""
     with holding(out, REPORT):
-        begin(out, REPORT, seal_bytes({"version": REPORT_VERSION}))
+        begin(out, REPORT, {"version": REPORT_VERSION})
         for name, data in files.items():
             commit(out / name, data)
             say(f"wrote {out / name}")

@@ -11,7 +11,8 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import MAX_JSON_BYTES, parse_json, read_regular
+from datagen.disk.records import MAX_JSON_BYTES, parse_json
+from datagen.disk.storage import read_regular
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery

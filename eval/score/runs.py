@@ -32,10 +32,9 @@ from datagen.data.images import MAX_PNG_BYTES, decode_png
 from datagen.data.paths import view_name
 from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_regular, printable, real_path
-from datagen.disk.records import MAX_JSON_BYTES, Json, from_json, load_json, parse_json, read_regular, shown
-from datagen.disk.storage import SEAL, load_sealed, seal_of, sha256
+from datagen.disk.errors import HyalineError, printable, shown
+from datagen.disk.records import MAX_JSON_BYTES, SEAL, Json, from_json, load_json, load_sealed, parse_json, seal_of
+from datagen.disk.storage import check_regular, read_regular, real_path, sha256
 from datagen.terminal.command import choose
 
 RUN_VERSION = 5

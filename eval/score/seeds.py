@@ -7,7 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from datagen.data.config import Split
-from datagen.disk.storage import dump_json, sha256
+from datagen.disk.records import dump_json
+from datagen.disk.storage import sha256
 from eval.score.runs import Run
 from eval.score.scores import RunScores
 

@@ -4,7 +4,7 @@ import dataclasses
 import re
 from collections.abc import Mapping, Sequence
 
-from datagen.disk.names import printable
+from datagen.disk.errors import printable
 from datagen.pages.html import Markup, Part, join, prose, tag
 from eval.tables.grids import MISSING, SHORT_SPLITS, TABLE_WIDTH, Column, Grid
 

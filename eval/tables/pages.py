@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import cast
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import load_json, shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import load_json
 from eval.tables.grids import TABLE_WIDTH, Column, Grid
 from eval.tables.looks import grid_text, markdown_escaped
 from eval.tables.plugins import report_parts

@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import sha256_file
 from model.methods.renderer import PatchTerms
 from model.settings import LossConfig
 from model.state import State
@@ -101,7 +100,7 @@ def find_vgg(config: LossConfig) -> LossConfig:
             f"{path}: no VGG16 weights; put torchvision's {WEIGHT_FILE} there, or set --vgg-weights to its path, "
             "random (a stand-in) or none"
         )
-    digest = sha256_file(path)
+    digest = sha256(read_regular(path))
     if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
         raise HyalineError(f"{path}: damaged, its SHA-256 is {digest[:8]}...; put {WEIGHT_FILE} there again")
     return dataclasses.replace(config, vgg_sha256=digest)

@@ -22,8 +22,8 @@ from jaxtyping import UInt8
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, parse_json, read_regular
-from datagen.disk.storage import commit
+from datagen.disk.records import Json, from_json, parse_json
+from datagen.disk.storage import commit, read_regular
 
 COSTS, METRICS, SNAPSHOTS = "costs.json", "metrics.jsonl", "snapshots"
 

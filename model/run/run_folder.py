@@ -27,10 +27,10 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import NO_GEOMETRY, describe_geometry, read_materials
 from datagen.data.paths import find_dataset, is_fitted
 from datagen.data.variants import ANGLES, VARIANTS_FOLDER, has_variant, open_variant, variant_root
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import FolderKind, begin, is_ours, remove_files
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import check_files, commit_sealed, load_sealed, seal_bytes, seal_of
+from datagen.disk.records import Json, commit_sealed, from_json, load_sealed, seal_of, to_json
+from datagen.disk.storage import check_files
 from model.methods.protocol import METHODS, Inputs, MethodConfig, open_inputs
 from model.run.logs import COSTS, METRICS, SNAPSHOTS
 from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
@@ -173,7 +173,7 @@ def begin_run(out: Path, record: RunRecord, *, overwrite: bool) -> None:
     """
     content = cast(dict[str, Json], to_json(record))
     if not is_ours(out, FOLDER):
-        return begin(out, FOLDER, seal_bytes(content))
+        return begin(out, FOLDER, content)
     if overwrite:
         variant = rf"({VARIANTS_FOLDER}/[^/]+/)?"
         others = "|".join(map(re.escape, (WEIGHTS, CHECKPOINT, METRICS, COSTS)))

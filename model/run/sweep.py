@@ -30,8 +30,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.records import read_regular, shown
+from datagen.disk.errors import DamagedError, HyalineError, shown
+from datagen.disk.storage import read_regular
 from datagen.machine.launch import LaunchChoices, own_command, raise_failures, run_in_jobs
 from datagen.machine.mitsuba_variant import num_cores
 from datagen.terminal.command import choose, say

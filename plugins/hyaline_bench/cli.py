@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.records import Json, to_json
-from datagen.disk.storage import commit_sealed
+from datagen.disk.records import Json, commit_sealed, to_json
 from datagen.terminal.command import choose, next_command, run, say, tell
 from datagen.terminal.parsing import CommandGroup, group
 

@@ -14,8 +14,8 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import list_datasets, view_name
 from datagen.data.variants import has_variant, open_variant, variant_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json
-from datagen.disk.storage import commit, dump_json
+from datagen.disk.records import Json, dump_json
+from datagen.disk.storage import commit
 from datagen.terminal.command import say
 from hyaline_bench.protocol import Protocol, is_of_preset, left_out
 

@@ -17,7 +17,6 @@ import os
 import secrets
 import shlex
 from pathlib import Path
-from typing import cast
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, Split
@@ -26,8 +25,7 @@ from datagen.data.paths import TRUTH
 from datagen.data.writing import commit_view, head_contents, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
-from datagen.disk.records import read_regular
-from datagen.disk.storage import read_promised, sha256
+from datagen.disk.storage import read_promised, read_regular, sha256
 from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic
@@ -142,11 +140,10 @@ def _write(root: Path, source: Dataset, config: DatasetConfig, scene: dict[str, 
                 made,
                 split,
                 view.index,
-                png=data[".png"],
-                exr=data[".exr"],
+                data,
                 seed=0,
-                spp=cast(int, record.spp),
-                noise_mse=cast(float, record.noise_mse),
-                variant=cast(str, record.variant),
+                spp=record.spp,
+                noise_mse=record.noise_mse,
+                variant=record.variant,
             )
     return made

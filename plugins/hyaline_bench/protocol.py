@@ -2,6 +2,7 @@
 
 import functools
 import shlex
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
 from datagen.data.variants import ANGLES
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import from_json, load_toml
+from datagen.disk.records import from_json
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
 from eval.score.runs import Run
@@ -122,7 +123,7 @@ class Protocol:
 @functools.cache
 def load_protocol() -> Protocol:
     """The protocol of this version."""
-    return from_json(Protocol, load_toml(PROTOCOL), where=str(PROTOCOL))
+    return from_json(Protocol, tomllib.loads(PROTOCOL.read_text()), where=str(PROTOCOL))
 
 
 @contextmanager

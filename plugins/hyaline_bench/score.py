@@ -18,9 +18,9 @@ from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import list_datasets
 from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, shown
-from datagen.disk.storage import dump_json, load_sealed, sha256
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import Json, dump_json, from_json, load_sealed
+from datagen.disk.storage import sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say
 from datagen.terminal.command import track as progress

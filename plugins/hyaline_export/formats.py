@@ -10,8 +10,7 @@ from pathlib import Path
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError, naming
-from datagen.disk.names import real_path
-from datagen.disk.storage import sync_folder
+from datagen.disk.storage import real_path, sync_folder
 from datagen.terminal.command import say
 from datagen.terminal.plugins import Group
 from hyaline_export.source import Source
@@ -26,6 +25,8 @@ class Format:
     hint: str
     """The command that opens the export, with OUT for the folder."""
 
+
+OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
 
 FORMATS: Group[Format] = Group(
     name="hyaline.exports",

@@ -16,10 +16,8 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.disk.names import check_relative, real_path
 from datagen.disk.ownership import DATASET, refuse_file
-from datagen.disk.records import open_regular
-from datagen.disk.storage import MAKE_AGAIN, read_promised
+from datagen.disk.storage import MAKE_AGAIN, check_relative, open_regular, read_promised, real_path
 from datagen.terminal.command import say, say_all, track
 from hyaline_export.formats import EXPORTS, beside, new_folder, refuse_inside
 
@@ -82,7 +80,7 @@ def unpack_archive(path: Path, into: Path | None) -> Path:
         count = _extract(path, file, folder)
         try:
             found = verify_dataset(folder)
-            problems = found.problems or (found.remarks if found.verified < count else [])
+            problems = found.problems or (found.remarks if len(found.files) < count else [])
         except HyalineError as error:
             problems = [str(error)]
         if problems:

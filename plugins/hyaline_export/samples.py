@@ -4,12 +4,14 @@ train/NAME.png, train/NAME.depth.npy, ...     also val, interpolating, extrapola
 dataset.json                                  objects, materials, near, far, box; each file's content and unit
 """
 
+import io
 from collections.abc import Iterator
 
-from datagen.data.images import npy_bytes, png_bytes
+import numpy as np
+
+from datagen.data.images import png_bytes
 from datagen.data.transforms import CONVENTION, lens_keys
-from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
+from datagen.disk.records import Json, dump_json
 from datagen.quantities import NormalKind, surfaces_of
 from hyaline_export.formats import Format
 from hyaline_export.source import Source, frame, mask_png, rgb_png, tracked
@@ -32,6 +34,12 @@ FILES = {
 """Files of each view by ending: the attribute of `ViewQuantities`, and the convention."""
 
 
+def _npy_bytes(values: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, np.ascontiguousarray(values), allow_pickle=False)
+    return buffer.getvalue()
+
+
 def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
     for item in tracked(source.views):
         stem = f"{item.group}/{item.name}"
@@ -41,7 +49,7 @@ def _quantities(source: Source) -> Iterator[tuple[str, bytes]]:
         found = item.quantities
         for ending, (name, _) in FILES.items():
             array = found.normal(NORMALS[ending]) if ending in NORMALS else getattr(found, name)
-            encode = npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
+            encode = _npy_bytes if ending.endswith(".npy") else mask_png if array.dtype == bool else png_bytes
             yield f"{stem}.{ending}", encode(array)
     objects: list[Json] = [
         {"object_id": index + 1, "name": item.name, "material": type(item.material).__name__}

@@ -30,8 +30,7 @@ import functools
 from collections.abc import Iterator
 
 from datagen.data.transforms import CONVENTION, lens_keys
-from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
+from datagen.disk.records import Json, dump_json
 from hyaline_export.formats import Format
 from hyaline_export.source import (
     ROLES,

@@ -15,9 +15,8 @@ from jaxtyping import Float
 from datagen.data.cameras import TOLERANCE, Camera, Lens
 from datagen.data.config import MAX_VIEWS
 from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import find_file
 from datagen.scene.description import CameraList
 from hyaline_import.foreign import lens_of, read_foreign, rotation_of
 from hyaline_import.remarks import Remarks

@@ -10,10 +10,9 @@ from typing import cast
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
-from datagen.disk.records import Json, load_json
-from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
+from datagen.disk.records import Json, dump_json, load_json, load_sealed
+from datagen.disk.storage import check_relative, commit
 from datagen.machine.confined import confined
 from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.finding import ImportChoices
@@ -85,7 +84,6 @@ def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, over
         refuse_taken(root, IMPORTED, files, before)
         # A killed command leaves files of ours but not a scene, since scene.json is written last.
         remove_files(root, [path for path in before if path not in files or path == "scene.json"])
-        begin(root, IMPORTED, seal_bytes(content))
-        commit_sealed(root / RECORD, content)
+        begin(root, IMPORTED, content, replace=True)
         for path in sorted(files, key=lambda path: (path == "scene.json", path)):
             commit(root / path, files[path])

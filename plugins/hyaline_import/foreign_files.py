@@ -6,9 +6,8 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import file_name
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import file_name
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import MAX_SUGGESTED, choose
 from datagen.terminal.plugins import Group

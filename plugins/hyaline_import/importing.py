@@ -15,7 +15,7 @@ from datagen.data.config import Resolution, unknown_license
 from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import read_regular, sha256
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import (
     MAX_OBJECTS,
@@ -234,7 +234,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
         "source": path.name,
-        "source_sha256": sha256_file(path),
+        "source_sha256": sha256(read_regular(path)),
         "scale": scale,
         "up": up,
         "materials": list(choices.material),

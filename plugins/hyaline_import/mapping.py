@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
-from datagen.disk.names import file_name
+from datagen.disk.storage import file_name
 from datagen.scene.finding import Thin
 from datagen.scene.materials import (
     Color,

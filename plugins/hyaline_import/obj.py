@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.meshes import unfolded
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_relative, find_file
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import check_relative, find_file
 from datagen.scene.images import opened_image
 from datagen.scene.materials import Color
 from datagen.scene.substances import SUBSTANCES

@@ -8,8 +8,7 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
-from datagen.disk.records import Json
-from datagen.disk.storage import dump_json
+from datagen.disk.records import Json, dump_json
 from eval.score.runs import Run, read_costs
 from eval.score.scores import SceneScores
 from eval.score.seeds import SeedGroup, Spread, group_seeds, spread

@@ -105,7 +105,7 @@ class DeepVoxelsConfig(MethodConfig):
     def sized(self, resolution: Resolution) -> Self:
         """The same for pictures of this size."""
         side = resolution.mean_side
-        if not resolution.is_power_of_two_square:
+        if resolution.width != resolution.height or side.bit_count() != 1:
             raise HyalineError(
                 f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
                 f"so build the dataset with --resolution {2 ** round(math.log2(side))}"

@@ -9,7 +9,7 @@ from jaxtyping import UInt8
 from datagen.data.config import TEST_SPLITS, Resolution, Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
-from datagen.data.variants import is_larger, parent_views
+from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
 from eval.score.metrics import psnr, psnr_uint8_wrap
 from eval.score.runs import read_prediction
@@ -88,7 +88,9 @@ DRAWN, ENLARGED = "at that size", "enlarged"
 def larger_grid(scene: SceneScores) -> Grid:
     """What runs draw at larger sizes than they were trained at, beside their small pictures enlarged."""
     errors: list[HyalineError] = []
-    found = score_variants(scene, errors, of=is_larger)
+    found = score_variants(
+        scene, errors, of=lambda variant: variant.config.resolution != scene.dataset.config.resolution
+    )
     if errors:
         raise errors[0]
     rows = [row for scored in found for row in _larger_rows(scene, scored)]
@@ -141,7 +143,8 @@ def _enlarged(scene: SceneScores, scored: VariantScores, scores: RunScores | Non
 def _score_enlarged(scene: SceneScores, truth: Truth, scores: RunScores | None) -> SplitScores:
     split, size = truth.split, truth.dataset.config.resolution
     rows = []
-    for place, view in enumerate(parent_views(truth.dataset, split)):
+    drawn = evenly(truth.dataset.config.split(split).views, scene.dataset.config.split(split).views)
+    for place, view in enumerate(drawn):
         small = scene.dataset.view(split, view).image if scores is None else read_prediction(scores.run, split, view)
         glass = None if truth.glass is None else truth.glass[place]
         rows.append(score_picture(enlarge(small, size), truth.images[place], glass))

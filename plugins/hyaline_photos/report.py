@@ -13,16 +13,15 @@ from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.images import read_png
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
-from datagen.data.shape_errors import ShapeErrors, shape_errors
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, from_json, shown, to_json
-from datagen.disk.storage import load_sealed
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import Json, from_json, load_sealed, to_json
 from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
 from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
 from hyaline_photos.fit.lathe import perpendicular
+from hyaline_photos.shape_errors import ShapeErrors, shape_errors
 
 CAPTURE = "capture"
 """Layout of datasets of photographs, whose scene has stand-ins for glass."""

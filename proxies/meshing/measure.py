@@ -13,14 +13,14 @@ from jaxtyping import Bool, Float64, Int64
 from datagen.data.geometries import ProxyStatistics
 from datagen.data.meshes import (
     Mesh,
+    SurfacePoints,
     component_of_faces,
     face_corners,
     open_edges,
     points_on,
     signed_volume,
-    winding_number,
+    windings,
 )
-from datagen.data.shape_errors import nearest_points
 from proxies.meshing.solid import Solid, outside_by, used_positions
 
 SAMPLES = 4096
@@ -87,6 +87,45 @@ def proxy_statistics(mesh: Mesh, truth: Mesh, solid: Solid) -> ProxyStatistics:
     return ProxyStatistics(volume_ratio=ratio, mean_distance=mean, max_distance=farthest)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Nearest:
+    """The nearest point of a surface to each of some points."""
+
+    distance: Float64[np.ndarray, " point"]
+    points: SurfacePoints
+
+
+def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Nearest:
+    """The exact nearest point of some triangles to each point."""
+    from scipy.spatial import KDTree
+    from trimesh.triangles import closest_point
+
+    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
+    best, corner = map(np.asarray, KDTree(corners.reshape(-1, 3)).query(points))
+    best_face, best_position = corner // 3, corners.reshape(-1, 3)[corner]
+    centers = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
+    # One tree per triangle size; otherwise one large triangle would make every search large.
+    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
+    for size in np.unique(sizes)[::-1]:
+        index = np.flatnonzero(sizes == size)
+        tree, reach = KDTree(centers[index]), radii[index].max()
+        for start in range(0, len(points), 512):
+            rows = np.arange(start, min(start + 512, len(points)))
+            near = tree.query_ball_point(points[rows], best[rows] + reach)
+            row = np.repeat(rows, [len(found) for found in near])
+            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
+            if len(row):
+                position = closest_point(corners[face], points[row])
+                distance = np.linalg.norm(position - points[row], axis=-1)
+                order = np.lexsort((distance, row))
+                first = order[np.unique(row[order], return_index=True)[1]]
+                first = first[distance[first] < best[row[first]]]
+                best[row[first]], best_face[row[first]] = distance[first], face[first]
+                best_position[row[first]] = position[first]
+    return Nearest(distance=best, points=SurfacePoints(face=best_face, position=best_position))
+
+
 def _inside_share(proxy: Mesh, truth: Mesh) -> float:
     positions, corners = used_positions(truth), face_corners(proxy).astype(np.float64)
     tolerance = ROUNDING * max(np.abs(positions).max(), np.abs(proxy.vertices).max())
@@ -104,7 +143,7 @@ def enclosed_share(proxy: Mesh, truth: Mesh) -> float:
     around = face_corners(proxy).astype(np.float64)
     for part in np.unique(component):
         mine = np.flatnonzero((component == part) & is_inside)
-        if len(mine) and winding_number(corners[mine[0], 0], around) < 0.5:
+        if len(mine) and windings(around, corners[mine[:1], 0])[0] < 1:
             is_inside[mine] = False
     return float(is_inside.mean())
 

@@ -13,8 +13,8 @@ from support.commands import call
 from datagen.data.dataset import Dataset
 from datagen.data.images import decode_png, png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json
-from datagen.disk.storage import commit_sealed, sha256
+from datagen.disk.records import Json, commit_sealed
+from datagen.disk.storage import sha256
 from eval.score.runs import check_png, open_run, read_prediction, within
 
 pytestmark = pytest.mark.promise("R4")

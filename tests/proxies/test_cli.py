@@ -13,7 +13,7 @@ from datagen.data.config import Variant
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import describe_geometry, list_geometries, read_meshes, read_proxy_records
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from proxies.make import make_proxies
 
 ONE = Path("data/one")

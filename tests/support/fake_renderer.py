@@ -39,8 +39,7 @@ def render(job: FakeJob, task: Task) -> None:
         job.dataset,
         split,
         view,
-        png=png_bytes(shade(layers)),
-        exr=noise,
+        {".png": png_bytes(shade(layers)), ".exr": noise},
         seed=view,
         spp=4,
         noise_mse=1e-5,
@@ -66,15 +65,15 @@ def film(cameras: Cameras) -> Iterator[np.ndarray]:
 def install(patch: pytest.MonkeyPatch) -> None:
     """Lets builds in this process call these."""
     import datagen.builder.build
-    import datagen.builder.edit_masks
     import datagen.builder.film
+    import datagen.builder.variants
     import datagen.machine.mitsuba_variant
 
     for name, function in (("render", render), ("peel", peel)):
         patch.setattr(datagen.builder.build, f"{name.title()}Job", FakeJob)
         patch.setattr(datagen.builder.build, f"{name}_task", function)
     patch.setattr(datagen.machine.mitsuba_variant, "use_mitsuba", lambda **options: "none")
-    patch.setattr(datagen.builder.edit_masks, "_read_halves", _read_halves)
+    patch.setattr(datagen.builder.variants, "_read_halves", _read_halves)
     patch.setattr(datagen.builder.film, "path_trace", lambda dataset, cameras, *, spp: film(cameras))
 
 

@@ -10,8 +10,7 @@ from datagen.data.geometries import read_meshes, write_proxies
 from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
 from datagen.data.paths import FITTED, TRUTH
-from datagen.disk.records import Json
-from datagen.disk.storage import commit_sealed
+from datagen.disk.records import Json, commit_sealed
 
 
 def write_fit(dataset: Dataset, folder: Path, names: tuple[str, ...], *, scale: float = 1.02) -> None:

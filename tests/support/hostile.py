@@ -26,7 +26,7 @@ from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.images import decode_exr, png_bytes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import SEAL, seal_bytes
+from datagen.disk.records import SEAL, seal_bytes
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Truth, radiance_bytes
 from datagen.scene.folder import load_scene, save_scene

@@ -7,10 +7,9 @@ import numpy as np
 from support.meshes import box
 from support.synthetic import pixel_rays
 
-from datagen.data.cameras import Cameras, look_at
+from datagen.data.cameras import Cameras, look_at, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, DatasetObject, Resolution, Split, SplitConfig, square
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import with_depth_range
 from datagen.data.geometries import geometry_hash
 from datagen.data.images import encode_exr, linear_from_srgb, png_bytes
 from datagen.data.layers import start_layers
@@ -97,7 +96,7 @@ def write_traced_dataset(root: Path, *, scene: Scene | None = None, resolution: 
             radiance = linear_from_srgb(picture / 255).astype(np.float32)
             exr = encode_exr(radiance, np.zeros_like(radiance))
             png = png_bytes(picture)
-            commit_view(dataset, split, view, png=png, exr=exr, seed=0, spp=4, noise_mse=1e-5, variant="none")
+            commit_view(dataset, split, view, {".png": png, ".exr": exr}, seed=0, spp=4, noise_mse=1e-5, variant="none")
             dataset.layer_store().write(split, view, layers, overflow_share=0.0)
     return dataset
 

@@ -69,9 +69,8 @@ def write_variant(dataset: Dataset, name: str, edit: SceneEdit | None) -> None:
             picture = shade(layers) if edit is None else 255 - shade(layers)
             radiance = linear_from_srgb(picture / 255).astype(np.float32)
             exr = encode_exr(radiance, np.full_like(radiance, 1e-3))
-            commit_view(
-                variant, split, view, png=png_bytes(picture), exr=exr, seed=0, spp=4, noise_mse=1e-4, variant="none"
-            )
+            pictures = {".png": png_bytes(picture), ".exr": exr}
+            commit_view(variant, split, view, pictures, seed=0, spp=4, noise_mse=1e-4, variant="none")
 
 
 def write_scene(root: Path, scene: str, train_views: int = 8) -> Dataset:

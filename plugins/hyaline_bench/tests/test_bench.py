@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.stats
-from model.run.experiments import Experiment, read_experiment
 from support.builds import tree
 from support.commands import call, run
 from support.synthetic import look_at
@@ -26,7 +25,7 @@ from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import seal_bytes
+from datagen.disk.records import seal_bytes
 from datagen.scene.edits import parse_edit
 from eval.score.runs import Run, open_run
 from hyaline_bench.floors import nearest_view
@@ -34,6 +33,7 @@ from hyaline_bench.leaderboard import check_comparable, track_grid
 from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, load_protocol
 from hyaline_bench.score import mean_interval, read_scored, summarise
 from hyaline_random.names import FAMILIES, parse_random
+from model.run.sweep import Experiment, read_experiment
 
 SCORES = Path("bench/tiny/scores/nearest-view.json")
 MEAN = Path("bench/tiny/scores/mean-picture.json")

@@ -13,7 +13,7 @@ from support.disk import failing_from, observe, read_state
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.dataset import open_dataset
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import save_scene
 from hyaline_export.formats import FORMATS

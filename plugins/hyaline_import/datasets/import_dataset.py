@@ -10,14 +10,13 @@ from typing import cast
 import numpy as np
 
 from datagen.builder.build import open_or_start
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Cameras, seeing, with_depth_range
 from datagen.data.config import SPLITS, DatasetConfig, Imported, Resolution, Split, SplitConfig, unknown_license
 from datagen.data.dataset import Dataset
-from datagen.data.depth_range import seeing, with_depth_range
-from datagen.data.writing import commit_imported_view
+from datagen.data.writing import commit_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import read_regular, sha256
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.finding import ImportChoices
@@ -151,7 +150,7 @@ def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
         missing = [view for split in dataset.splits for view in dataset.views(split) if not view.is_built]
         total = sum(plan.config.split(split).views for split in SPLITS)
         for view in track(missing, label="import", total=total, done=total - len(missing)):
-            commit_imported_view(dataset, view.split, view.index, plan.files(view.split, view.index))
+            commit_view(dataset, view.split, view.index, plan.files(view.split, view.index))
     return dataset
 
 
@@ -167,7 +166,7 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
     """Names the content of files in their order, and what decides how they are taken over."""
     digest = hashlib.sha256(choices.encode())
     for file in files:
-        digest.update(sha256_file(file).encode())
+        digest.update(sha256(read_regular(file)).encode())
     return digest.hexdigest()
 
 

@@ -24,9 +24,8 @@ from PIL import ExifTags, Image, UnidentifiedImageError
 from datagen.data.cameras import Lens
 from datagen.data.config import Resolution, license_line
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_regular, find_file
-from datagen.disk.records import open_regular, shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import check_regular, find_file, open_regular
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)

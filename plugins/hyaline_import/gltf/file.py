@@ -12,9 +12,9 @@ from urllib.parse import unquote
 
 import numpy as np
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
-from datagen.disk.records import parse_json, shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.records import parse_json
+from datagen.disk.storage import find_file
 from hyaline_import.foreign import read_foreign
 from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf, read
 

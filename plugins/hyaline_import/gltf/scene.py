@@ -10,8 +10,7 @@ import numpy as np
 
 from datagen.data.cameras import Camera
 from datagen.data.config import license_line
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,

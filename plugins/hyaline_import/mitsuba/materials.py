@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
 from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.mitsuba.nodes import Node

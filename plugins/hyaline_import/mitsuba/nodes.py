@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import find_file
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import find_file
 from datagen.scene.materials import Color
 from hyaline_import.foreign import read_foreign
 

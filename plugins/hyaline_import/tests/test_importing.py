@@ -18,7 +18,7 @@ from support.rigs import config
 from datagen.data.dataset import open_dataset
 from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.folder import load_scene, scene_files

@@ -8,10 +8,9 @@ from typing import cast
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from datagen.data.cameras import Cameras, Lens
+from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
-from datagen.data.depth_range import with_depth_range
-from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
+from datagen.data.images import mask_pixels, png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.confined import allow_triangles
 from datagen.scene.description import SceneObject
@@ -186,6 +185,10 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     return found
 
 
+MAX_EDGES = 90.0
+"""Percentage of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
+
+
 def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
     every = np.stack(ids)
     counts = np.bincount(every.reshape(-1), minlength=len(folder.objects) + 1)
@@ -195,7 +198,13 @@ def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[st
                 f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
                 "those of other objects; expected white where the object is seen, or no folder of it"
             )
-        refuse_inverted(every == place, where=f"{folder.root}: {name}")
+        masks = every == place
+        edges = 100 * np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
+        if edges > MAX_EDGES:  # As inverted masks do.
+            raise HyalineError(
+                f"{folder.root}: {name}: its masks show {edges:.0f} % of the pictures' edges; expected white where the "
+                "object is seen, black around it: invert them, or take pictures from farther away"
+            )
     share = 100 * counts[1:].sum() / counts.sum()
     return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
 

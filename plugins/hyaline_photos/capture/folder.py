@@ -18,9 +18,8 @@ from jaxtyping import Float
 from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.ply import read_ply_points
 from datagen.data.transforms import Transforms, relative_name
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import check_regular, find_file
-from datagen.disk.records import shown
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import check_regular, find_file
 from datagen.scene.description import MAX_OBJECTS
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
 from hyaline_import.datasets.layouts import (

@@ -19,8 +19,8 @@ from datagen.data.images import png_bytes
 from datagen.data.paths import FITTED, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, is_ours, refuse_others, remove_files
-from datagen.disk.records import Json
-from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes, sha256
+from datagen.disk.records import Json, commit_sealed, dump_json, load_sealed
+from datagen.disk.storage import commit, sha256
 from datagen.terminal.command import say
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ class FitFolder:
         path = self.root / FIT.head
         if not path.is_file():
             refuse_others(self.root, FIT)
-            begin(self.root, FIT, seal_bytes(head))
+            begin(self.root, FIT, head)
             return
         if overwrite:
             remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])

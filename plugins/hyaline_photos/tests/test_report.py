@@ -17,7 +17,7 @@ from datagen.data.config import TEST_SPLITS, Imported
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit_sealed, load_sealed
+from datagen.disk.records import commit_sealed, load_sealed
 from eval.page.report import make_report
 from hyaline_photos.report import knows_truth, true_floor
 

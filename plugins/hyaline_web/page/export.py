@@ -20,8 +20,8 @@ from jaxtyping import UInt8
 from datagen.data.dataset import Dataset
 from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, read_regular
-from datagen.disk.storage import commit
+from datagen.disk.records import Json
+from datagen.disk.storage import commit, read_regular
 from datagen.pages.pictures import data_uri
 from datagen.terminal.distribution import VERSION
 from hyaline_web.page.packing import Quality

@@ -16,7 +16,7 @@ from datagen.data.config import square
 from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_proxy_records
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import SEAL, seal_bytes
+from datagen.disk.records import SEAL, seal_bytes
 from datagen.scene.folder import load_scene
 from eval.score.runs import open_run, read_prediction
 from model.run.predict import load_renderer

@@ -12,8 +12,7 @@ import pytest
 from support.hostile import READERS, Case, cases_of, write_world
 from support.soon import TookTooLong, ending_within
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.names import printable
+from datagen.disk.errors import HyalineError, printable
 
 pytestmark = pytest.mark.promise("R6", "R7")
 

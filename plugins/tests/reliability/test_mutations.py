@@ -14,7 +14,7 @@ from support.synthetic import write_synthetic_dataset
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import load_sealed, seal_bytes
+from datagen.disk.records import load_sealed, seal_bytes
 from eval.score.runs import open_run, read_prediction
 from model.run.predict import load_renderer
 from model.run.run_folder import read_run

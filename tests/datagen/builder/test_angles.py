@@ -8,7 +8,7 @@ import pytest
 from support.synthetic import quad, synthetic_scene
 
 from datagen.builder.angles import angle_outside, make_angle_cameras, places_outside
-from datagen.data.config import ANGLE_SPLITS, DatasetConfig, SplitConfig, square
+from datagen.data.config import ANGLE_SPLITS, DatasetConfig, square
 from datagen.data.meshes import Mesh
 from datagen.scene.description import CameraRig
 
@@ -72,11 +72,7 @@ def test_no_camera_walks_through_a_wall() -> None:
 
 def test_cameras_aim_at_the_centre_and_are_spread() -> None:
     scene = dataclasses.replace(synthetic_scene(), cameras=RIG)
-    few = SplitConfig(views=5, spp=2)
-    config = DatasetConfig(
-        scene="s", preset="p", resolution=square(24), train=few, interpolating=few, extrapolating=few
-    )
-    cameras = make_angle_cameras(scene, config)
+    cameras = make_angle_cameras(scene, DatasetConfig.even("s", square(24), 5))
     assert list(cameras) == list(ANGLE_SPLITS)
     for item in cameras.values():
         places = item.world_from_camera[:, :3, 3]

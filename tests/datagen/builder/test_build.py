@@ -13,9 +13,9 @@ from support.builds import build, build_whole, command, tree
 from support.commands import run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.builder.build import build_dataset, peel_dataset, summary
+from datagen.builder.build import peel_dataset, summary
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import SPLITS, DatasetConfig, SplitConfig, square
+from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
@@ -123,14 +123,3 @@ def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_n
 
 def _peel(dataset: Dataset, num_layers: int, *, overwrite: bool) -> None:
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)
-
-
-def test_two_builds_at_once_do_not_mix(scene_folder: Path, tmp_path: Path) -> None:
-    from datagen.disk.storage import one_writer
-
-    few = SplitConfig(views=1, spp=2)
-    config = DatasetConfig(
-        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
-    )
-    with one_writer(tmp_path / "out"), pytest.raises(HyalineError, match="another process is writing there"):
-        build_dataset(synthetic_scene(), tmp_path / "out", config, num_layers=4, workers=1, overwrite=False)

@@ -15,12 +15,12 @@ from support.synthetic import synthetic_scene
 
 from datagen.builder.build import open_or_start
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import DatasetConfig, square
 from datagen.data.geometries import geometry_hash
 from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import one_writer, shared_writers
+from datagen.disk.storage import one_writer
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
@@ -94,10 +94,7 @@ def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene
 
 
 def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> None:
-    few = SplitConfig(views=3, spp=2)
-    config = DatasetConfig(
-        scene="s", preset="tiny", resolution=square(8), train=few, interpolating=few, extrapolating=few
-    )
+    config = DatasetConfig.even("s", square(8), 3, spp=2)
     scene = synthetic_scene()
     cameras = make_cameras(scene.cameras, config)
 
@@ -119,7 +116,7 @@ def test_any_number_of_writers_may_start_one_dataset_at_once(tmp_path: Path) -> 
 
 def test_parts_hold_a_folder_together_and_others_alone(tmp_path: Path) -> None:
     refused = pytest.raises(HyalineError, match="another process is writing there")
-    with shared_writers(tmp_path), shared_writers(tmp_path), refused, one_writer(tmp_path):
+    with one_writer(tmp_path, shared=True), one_writer(tmp_path, shared=True), refused, one_writer(tmp_path):
         pass
-    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), shared_writers(tmp_path):
+    with one_writer(tmp_path), pytest.raises(HyalineError, match="another process"), one_writer(tmp_path, shared=True):
         pass

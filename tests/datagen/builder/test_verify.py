@@ -133,7 +133,6 @@ def test_every_damage_of_every_file_is_named_and_repaired_to_the_same_bytes(
 ) -> None:
     whole = tree(ROOT)
     files = [path for path in whole if role(path) == which and path != "dataset.json"]
-    count = 0
     for shift in range(len(DAMAGES)) if is_full else (0,):
         damaged = damage(files, shift)
         answer = call("datagen verify data/one")
@@ -144,7 +143,6 @@ def test_every_damage_of_every_file_is_named_and_repaired_to_the_same_bytes(
         assert not unnamed or " views have no record (" in answer.out
         lines = repair()
         assert differing(tree(ROOT), whole) == [], lines
-        count += len(damaged)
 
 
 def differing(found: dict[str, bytes | str], whole: dict[str, bytes | str]) -> list[str]:
@@ -192,7 +190,6 @@ def test_every_lost_folder_is_named_and_repaired_to_the_same_bytes(
     folders = [path.relative_to(ROOT).as_posix() for path in sorted(ROOT.rglob("*")) if path.is_dir()]
     folders = [path for path in folders if not LOST_FOR_GOOD.fullmatch(path)]
     depths = sorted({path.count("/") for path in folders})
-    count = 0
     for depth in depths if is_full else depths[:2]:
         chosen = [path for path in folders if path.count("/") == depth]
         for path in chosen:
@@ -206,7 +203,6 @@ def test_every_lost_folder_is_named_and_repaired_to_the_same_bytes(
         assert call("datagen verify data/one").status == 1
         lines = repair()
         assert differing(tree(ROOT), whole) == [], (chosen, lines)
-        count += len(chosen)
 
 
 def test_a_link_to_a_folder_that_was_moved_elsewhere_is_kept_and_nothing_is_made_again(here: Path) -> None:

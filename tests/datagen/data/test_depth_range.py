@@ -9,8 +9,7 @@ import trimesh
 from support.meshes import mesh_of
 from support.synthetic import quad
 
-from datagen.data.cameras import Cameras, look_at
-from datagen.data.depth_range import NO_SURFACE, with_depth_range
+from datagen.data.cameras import NO_SURFACE, Cameras, look_at, with_depth_range
 from datagen.data.meshes import Mesh, no_mesh
 
 ABOVE = look_at((0.0, 1e-3, 2.0), (0.0, 0.0, 0.0))[None]

@@ -9,9 +9,10 @@ import pytest
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.cameras import Camera
+from datagen.data.config import MAX_SIDE, parse_resolution
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import srgb_from_linear, to_8bit
-from datagen.disk.errors import DamagedError
+from datagen.disk.errors import DamagedError, HyalineError
 
 OPENED: list[str] = []
 
@@ -98,3 +99,23 @@ def test_intrinsics_project_a_pixels_ray_onto_its_centre(center: tuple[float, fl
     projected, depth = camera.project((origin + 3 * directions).reshape(-1, 3).astype(np.float64))
     rows, columns = np.mgrid[:5, :7] + 0.5
     assert np.allclose(projected, np.stack([columns, rows], axis=-1).reshape(-1, 2), atol=1e-4) and (depth > 0).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ("0", "is 0; expected 1 to 8192"),
+        ("-3", "is -3; expected 1 to 8192"),
+        (f"20x{MAX_SIDE + 1}", "is 8193; expected 1 to 8192"),
+        ("", "is ''; expected a width and height"),
+        ("32x", "is '32x'; expected a width and height"),
+        ("32x24x3", "is '32x24x3'; expected a width and height"),
+        ("3.5", "is '3.5'; expected a width and height"),
+        ("٣٢", "expected a width and height"),
+        ("9" * 5000, "expected a width and height"),
+    ],
+)
+def test_what_is_no_size_of_pictures_is_refused_in_one_line(text: str, problem: str) -> None:
+    with pytest.raises(HyalineError, match=f"^resolution: .*{problem}") as caught:
+        parse_resolution(text)
+    assert len(str(caught.value)) < 200 and "\n" not in str(caught.value)

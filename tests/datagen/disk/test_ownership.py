@@ -4,16 +4,18 @@ import os
 from pathlib import Path
 
 import pytest
+from support.commands import call
+from support.soon import soon
 from support.synthetic import write_synthetic_dataset
 
-from datagen.cli import main
 from datagen.data.writing import clear_dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, LAYERS, FolderKind, begin, holding, refuse_file, remove_files
-from datagen.disk.storage import commit_sealed, load_sealed, seal_bytes, sha256
+from datagen.disk.records import Json, commit_sealed, load_sealed
+from datagen.disk.storage import sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
-HEAD = seal_bytes({"version": 1})
+HEAD: dict[str, Json] = {"version": 1}
 
 
 def tree(root: Path) -> dict[str, bytes]:
@@ -70,7 +72,7 @@ def test_a_folder_is_begun_only_where_nothing_else_stands(tmp_path: Path) -> Non
         begin(tmp_path, KIND, HEAD)
     put(tmp_path / "new", "a.0123456789abcdef.hyaline-tmp")
     begin(tmp_path / "new", KIND, HEAD)
-    assert (tmp_path / "new/thing.json").read_bytes() == HEAD
+    assert load_sealed(tmp_path / "new/thing.json") == HEAD
 
 
 def test_nothing_is_removed_or_written_through_a_link(tmp_path: Path) -> None:
@@ -111,18 +113,11 @@ def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("stranger", ["project/download.partial", "images"])
-def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stranger: str
-) -> None:
-    def model(name: str) -> None:
-        raise AssertionError(f"{name} was modelled")
-
-    monkeypatch.setattr("datagen.scene.builtin.make_scene", model)
+def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(tmp_path: Path, stranger: str) -> None:
     path = tmp_path / "out" / stranger
     path.parent.mkdir(parents=True)
     path.write_text("theirs")
-    monkeypatch.setattr("sys.argv", ["datagen", "build", "--preset", "tiny", "--out", str(tmp_path / "out")])
-    with pytest.raises(SystemExit):
-        main()
-    assert f"is not empty ({stranger}) and no dataset; choose another --out" in capsys.readouterr().err
+    with soon():
+        answer = call(f"datagen build --preset tiny --out {tmp_path / 'out'}")
+    assert f"is not empty ({stranger}) and no dataset; choose another --out" in answer.error
     assert path.read_text() == "theirs"

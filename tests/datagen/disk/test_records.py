@@ -1,12 +1,14 @@
-"""Tests how records become JSON and come back."""
+"""Tests how records become JSON and come back, and that any JSON file is soon read, or refused in one line."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import pytest
+from support.soon import soon
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.records import from_json, to_json
+from datagen.disk.records import MAX_JSON_BYTES, from_json, load_json, to_json
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,3 +64,31 @@ def test_a_wrong_value_is_named_with_its_place_in_a_short_line(change: dict, pla
     with pytest.raises(HyalineError) as caught:
         from_json(Thing, {**to_json(THING), **change}, where="here")
     assert str(caught.value).startswith(place) and len(str(caught.value)) < 500
+
+
+@pytest.mark.promise("R6")
+@pytest.mark.parametrize(
+    "text",
+    [
+        *(b"", b"[1]", b'{"a": NaN}', b'{"a": [-Infinity]}', b'{"a": 1e999}', b'{"a": 9223372036854775808}'),
+        *(b'{"a": ' + b"9" * 5000 + b"}", b'{"a": ' + b"[" * 64 + b"]" * 64 + b"}", b'{"a":' * 200_000),
+        *(b'{"\\ud800": 1}', b'{"a": "\xff"}', b'\xef\xbb\xbf{"a": 1}', b'{"a": "' + b"x" * MAX_JSON_BYTES + b'"}'),
+    ],
+)
+def test_json_that_holds_surprises_is_refused_in_one_line(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "file.json"
+    path.write_bytes(text)
+    with soon(1), pytest.raises(HyalineError) as caught:
+        load_json(path)
+    message = str(caught.value)
+    assert message.isprintable() and message.startswith(f"{path}: ") and len(message) < 500 + len(str(path))
+
+
+def test_json_without_surprises_is_read_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "file.json"
+    text = '{"a": [9223372036854775807, -1, 1e308, 5e-324, -0.0, true, null, "\\u00e9\\ud83d\\ude00"], "type": {}}'
+    path.write_text(text)
+    expected = [2**63 - 1, -1, 1e308, 5e-324, -0.0, True, None, "é😀"]
+    assert load_json(path) == {"a": expected, "type": {}}
+    path.write_text('{"a": ' + "[" * 63 + "]" * 63 + "}")
+    assert list(load_json(path)) == ["a"]

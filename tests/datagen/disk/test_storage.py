@@ -1,4 +1,4 @@
-"""Tests that files are committed whole, and that a sealed file notices every flipped bit."""
+"""Tests that files are named, read and committed so that nothing leaves its folder, hangs, or is half written."""
 
 import os
 import signal
@@ -8,9 +8,87 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support.soon import soon
 
-from datagen.disk.errors import HyalineError
-from datagen.disk.storage import commit, commit_first, commit_sealed, load_sealed, one_writer
+from datagen.disk.errors import HyalineError, printable
+from datagen.disk.records import commit_sealed, load_sealed
+from datagen.disk.storage import (
+    check_name,
+    check_relative,
+    commit,
+    commit_first,
+    file_name,
+    find_file,
+    one_writer,
+    read_regular,
+)
+from datagen.terminal.command import fail, say, tell
+
+EVIL = "a\x1b[2J\x1b]0;owned\x07\r\nerror: \u202eforged | <b> \\ [x](y) `z` & $1$"
+
+
+@pytest.mark.parametrize(
+    "text", ["../../x", "/tmp/x", "a/b", "..", ".hidden", "-rf", "", "a b", "a\x00", "ä", "x" * 300]
+)
+def test_what_is_no_plain_name_is_refused(text: str) -> None:
+    with pytest.raises(HyalineError, match=r"scene name: is .*; expected a name of letters"):
+        check_name(text, where="scene name")
+
+
+@pytest.mark.parametrize("text", ["../x", "/x", "a//b", "a/./b", "a/../../b", "", "a\nb", "a\\b"])
+def test_a_path_that_could_lead_elsewhere_is_refused(text: str) -> None:
+    with pytest.raises(HyalineError, match="expected a file inside the folder"):
+        check_relative(text, where="files")
+
+
+def test_a_files_name_is_one_component_whatever_it_is_made_of() -> None:
+    assert file_name("data/one") == "data_one"
+    assert file_name("../../etc/x\x1b") == "_.._etc_x_"
+    assert file_name("/") == "_" and file_name("...") == "_"
+
+
+def test_links_out_pipes_and_folders_are_no_files(tmp_path: Path) -> None:
+    root, outside = tmp_path / "root", tmp_path / "outside"
+    root.mkdir()
+    outside.write_text("secret")
+    (root / "inside").write_text("mine")
+    (root / "link").symlink_to("inside")
+    (root / "out").symlink_to(outside)
+    (root / "circle").symlink_to("circle")
+    (root / "folder").mkdir()
+    os.mkfifo(root / "pipe")
+    assert find_file(root, "link", where="w").read_text() == "mine"
+    assert find_file(root, "missing", where="w") == root / "missing"
+    for name in ("out", "circle", "folder", "pipe"):
+        with pytest.raises(HyalineError, match=f"w: {name} "):
+            find_file(root, name, where="w")
+
+
+def test_control_characters_are_spelled_out_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert printable("plain – ∞ ↑") == "plain – ∞ ↑"  # noqa: RUF001
+    say(EVIL)
+    tell(EVIL)
+    with pytest.raises(SystemExit):
+        fail(EVIL)
+    said = capsys.readouterr()
+    for text, lines in ((said.out, 1), (said.err, 2)):
+        assert text.count("\n") == lines
+        assert all(line.isprintable() for line in text.splitlines())
+    assert r"\x1b[2J" in said.out
+
+
+@pytest.mark.promise("R6")
+def test_what_is_no_regular_file_is_never_opened(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "device").symlink_to("/dev/zero")
+    (tmp_path / "lost").symlink_to("nowhere")
+    for name in ("pipe", "folder", "loop", "device", "lost", "x" * 300):
+        with soon(1), pytest.raises(HyalineError, match=name[:200]):
+            read_regular(tmp_path / name)
+    with pytest.raises(HyalineError, match="cannot be the path of a file"):
+        read_regular(tmp_path / "a\0b")
 
 
 def test_a_sealed_file_notices_any_flipped_bit(tmp_path: Path) -> None:

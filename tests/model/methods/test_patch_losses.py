@@ -15,7 +15,7 @@ from datagen.data.config import square
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import sha256_file
+from datagen.disk.storage import sha256
 from model.batches.layers import load_pixels
 from model.batches.rays import RayBatch
 from model.methods.paper.config import DnrConfig, PaperConfig
@@ -84,7 +84,7 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
     with pytest.raises(HyalineError, match="damaged, its SHA-256 is"):
         find_vgg(LossConfig(vgg_weights="auto"))  # Not the file that the name promises.
     source = find_vgg(LossConfig(vgg_weights=str(place)))
-    assert source.vgg_sha256 == sha256_file(place) and source.describe() == "pre-trained VGG16"
+    assert source.vgg_sha256 == sha256(place.read_bytes()) and source.describe() == "pre-trained VGG16"
     loss = PerceptualLoss(str(place))
     assert all(torch.equal(value, trained.state_dict()[name]) for name, value in loss.features.state_dict().items())
     torch.save({"features.0.weight": torch.zeros(3)}, tmp_path / "other")

@@ -20,7 +20,8 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import TRUTH
 from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, open_variant, read_edit_mask
-from datagen.disk.storage import SEAL, commit_sealed, load_sealed, seal_of, sha256
+from datagen.disk.records import SEAL, commit_sealed, load_sealed, seal_of
+from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject, SoftEnvironment
 from datagen.scene.edits import parse_edit
@@ -28,8 +29,14 @@ from datagen.scene.materials import Dielectric, Diffuse, SolidTexture
 from eval.page.report import make_report
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
-from model.run.predict import render_predictions, render_variant
-from model.run.run_folder import TrainConfig, is_drawn, read_predictions, write_predictions
+from model.nets.texture import NeuralTextures, object_layout
+from model.run.predict import render_predictions, render_variant, with_copies
+from model.run.run_folder import (
+    TrainConfig,
+    is_drawn,
+    read_predictions,
+    write_predictions,
+)
 from model.run.train import train
 
 use_mitsuba()
@@ -219,3 +226,14 @@ def test_seeds_share_a_row_in_the_tables_of_edits(
     assert row[2 + TEST_SPLITS.index(SPLIT)] == f"{(of_run['paper'] + of_run['paper-seed1']) / 2:.2f}"
     assert of_run["paper"] > of_run["paper-seed1"] + 5
     assert [row[1] for row in rows if row[0] == "ours"] == ["1"] and "paper-seed1" not in table
+
+
+def test_a_copy_looks_up_the_texels_of_its_original() -> None:
+    textures = NeuralTextures(object_layout((4, 8, 2)), 3)
+    torch.nn.init.normal_(textures.table)
+    textures.layout = with_copies(textures.layout, [1, 1], 3)
+    uv = torch.rand(50, 1, 2)
+    ids = torch.full((50, 1), 2, dtype=torch.uint8)
+    for copy in (4, 5):
+        assert torch.equal(textures(uv, torch.full_like(ids, copy)), textures(uv, ids))
+    assert not torch.equal(textures(uv, torch.full_like(ids, 1)), textures(uv, ids))

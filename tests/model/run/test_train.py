@@ -16,7 +16,7 @@ from support.training import SMALL, quick, run_bytes
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import seal_bytes
+from datagen.disk.records import seal_bytes
 from model.run.predict import render_predictions
 from model.run.run_folder import check_trained_on, is_drawn, read_run
 from model.run.train import train

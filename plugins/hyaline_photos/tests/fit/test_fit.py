@@ -13,7 +13,7 @@ from support.traced_dataset import BALL, glass_scene, write_traced_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_key, list_geometries, read_assignment, read_materials, read_meshes
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from datagen.scene.folder import open_scene
 from datagen.scene.materials import Dielectric, Diffuse
 from hyaline_photos.fit.found import FoundGlass, write_geometry

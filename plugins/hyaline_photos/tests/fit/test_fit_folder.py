@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from datagen.disk.errors import HyalineError
-from datagen.disk.storage import load_sealed
+from datagen.disk.records import load_sealed
 from hyaline_photos.fit.fit_folder import FitFolder
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
+from proxies.meshing.measure import Nearest, nearest_points
 
 SAMPLES = 4096
 """Points on each mesh where distances and normals are compared."""
@@ -49,49 +50,10 @@ def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Nearest:
-    """The nearest point of a surface to each of some points."""
-
-    distance: Float64[np.ndarray, " point"]
-    points: SurfacePoints
-
-
 def compare_surfaces(mesh: Mesh, truth: Mesh, count: int = SAMPLES) -> tuple[SurfacePoints, Nearest]:
     """Points on a mesh, and the nearest points of the true surface."""
     found = points_on(mesh, count)
     return found, nearest_points(found.position, face_corners(truth).astype(np.float64))
-
-
-def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Nearest:
-    """The exact nearest point of some triangles to each point."""
-    from scipy.spatial import KDTree
-    from trimesh.triangles import closest_point
-
-    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
-    best, corner = map(np.asarray, KDTree(corners.reshape(-1, 3)).query(points))
-    best_face, best_position = corner // 3, corners.reshape(-1, 3)[corner]
-    centers = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
-    # One tree per triangle size; otherwise one large triangle would make every search large.
-    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
-    for size in np.unique(sizes)[::-1]:
-        index = np.flatnonzero(sizes == size)
-        tree, reach = KDTree(centers[index]), radii[index].max()
-        for start in range(0, len(points), 512):
-            rows = np.arange(start, min(start + 512, len(points)))
-            near = tree.query_ball_point(points[rows], best[rows] + reach)
-            row = np.repeat(rows, [len(found) for found in near])
-            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
-            if len(row):
-                position = closest_point(corners[face], points[row])
-                distance = np.linalg.norm(position - points[row], axis=-1)
-                order = np.lexsort((distance, row))
-                first = order[np.unique(row[order], return_index=True)[1]]
-                first = first[distance[first] < best[row[first]]]
-                best[row[first]], best_face[row[first]] = distance[first], face[first]
-                best_position[row[first]] = position[first]
-    return Nearest(distance=best, points=SurfacePoints(face=best_face, position=best_position))
 
 
 def shading_normals(mesh: Mesh, points: SurfacePoints) -> Float64[np.ndarray, "point 3"]:

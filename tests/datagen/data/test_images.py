@@ -1,13 +1,13 @@
-"""Tests that a damaged EXR is refused, in a moment: OpenEXR itself never ends on some of them."""
+"""Tests of pictures: linear to sRGB and 8 bits, and EXRs, of which OpenEXR itself never ends on damaged ones."""
 
+import colour
 import numpy as np
 import pytest
 
-from datagen.data.images import decode_exr, encode_exr
+from datagen.data.config import ViewRecord
+from datagen.data.images import decode_exr, encode_exr, linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-
-pytestmark = pytest.mark.promise("R6")
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +42,7 @@ def test_radiance_beyond_half_precision_stays_finite() -> None:
     assert (decode_exr(encode_exr(bright, bright), where="view.exr")[0] == 65504).all()
 
 
+@pytest.mark.promise("R6")
 def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
     decode_exr(good, where="view.exr")
     for length in range(len(good)):
@@ -49,6 +50,7 @@ def test_an_exr_cut_at_any_length_is_refused(good: bytes) -> None:
             decode_exr(good[:length], where="view.exr")
 
 
+@pytest.mark.promise("R6")
 def test_a_bit_that_flipped_in_the_header_is_refused_or_read_at_once(good: bytes) -> None:
     rng = np.random.default_rng(0)
     end = good.index(b"screenWindowWidth")
@@ -63,3 +65,23 @@ def test_a_bit_that_flipped_in_the_header_is_refused_or_read_at_once(good: bytes
             assert "view.exr: " in str(error)
             refused += 1
     assert refused > 75
+
+
+def test_the_curve_equals_colour_sciences() -> None:
+    linear = np.linspace(0, 1, 10_001)
+    assert np.abs(srgb_from_linear(linear) - colour.cctf_encoding(linear, function="sRGB")).max() < 1e-12
+    assert np.abs(linear_from_srgb(srgb_from_linear(linear)) - linear).max() < 1e-7
+
+
+def test_radiance_beyond_one_and_below_zero_is_clipped() -> None:
+    assert to_8bit(srgb_from_linear(np.array([-1.0, 0.0, 1.0, 50.0]))).tolist() == [0, 0, 255, 255]
+
+
+@pytest.mark.parametrize("levels", [0.5, 1.0, 1.45, 4.0])
+def test_the_ceiling_is_the_psnr_of_an_exact_picture_when_both_are_rounded_to_8_bits(levels: float) -> None:
+    rng = np.random.default_rng(0)
+    exact = rng.uniform(0.2, 0.8, 1_000_000)
+    noisy = exact + rng.normal(0, levels / 255, exact.shape)
+    error = np.mean((to_8bit(exact) / 255 - to_8bit(noisy) / 255) ** 2)
+    record = ViewRecord(dataset="", split="train", view=0, noise_mse=(levels / 255) ** 2, files={})
+    assert record.ceiling_db == pytest.approx(-10 * np.log10(error), abs=0.02)
