@@ -23,8 +23,8 @@ from datagen.quantities.view_quantities import LightEnds as LightEnds
 from datagen.quantities.view_quantities import ViewQuantities as ViewQuantities
 from datagen.quantities.view_quantities import quantities as quantities
 from datagen.terminal.command import choose, say_all
-from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of
+from datagen.terminal.plugins import naming_parts
 from hyaline.scenes import Hemisphere, Scene
 from model.settings import with_settings
 

@@ -9,7 +9,7 @@ from PIL import Image
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View, has_layers
 from datagen.disk.checked import checked
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.plugins import naming_parts
 from hyaline.runs import Run
 from hyaline.scenes import Scene
 

@@ -8,8 +8,8 @@ from datagen.data.dataset import Dataset
 from datagen.data.meshes import Mesh
 from datagen.data.paths import PROXY_KINDS
 from datagen.disk.checked import checked
-from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import choose
+from datagen.terminal.plugins import naming_parts
 from hyaline.datasets import NUM_LAYERS, open_dataset
 
 if TYPE_CHECKING:

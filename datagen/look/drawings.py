@@ -20,7 +20,7 @@ from datagen.data.variants import evenly
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.charts import COLORS
 from datagen.quantities.surfaces import Surfaces, surfaces_of
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.plugins import naming_parts
 from datagen.trace.light_path import TracedPaths
 from datagen.trace.surface_tables import Limits
 

@@ -12,7 +12,7 @@ from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu
 from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
 from datagen.machine.mitsuba_variant import choose_variant, llvm_remedy
 from datagen.machine.processes import ROOT
-from datagen.terminal.distribution import VERSION, install_command
+from datagen.terminal.plugins import VERSION, install_command
 
 
 class Finding(NamedTuple):

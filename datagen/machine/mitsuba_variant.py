@@ -16,8 +16,8 @@ from typing import NamedTuple
 from datagen.disk.errors import HyalineError
 from datagen.machine.hardware import cuda_problem, has_gpu
 from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
-from datagen.terminal.distribution import install_command
-from datagen.terminal.signals import hold_signals
+from datagen.terminal.command import hold_signals
+from datagen.terminal.plugins import install_command
 
 
 class VariantChoice(NamedTuple):

@@ -20,7 +20,7 @@ from datagen.data.layers import Layers
 from datagen.data.meshes import is_there
 from datagen.disk.checked import checked
 from datagen.quantities.surfaces import Surfaces, surfaces_of
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.plugins import naming_parts
 from datagen.trace.surface_tables import Limits
 
 if TYPE_CHECKING:

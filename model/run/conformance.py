@@ -19,7 +19,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
-from datagen.terminal.signals import Stopped
+from datagen.terminal.command import Stopped
 from model.batches.rays import cameras_of
 from model.methods.protocol import Inputs
 from model.methods.renderer import Renderer

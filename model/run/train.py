@@ -16,8 +16,7 @@ from torch import Tensor, nn
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
-from datagen.terminal.command import say, track
-from datagen.terminal.signals import Stopped, hold_signals
+from datagen.terminal.command import Stopped, hold_signals, say, track
 from model.batches.ahead import Ahead, TracedPixels
 from model.batches.rays import PixelSource
 from model.losses.patch_losses import Inpainter, Losses

@@ -15,7 +15,7 @@ from jaxtyping import Float64, Int64
 
 from datagen.disk.errors import HyalineError
 from datagen.machine.processes import ChildError, arrays_from_child
-from datagen.terminal.distribution import install_command
+from datagen.terminal.plugins import install_command
 
 TIMEOUT_S = 180.0
 """Time limit of one wrap; a few seconds are usual."""

@@ -24,7 +24,7 @@ from datagen.data.images import png_bytes, read_png
 from datagen.data.variants import open_variant
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import seal_bytes
-from datagen.terminal.signals import Stopped
+from datagen.terminal.command import Stopped
 from eval.score.runs import Run, open_run
 from hyaline_bench.floors import nearest_view
 from hyaline_bench.leaderboard import check_comparable, track_grid

@@ -22,7 +22,7 @@ from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.quantities.surfaces import surfaces_of
 from datagen.quantities.view_quantities import quantities
-from datagen.terminal.distribution import VERSION
+from datagen.terminal.plugins import VERSION
 from hyaline_export.formats import FORMATS, export_dataset
 from hyaline_export.source import Source
 

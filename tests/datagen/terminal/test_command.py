@@ -11,9 +11,9 @@ from support.commands import Answer, call
 from support.synthetic import write_synthetic_dataset
 
 from datagen.disk.errors import HyalineError
+from datagen.terminal.command import Stopped
 from datagen.terminal.command import run as command_run
-from datagen.terminal.distribution import VERSION
-from datagen.terminal.signals import Stopped
+from datagen.terminal.plugins import VERSION
 
 
 @pytest.mark.parametrize(

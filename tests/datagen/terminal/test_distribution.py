@@ -13,7 +13,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.terminal.distribution import DISTRIBUTION, PARTS, VERSION, naming_parts
+from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION, naming_parts
 
 ROOT = Path(__file__).resolve().parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
