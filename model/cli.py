@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.builder.choices import FilmChoices
+from datagen.builder.choices import FilmChoices, LaunchChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
 from datagen.terminal.parsing import Command, CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of

@@ -16,8 +16,6 @@ from jaxtyping import Float, Float32, Int32
 
 from datagen.data.meshes import Mesh, is_there
 from datagen.disk.errors import HyalineError
-from datagen.machine.mitsuba_variant import num_cores
-from datagen.machine.processes import ChildError, arrays_from_child
 from datagen.scene.kept_arrays import Arrays, find_arrays, keep_arrays, key_of
 
 if TYPE_CHECKING:
@@ -50,6 +48,8 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was unwrapped
     before gets the same atlas from the user's cache.
     """
+    from datagen.machine.processes import num_cores
+
     for where, mesh in meshes.items():
         _check_input(mesh, where=where)
     surfaces = {where: _surface(mesh) for where, mesh in meshes.items()}
@@ -86,6 +86,8 @@ def _share_out(surfaces: dict[str, Arrays], most: int) -> list[dict[str, Arrays]
 
 
 def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
+    from datagen.machine.processes import ChildError, arrays_from_child
+
     arrays: dict[str, np.ndarray] = {}
     for index, surface in enumerate(surfaces.values()):
         arrays |= {f"{index}.{name}": values for name, values in surface.items()}

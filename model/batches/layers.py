@@ -18,7 +18,6 @@ from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layers import UV_SCALE
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import PixelSource, RayBatch, black, cameras_of, read_colors, to_device
 
 if TYPE_CHECKING:
@@ -69,6 +68,8 @@ class TracedLayerPixels(PixelSource[RayBatch]):
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
         """The layers of the rays through these pixels; without `rng`, as many rays as for rendering."""
+        from datagen.machine.mitsuba_variant import short_lived_workers
+
         samples = self.train_samples if rng is not None else self.render_samples
         origins, directions = rays_through(self.cameras, index.flatten().cpu().numpy(), samples, rng)
         with short_lived_workers():
@@ -144,6 +145,8 @@ def peel_cameras(
     Args:
         whole_views: the renderer needs neighbouring pixels.
     """
+    from datagen.machine.mitsuba_variant import short_lived_workers
+
     peeler = _load_peeler(geometry_key(dataset, geometry))
     with short_lived_workers():
         views = [peeler.peel(cameras, view, num_layers)[0] for view in range(len(cameras))]
@@ -183,6 +186,8 @@ def _load_peeler(key: GeometryKey) -> "Peeler":
 
 
 def _make_peeler(meshes: tuple[Mesh, ...]) -> "Peeler":
+    from datagen.machine.mitsuba_variant import use_mitsuba
+
     use_mitsuba()
     from datagen.trace.peel import Peeler
 

@@ -15,9 +15,10 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
+from datagen.builder.choices import LaunchChoices
 from datagen.disk.errors import HyalineError
-from datagen.machine.launch import LaunchChoices, own_command, run_in_jobs
-from datagen.machine.mitsuba_variant import num_cores
+from datagen.machine.launch import own_command, run_in_jobs
+from datagen.machine.processes import num_cores
 from datagen.terminal.command import say, tell
 from model.run.experiments import Experiment
 from model.settings import RUNS
@@ -130,7 +131,7 @@ def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> tuple[Failur
     """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
     run_commands(experiment, experiment.needs)
     jobs = {command_line(words): ["train", *words] for words in experiment.runs}
-    failures = run_in_jobs("model", jobs, RUNS / "jobs", launch)
+    failures = run_in_jobs("model", jobs, RUNS / "jobs", launch.launcher, launch.parameters())
     return tuple(Failure(command=command, reason=reason) for command, reason in failures.items())
 
 

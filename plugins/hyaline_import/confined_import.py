@@ -14,7 +14,7 @@ from datagen.disk.names import check_relative
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json, load_json
 from datagen.disk.storage import commit, commit_sealed, dump_json, load_sealed, seal_bytes
-from datagen.machine.confined import confined
+from datagen.machine.processes import confined
 from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.import_choices import ImportChoices

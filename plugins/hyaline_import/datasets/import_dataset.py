@@ -18,7 +18,7 @@ from datagen.data.writing import commit_imported_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import sha256_file
-from datagen.machine.confined import allow_triangles
+from datagen.machine.processes import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric

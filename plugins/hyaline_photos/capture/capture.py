@@ -13,7 +13,7 @@ from datagen.data.config import SPLITS, Imported, Resolution, Split
 from datagen.data.depth_range import with_depth_range
 from datagen.data.images import mask_pixels, png_bytes, refuse_inverted
 from datagen.disk.errors import HyalineError
-from datagen.machine.confined import allow_triangles
+from datagen.machine.processes import allow_triangles
 from datagen.scene.description import SceneObject
 from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
