@@ -52,7 +52,7 @@ def report(
     """
     hush(quiet)
     if results is not None:
-        from eval.tables.pages import results_page
+        from eval.tables.results import results_page
 
         sys.stdout.write(results_page(results))
         return

@@ -18,8 +18,7 @@ from datagen.disk.records import Json, to_json
 from datagen.terminal.command import track
 from eval.score.metrics import masked_psnr, mean_of
 from eval.score.runs import Run, has_split, read_prediction, within
-from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
-from eval.score.seeds import group_seeds
+from eval.score.scores import RunScores, SceneScores, Truth, group_seeds, read_truth, score_run
 from eval.tables.grids import Column, Grid, format_number
 from eval.tables.results import splits_json
 

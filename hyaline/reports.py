@@ -36,7 +36,7 @@ class Report:
         return list(csv.DictReader(io.StringIO(results_csv(self.scored.scenes))))
 
     def _repr_html_(self) -> str:
-        from eval.tables.looks import html_table
+        from eval.tables.grids import html_table
 
         return "".join(html_table(part.grids[0]) for part in self.scored.parts)
 

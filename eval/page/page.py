@@ -18,10 +18,8 @@ from eval.page.run_page import (
     store_views,
     truth_panel,
 )
-from eval.score.scores import METRIC_NOTES, SceneScores
-from eval.score.seeds import group_seeds
-from eval.tables.grids import Column, Grid, format_number
-from eval.tables.looks import html_table
+from eval.score.scores import METRIC_NOTES, SceneScores, group_seeds
+from eval.tables.grids import Column, Grid, format_number, html_table
 from eval.tables.plugins import PartPage
 from eval.variants import VariantScores
 

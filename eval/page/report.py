@@ -26,8 +26,7 @@ from datagen.terminal.command import choose, say, track
 from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, Truth, read_truth, score_run
-from eval.tables.grids import TABLE_WIDTH, Grid
-from eval.tables.looks import grid_text, paragraphs
+from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, paragraphs
 from eval.tables.plugins import TABLES, EditedPsnr, FoundPart, report_parts
 from eval.tables.results import grid_json, results_csv, results_data
 from eval.tables.scenes import Stored, scene_grids

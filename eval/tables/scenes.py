@@ -1,14 +1,11 @@
 """Tables of scores from the content of results.json: of a scene's runs and variants."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from datagen.builder.choices import PRESETS
-from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
-from eval.score.scores import METRICS, Metric
-from eval.score.seeds import Spread, spread
+from datagen.data.config import TEST_SPLITS, Resolution, Split
+from eval.score.scores import METRICS, Metric, Spread, name_of_seeds, spread
 from eval.tables.grids import CEILING, MISSING, Column, Grid, ceiling_text, format_number
 
 Stored = dict[str, Any]
@@ -29,7 +26,7 @@ def scene_grids(scene: Stored, *, is_page: bool = False) -> list[Grid]:
     minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
     drops = {name: run["drop_db"] for name, run in runs.items()}
     scores = _grid(
-        f"{scene['scene']}{_size(scene)}",
+        f"{scene['scene']}: {_size(scene)}",
         _groups(scene),
         {name: run["splits"] for name, run in runs.items()},
         TEST_SPLITS,
@@ -51,24 +48,9 @@ def _variant_grid(scene: Stored, name: str, variant: Stored) -> Grid:
 
 
 def _size(scene: Stored) -> str:
-    """The size of a scene's dataset, with the preset's name only if the size is the preset's.
-
-    Files of earlier versions do not record training views and samples; there, the scored pictures count.
-    """
-    resolution, preset = Resolution(**scene["resolution"]), PRESETS.get(scene.get("preset", ""))
-    if "splits" in scene:
-        splits = {split: SplitConfig(**values) for split, values in scene["splits"].items()}
-        is_own = preset is not None and all(config == getattr(preset, split) for split, config in splits.items())
-        spps = " + ".join("unknown" if config.spp is None else str(config.spp) for config in splits.values())
-        views = f"{' + '.join(str(config.views) for config in splits.values())} views, {spps} samples per pixel"
-    else:
-        scored = [run["splits"].get(split) for run in scene["runs"] for split in TEST_SPLITS]
-        counts = {len(scores[METRICS[0].key]["pictures"]) for scores in scored if scores}
-        is_own = preset is not None and counts <= {preset.interpolating.views}
-        views = f"{' or '.join(map(str, sorted(counts)))} views of each test split"
-    if is_own and preset is not None and resolution == preset.resolution:
-        return f", preset {scene['preset']}: {resolution} pixels"
-    return f": {resolution} pixels, {views}"
+    scored = [scores for run in scene["runs"] for scores in run["splits"].values() if scores]
+    counts = sorted({len(scores[METRICS[0].key]["pictures"]) for scores in scored})
+    return f"{Resolution(**scene['resolution'])} pixels, {' or '.join(map(str, counts))} views of each test split"
 
 
 def _groups(scene: Stored) -> list[list[str]]:
@@ -110,7 +92,7 @@ def _grid(
     rows, best = [], set()
     first = len(texts) + 2
     for group in groups:
-        row = [_group_name(group), *(text(group[0]) for text in texts.values()), str(len(group))]
+        row = [name_of_seeds(group), *(text(group[0]) for text in texts.values()), str(len(group))]
         row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
         row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
         rows.append(tuple(row))
@@ -131,10 +113,6 @@ def _grid(
         best=frozenset(best),
         notes=notes,
     )
-
-
-def _group_name(group: list[str]) -> str:
-    return re.sub(r"-seed\d+", "", group[0]) if len(group) > 1 else group[0]
 
 
 def _mean(metrics: Stored | None, key: str) -> float | None:

@@ -89,8 +89,7 @@ def score(
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, including their truth.
     """
-    from eval.tables.grids import TABLE_WIDTH
-    from eval.tables.looks import grid_text
+    from eval.tables.grids import TABLE_WIDTH, grid_text
     from hyaline_bench.leaderboard import scene_grid
     from hyaline_bench.protocol import left_out, load_protocol
     from hyaline_bench.score import score_runs

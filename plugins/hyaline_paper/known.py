@@ -4,8 +4,7 @@ from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
 from eval.score.runs import Run
-from eval.score.scores import SceneScores
-from eval.score.seeds import SeedGroup, group_seeds
+from eval.score.scores import SceneScores, SeedGroup, group_seeds
 from eval.tables.grids import MISSING, Column, Grid
 from eval.tables.plugins import Table
 from hyaline_paper.comparisons import NOT_RUN, Line, cpu_minutes_cell, data_note, spread_cell

@@ -9,7 +9,7 @@ from support.commands import call
 
 from datagen.disk.errors import HyalineError
 from eval.tables.grids import MISSING
-from eval.tables.pages import results_page
+from eval.tables.results import results_page
 
 ROOT = Path(__file__).resolve().parents[2]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")

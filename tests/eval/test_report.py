@@ -24,7 +24,7 @@ from datagen.machine.doctor import code_version
 from eval.page.report import make_report
 from eval.score.runs import Record
 from eval.tables.grids import CEILING
-from eval.tables.pages import results_page
+from eval.tables.results import results_page
 from model.run.run_folder import RunRecord
 
 SCRIPTS = Path(sys.executable).parent

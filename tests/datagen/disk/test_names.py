@@ -8,8 +8,7 @@ import pytest
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_name, check_relative, file_name, find_file, printable
 from datagen.terminal.command import fail, say, tell
-from eval.tables.grids import Column, Grid
-from eval.tables.looks import grid_text
+from eval.tables.grids import Column, Grid, grid_text
 from eval.tables.results import csv_text
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\r\nerror: \u202eforged | <b> \\ [x](y) `z` & $1$"
