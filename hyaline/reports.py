@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.data.config import MAX_VIEWS
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.checked import checked
 from datagen.disk.errors import HyalineError
@@ -53,7 +52,7 @@ def report(
     """Scores runs against the truth and writes a page of them, as `eval report` does.
 
         report = hyaline.report([run])
-        report.to_frame()[["run", "psnr_db_interpolating"]]
+        pandas.DataFrame(report.rows)[["run", "psnr_db_interpolating"]]
 
     Args:
         runs: opened runs (or one), names under `root`, or folders of 8-bit sRGB pictures of any method, SCENE/NAME
@@ -71,8 +70,6 @@ def report(
     from eval.page.report import REPORT, score_runs, write_page
     from eval.score.runs import has_predictions, list_run_folders, open_run
 
-    if not 1 <= views <= MAX_VIEWS:
-        raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     root, others = Path(root), []
     if runs is None:
         others = list_run_folders(root, besides=Path(out or root / "report"))

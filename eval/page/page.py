@@ -18,8 +18,8 @@ from eval.page.run_page import (
     store_views,
     truth_panel,
 )
-from eval.score.scores import METRIC_NOTES, SceneScores, group_seeds
-from eval.tables.grids import Column, Grid, format_number, html_table
+from eval.score.scores import METRIC_NOTES, SceneScores
+from eval.tables.grids import Grid, html_table
 from eval.tables.plugins import PartPage
 from eval.variants import VariantScores
 
@@ -95,34 +95,6 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     return document("Report", *content, navigation=_navigation(parts))
 
 
-def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:
-    """PSNR of each run on every scene, runs of one name together; the mean over seeds where there are several."""
-    groups = [{group.name: group for group in group_seeds(scene.runs)} for scene in scenes]
-    names = sorted({name for found in groups for name in found})
-    values = [
-        [
-            found[name].score("psnr_db", split).mean if name in found else None
-            for found in groups
-            for split in TEST_SPLITS
-        ]
-        for name in names
-    ]
-    best = set()
-    for place, column in enumerate(zip(*values, strict=True)):
-        known = [(value, row) for row, value in enumerate(column) if value is not None]
-        if len(known) > 1:
-            best.add((max(known)[1], place + 1))
-    columns = [Column(group=scene.title, split=split) for scene in scenes for split in TEST_SPLITS]
-    return Grid(
-        title="PSNR dB over scenes",
-        columns=(Column(group="run", is_number=False), *columns),
-        rows=tuple(
-            (name, *(format_number(value, 2) for value in row)) for name, row in zip(names, values, strict=True)
-        ),
-        best=frozenset(best),
-    )
-
-
 def _navigation(parts: Sequence[ScenePart]) -> Markup:
     """The overview, then each scene with its runs and other pages below it."""
 
@@ -139,8 +111,6 @@ def _navigation(parts: Sequence[ScenePart]) -> Markup:
 
 def _overview(parts: Sequence[ScenePart], pictures: Sequence[Markup]) -> Markup:
     content: list[Part] = [tag("h1", "Report", id="overview")]
-    if len(parts) > 1:
-        content.append(html_table(scenes_grid([part.scene for part in parts])))
     for part, side_by_side in zip(parts, pictures, strict=True):
         content += [tag("h2", part.scene.title), html_table(part.grids[0], part.links), side_by_side]
     content += [tag("p", prose(note), class_="note") for note in METRIC_NOTES]
@@ -171,10 +141,11 @@ def _scene_page(part: ScenePart, gallery: Gallery) -> Markup:
 
 def _part_page(part: ScenePart, page: PartPage, gallery: Gallery) -> Markup:
     """A page that a plug-in brings: its note, its tables, and its pictures, as far as they fit."""
-    place, figures = part.page_anchor(page), []
-    for name, read in page.pictures.items():
-        if gallery.add(key := f"{place}-{anchor(name)}", read):
-            figures.append(tag("figure", gallery.show(key, label=name), tag("figcaption", name)))
+    place = part.page_anchor(page)
+    figures = [
+        gallery.figure(f"{place}-{anchor(name)}", read, label=name, caption=name)
+        for name, read in page.pictures.items()
+    ]
     note = tag("p", prose(f"On {part.scene.title}. {page.note}"), class_="note")
     content = [note, *map(html_table, page.grids), tag("div", *figures, class_="charts")]
     return tag("div", section(page.title, *content, id_=place), class_="page", id=f"{place}-page")

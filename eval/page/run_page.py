@@ -80,7 +80,7 @@ def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[
     """
     shown: dict[Compared, ShownViews] = {item: [] for item in items}
     ranked = {item: ranked_views(item.scores) for item in items}
-    for rank in range(most):
+    for rank in range(min(most, max(map(len, ranked.values()), default=0))):
         for item, views in ranked.items():
             if rank < len(views) and store_view(gallery, item, views[rank][0]):
                 shown[item].append(views[rank])
@@ -89,31 +89,23 @@ def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[
 
 def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
     """Adds truth and prediction of a view to the gallery; False if there is no room for both."""
-    return store_truth(gallery, item.run.dataset, item.split, view) and gallery.add(
-        _prediction_name(item, view), lambda: read_prediction(item.run, item.split, view)
-    )
-
-
-def store_truth(gallery: Gallery, dataset: Dataset, split: Split, view: int) -> bool:
-    """Adds a true picture to the gallery; False if there is no room."""
-    return gallery.add(_truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+    dataset, split = item.run.dataset, item.split
+    is_there = gallery.add(_truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+    return is_there and gallery.add(_prediction_name(item, view), lambda: read_prediction(item.run, split, view))
 
 
 def truth_panel(gallery: Gallery, dataset: Dataset, split: Split, view: int, what: str = "truth") -> Markup | None:
     """The truth of a view; None if it does not fit into the gallery."""
-    if not store_truth(gallery, dataset, split, view):
-        return None
     label = f"{what}, {split} view {view_name(view)}"
-    return tag("figure", gallery.show(_truth_name(dataset, split, view), label=label), tag("figcaption", label))
+    place = _truth_name(dataset, split, view)
+    return gallery.figure(place, lambda: dataset.view(split, view).image, label=label, caption=label)
 
 
 def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
     """A prediction with its score; None if it does not fit into the gallery."""
-    if not store_view(gallery, item, view):
-        return None
-    label = f"{item.run.name}, {item.title} view {view_name(view)}"
-    picture = gallery.show(_prediction_name(item, view), label=label)
-    return tag("figure", picture, tag("figcaption", item.run.name, ": ", item.caption(view)))
+    label, caption = f"{item.run.name}, {item.title} view {view_name(view)}", f"{item.run.name}: {item.caption(view)}"
+    place = _prediction_name(item, view)
+    return gallery.figure(place, lambda: read_prediction(item.run, item.split, view), label=label, caption=caption)
 
 
 def _compared_figure(gallery: Gallery, item: Compared, view: int, rank: str) -> Markup:

@@ -16,7 +16,6 @@ import dataclasses
 import io
 import os
 import shlex
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +25,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
+from datagen.data.config import SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import MAX_PNG_BYTES, decode_png
 from datagen.data.paths import view_name
-from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, printable, real_path
@@ -42,8 +40,6 @@ RUN_VERSION = 5
 """The version of `model train`'s run.json (model/run/run_folder.py)."""
 SRGB = (0.45455, 0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 """As gAMA and cHRM chunks describe it: exponent; x and y of white, red, green and blue."""
-ORIENTATION = 0x0112
-"""EXIF's tag."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,17 +114,9 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
 
 def has_predictions(folder: Path) -> bool:
     """True if the run has predictions; checks the names of splits."""
-    splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
-    for name in splits:
-        if name in ANGLE_SPLITS:
-            raise HyalineError(
-                f"{folder / 'predictions' / name}: is a split of a variant; its pictures belong into "
-                f"{variant_root(folder, ANGLES) / 'predictions' / name}"
-            )
-        try:
-            choose("split", name, SPLITS)
-        except HyalineError as error:
-            raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
+    splits = [path for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
+    for path in splits:
+        choose(f"{path}: split", path.name, SPLITS)
     return bool(splits)
 
 
@@ -221,18 +209,14 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
 
 
 def check_png(data: bytes, *, where: str) -> None:
-    """Raises a HyalineError for a picture that can be decoded, but has a chunk with a wrong checksum, no end, further
-    pictures, another colour space than sRGB, or an orientation."""
+    """Raises a HyalineError for a picture that can be decoded, but has a chunk with a wrong checksum, no end, or
+    colours other than sRGB."""
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             picture.verify()
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # EXIF data that cannot be read names no orientation.
-            turned, said = picture.getexif().get(ORIENTATION, 1), picture.info
+            said = picture.info
     except Exception as error:  # Of many kinds, as in `decode_png`.
         raise HyalineError(f"{where}: damaged ({error})") from error
-    if getattr(picture, "is_animated", False):
-        raise HyalineError(f"{where}: is an animation; expected one picture")
     if "icc_profile" in said:
         profile = (said["icc_profile"] or b"").replace(b"\0", b"").lower()  # Version 4 has UTF-16.
         is_srgb = b"srgb" in profile and b"linear" not in profile
@@ -241,8 +225,6 @@ def check_png(data: bytes, *, where: str) -> None:
         is_srgb = "srgb" in said or np.allclose(found, SRGB, rtol=0, atol=0.005)
     if not is_srgb:
         raise HyalineError(f"{where}: its ICC profile, gAMA or cHRM chunk is not sRGB's; convert it to 8-bit sRGB")
-    if turned != 1:
-        raise HyalineError(f"{where}: has the EXIF orientation {turned}; rotate or mirror its pixels instead")
 
 
 def _read_bytes(run: Run, split: Split, view: int) -> bytes:
