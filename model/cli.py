@@ -4,7 +4,6 @@ import functools
 import os
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from datagen.builder.choices import FilmChoices, LaunchChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import next_command, run, say, tell
-from datagen.terminal.parsing import Command, CommandGroup, group
+from datagen.terminal.parsing import CommandGroup, Later, group
 from datagen.terminal.plugins import absent_commands, commands_of
 from model.runtime import choose_device, wait_briefly
 from model.settings import RUNS, Device
@@ -32,7 +31,7 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "train": CommandGroup(about=TRAIN, names=_methods, line=_describe, choose=_train_command, word="method"),
+        "train": CommandGroup(about=TRAIN, commands=_methods, word="method"),
         "predict": predict,
         "film": film,
         "sweep": sweep,
@@ -45,22 +44,14 @@ def commands() -> CommandGroup:
     )
 
 
-def _methods() -> Sequence[str]:
-    from model.methods.table import METHODS
-
-    return METHODS.names()
-
-
-def _describe(method: str) -> str:
-    from model.methods.table import about
-
-    return about(method)
-
-
-def _train_command(method: str, words: Sequence[str]) -> Command:
+def _methods() -> dict[str, Later]:
+    from model.methods.table import METHODS, about
     from model.run.train_flags import make_command
 
-    return make_command(method, words, _train_method)
+    def train(name: str) -> Later:
+        return Later(lambda words: make_command(name, words, _train_method), lambda: about(name))
+
+    return {name: train(name) for name in METHODS.names()}
 
 
 def _train_method(method: str, asked: "Asked") -> None:

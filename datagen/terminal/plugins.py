@@ -166,7 +166,7 @@ COMMANDS: Group[Callable[..., None]] = Group(
 def commands_of(program: str) -> dict[str, Later]:
     """The commands that plug-ins add to a program, by their words."""
     names = [name for name in COMMANDS.names() if name.startswith(f"{program}.")]
-    return {name.removeprefix(f"{program}."): Later(functools.partial(COMMANDS.find, name)) for name in names}
+    return {name.removeprefix(f"{program}."): Later(lambda _, name=name: COMMANDS.find(name)) for name in names}
 
 
 def absent_commands(program: str) -> dict[str, str]:
