@@ -31,7 +31,7 @@ ALLOWED = {
 HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
-    "pymeshlab": {"proxies/meshing/meshlab.py"},
+    "pymeshlab": {"proxies/kinds/wrap.py"},
     "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
     "skimage": {"eval"},
     "colour": {"eval"},
@@ -59,7 +59,7 @@ FLOORS = {
         "terminal",
         "disk",
     ),
-    "proxies": ("cli", "make", "kinds", "meshing"),
+    "proxies": ("cli", "make", "kinds", "measure", "solid"),
     "model": ("cli", "run", "methods", "losses", "batches", "nets", "runtime", "settings", "state"),
     "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
     "eval": ("cli", "page", "variants", "tables", "score"),

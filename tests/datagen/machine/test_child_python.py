@@ -54,5 +54,5 @@ def test_the_working_directory_hides_no_module_of_ours(tmp_path: Path, monkeypat
     monkeypatch.delenv("PYTHONPATH", raising=False)
     assert "child" not in sys.modules
     with pytest.raises(ChildError) as error:
-        arrays_from_child("proxies.meshing.meshlab", {}, timeout_s=60)
+        arrays_from_child("proxies.kinds.wrap", {}, timeout_s=60)
     assert "stranger" not in str(error.value)
