@@ -61,7 +61,7 @@ FLOORS = {
     ),
     "proxies": ("cli", "make", "kinds", "measure", "solid"),
     "model": ("cli", "run", "methods", "losses", "batches", "nets", "runtime", "settings", "state"),
-    "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
+    "hyaline": ("tensors", "reports", "pictures", "runs", "datasets", "scenes", "cameras"),
     "eval": ("cli", "page", "variants", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
