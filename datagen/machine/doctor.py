@@ -1,6 +1,5 @@
 """What this machine has, what hyaline will use, and one command for each missing part."""
 
-import ctypes
 import functools
 import importlib.metadata
 import os
@@ -37,14 +36,13 @@ class Finding(NamedTuple):
 def examine() -> list[Finding]:
     """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
     mitsuba = _package("Mitsuba", "generate", "building datasets and tracing layers need it")
-    meshlab = _package("PyMeshLab", "proxies", "proxies of the kind wrap need it")
     return [
         Finding("hyaline", f"{VERSION} in {ROOT}"),
         Finding("machine", f"{os.cpu_count()} cores, {platform.machine()}, {platform.system()}"),
         Finding("GPU", _gpu(tries=mitsuba.remedy is None)),
         *([mitsuba] if mitsuba.remedy else _mitsuba(mitsuba.found)),
         _package("torch", "model", "training, and rendering with trained runs, need it"),
-        meshlab if meshlab.remedy else _meshlab(meshlab.found),
+        _package("PyMeshLab", "proxies", "proxies of the kind wrap need it"),
     ]
 
 
@@ -82,16 +80,6 @@ def _mitsuba(version: str) -> list[Finding]:
         Finding("libLLVM", f"{llvm.version} ({llvm.path})" if llvm else missing, None if llvm else llvm_remedy()),
         Finding("Mitsuba", f"{version}, {runs}"),
     ]
-
-
-def _meshlab(version: str) -> Finding:
-    """PyMeshLab needs the system's libGL; all proxies but wraps are made without it."""
-    try:
-        ctypes.CDLL("libGL.so.1" if platform.system() == "Linux" else None)
-    except OSError:
-        found = f"{version}, cannot load: libGL.so.1 is missing (all proxies but wraps are made without it)"
-        return Finding("PyMeshLab", found, "apt install libgl1")
-    return Finding("PyMeshLab", version)
 
 
 @functools.cache

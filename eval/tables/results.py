@@ -1,16 +1,14 @@
-"""The scores as data: results.json with every picture's value, CSV with one line per run, and pages of docs/results."""
+"""The scores as data: results.json with every picture's value, and CSV with one line per run."""
 
 import csv
 import dataclasses
 import io
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import cast
 
 from datagen.data.config import TEST_SPLITS, Split
-from datagen.disk.errors import HyalineError
-from datagen.disk.records import Json, load_json, shown
+from datagen.disk.records import Json
 from eval.score.runs import read_costs
 from eval.score.scores import (
     METRIC_NOTES,
@@ -23,12 +21,10 @@ from eval.score.scores import (
     describe_run,
     group_seeds,
 )
-from eval.tables.grids import CEILING, TABLE_WIDTH, Column, Grid, grid_text, markdown_escaped
-from eval.tables.plugins import report_parts
-from eval.tables.scenes import Stored, scene_grids
+from eval.tables.grids import CEILING, Grid
+from eval.tables.scenes import Stored
 
 RESULTS_VERSION = 1
-SEEDS_NOTE = "±: sample standard deviation over seeds."
 
 Cell = str | int | None
 
@@ -174,54 +170,3 @@ def grid_json(grid: Grid) -> Json:
         "rows": [list(row) for row in grid.rows],
         "notes": list(grid.notes),
     }
-
-
-def results_page(place: Path) -> str:
-    """The page of a results.json in Markdown, or of all in a folder; it lies beside that.
-
-    Each file has its command, and named tables of the report if it has some, else the scores of each scene.
-    """
-    parts: list[str] = []
-    said: list[str] = []
-    for path in sorted(place.glob("*.json")) if place.is_dir() else [place]:
-        data = cast(Stored, load_json(path))
-        if (version := data.get("version")) != RESULTS_VERSION:
-            raise HyalineError(f"{path}: format version {shown(version)}; this program reads {RESULTS_VERSION}")
-        command, code = (data.get("made_by", {}).get(key, "not recorded") for key in ("command", "code"))
-        link = path.relative_to(place.parent).as_posix()
-        parts += [f"# {path.stem}\n", f"```\n{command}\n```\n", f"[{path.name}]({link}); hyaline {code}.\n"]
-        grids = _page_grids(path, data)
-        own = data["notes"] if "tables" in data else [*data["notes"][:-1], SEEDS_NOTE]  # The last: the wrapped metric.
-        parts += [f"{markdown_escaped(note)}\n" for note in own if note not in said]
-        said += own
-        for grid in grids:
-            new = tuple(note for note in grid.notes if note not in said)
-            parts.append(grid_text(dataclasses.replace(grid, notes=new), "markdown", width=TABLE_WIDTH))
-            said += new
-    return "\n".join(parts)
-
-
-def _page_grids(path: Path, data: Stored) -> list[Grid]:
-    try:
-        if "tables" in data:
-            return [_grid_of(grid) for table in data["tables"].values() for grid in table]
-        parts, grids = report_parts(), []
-        found: dict[str, dict[str, Stored]] = {name: {} for name in parts}
-        for scene in data["scenes"]:
-            grids += scene_grids(scene, is_page=True)
-            for name, part in parts.items():
-                if stored := scene["analyses"].get(name):
-                    grids += part.scene_grids(scene["scene"], stored)
-                    found[name][scene["scene"]] = stored
-        return grids + [grid for name, part in parts.items() for grid in part.all_grids(found[name])]
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        raise HyalineError(f"{path}: lacks {error}; expected a results.json of `eval report`") from error
-
-
-def _grid_of(stored: Stored) -> Grid:
-    return Grid(
-        title=stored["title"],
-        columns=tuple(Column(group=group, split=split, is_number=number) for group, split, number in stored["columns"]),
-        rows=tuple(map(tuple, stored["rows"])),
-        notes=tuple(stored["notes"]),
-    )

@@ -19,9 +19,10 @@ def scene_grids(scene: Stored, *, is_page: bool = False) -> list[Grid]:
         is_page: for a page of results, with what the runs know.
     """
     runs = {run["run"]: run for run in scene["runs"]}
+    counts = {name: run["num_parameters"] for name, run in runs.items()}
     texts: dict[str, Callable[[str], str]] = {
         "knows": lambda name: runs[name]["knowledge"] or MISSING,
-        "parameters": lambda name: _count(runs[name]["num_parameters"]),
+        "parameters": lambda name: MISSING if counts[name] is None else f"{counts[name]:,}",
     }
     minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
     drops = {name: run["drop_db"] for name, run in runs.items()}
@@ -66,7 +67,7 @@ def _grid(
     runs: Stored,
     splits: Sequence[Split],
     ceilings: Stored,
-    metrics: tuple[Metric, ...],
+    metrics: Sequence[Metric],
     texts: dict[str, Callable[[str], str]],
     numbers: dict[str, Stored],
     notes: tuple[str, ...] = (),
@@ -78,37 +79,40 @@ def _grid(
         texts: further columns before the scores.
         numbers: further columns after them, with one number per run.
     """
-
-    def scores(group: list[str], metric: Metric, split: Split) -> Spread:
-        return spread([_mean(runs[name].get(split), metric.key) for name in group])
-
-    groups = sorted(groups, key=lambda group: -_comparable(scores(group, metrics[0], splits[0])))
-    columns = [Column(group="run", is_number=False), *(Column(group=text, is_number=False) for text in texts)]
-    columns += [
-        Column(group="seeds"),
-        *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+    scored = [(metric, split) for metric in metrics for split in splits]
+    table = [
+        (group, [spread([_mean(runs[name].get(split), metric.key) for name in group]) for metric, split in scored])
+        for group in groups
     ]
-    columns += [Column(group=number) for number in numbers]
-    rows, best = [], set()
+    table.sort(key=lambda row: -math.inf if row[1][0].mean is None else row[1][0].mean, reverse=True)
     first = len(texts) + 2
-    for group in groups:
-        row = [name_of_seeds(group), *(text(group[0]) for text in texts.values()), str(len(group))]
-        row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
-        row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
-        rows.append(tuple(row))
-    places: list[tuple[Metric, Split]] = [(metric, split) for metric in metrics for split in splits]
-    for place, (metric, split) in enumerate(places):
-        values = [scores(group, metric, split).mean for group in groups]
-        known = [metric.sign * value for value in values if value is not None]
-        if metric.sign and len(known) > 1:
-            best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
-    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
-    rest = len(columns) - first - len(ceiling)
-    rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
+    best = set()
+    for place, (metric, _) in enumerate(scored):
+        means = [scores[place].mean for _, scores in table]
+        values = {row: metric.sign * mean for row, mean in enumerate(means) if mean is not None}
+        if metric.sign and len(values) > 1:
+            best |= {(row, first + place) for row, value in values.items() if value == max(values.values())}
+    rows = [
+        (
+            name_of_seeds(group),
+            *(text(group[0]) for text in texts.values()),
+            str(len(group)),
+            *(_cell(score, metric.decimals) for score, (metric, _) in zip(scores, scored, strict=True)),
+            *(_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()),
+        )
+        for group, scores in table
+    ]
+    ceiling = (ceiling_text(_number(ceilings.get(split))) for split in splits)
+    rest = len(scored) - len(splits) + len(numbers)
     return Grid(
         title=title,
-        columns=tuple(columns),
-        rows=tuple(rows),
+        columns=(
+            *(Column(group=name, is_number=False) for name in ["run", *texts]),
+            Column(group="seeds"),
+            *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+            *(Column(group=name) for name in numbers),
+        ),
+        rows=(*rows, (CEILING, *[""] * (len(texts) + 1), *ceiling, *[""] * rest)),
         last_row_apart=True,
         best=frozenset(best),
         notes=notes,
@@ -123,14 +127,6 @@ def _number(value: float | str | None) -> float | None:
     return math.inf if value == "inf" else cast(float | None, value)
 
 
-def _comparable(value: Spread) -> float:
-    return -math.inf if value.mean is None else value.mean
-
-
 def _cell(value: Spread, decimals: int) -> str:
     mean = format_number(value.mean, decimals)
     return mean if value.deviation is None else f"{mean} ± {format_number(value.deviation, decimals)}"
-
-
-def _count(number: int | None) -> str:
-    return MISSING if number is None else f"{number:,}"
