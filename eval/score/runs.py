@@ -98,18 +98,15 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
         besides: the report's own folder, which is left out.
     """
     direct = {path for path in root.glob("*") if (path / "run.json").is_file() or (path / "predictions").is_dir()}
-    folders = [
-        path
-        for path in (*direct, *root.glob("*/*"))
-        if path.is_dir() and path.parent not in direct and not path.name.startswith(".")
-    ]
+    nested = {path for path in root.glob("*/*") if path.parent not in direct and not path.name.startswith(".")}
     own = real_path(besides)
-    return sorted(
-        path
-        for path in folders
-        if own not in (real_path(path), *real_path(path).parents)
-        and not (path.is_symlink() and real_path(path).parent == real_path(path.parent))
-    )
+
+    def is_one(path: Path) -> bool:
+        place = real_path(path)
+        is_alias = path.is_symlink() and place.parent == real_path(path.parent)
+        return path.is_dir() and not is_alias and own not in (place, *place.parents)
+
+    return sorted(filter(is_one, direct | nested))
 
 
 def has_predictions(folder: Path) -> bool:
@@ -133,21 +130,15 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
             )
         seal = seal_of(content)
     config = content.pop("config", None)  # Of any keys: not a record here.
-    record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
     if config is not None and not isinstance(config, dict):
         raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
+    record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
     texts = {key: printable(text) for key, text in vars(record).items() if isinstance(text, str)}
     record = dataclasses.replace(record, config=config, **texts)
-    places = [*([] if given is None else [given.root]), *([] if record.dataset is None else [Path(record.dataset)])]
-    dataset = _find_dataset(folder, [*places, data_root / folder.parent.name], record.dataset_seal)
-    return Run(
-        folder=folder,
-        name=printable(folder.name),
-        dataset=dataset,
-        record=record,
-        seal=seal,
-        promised=_read_promised(folder, dataset, seal),
-    )
+    places = [given and given.root, record.dataset, data_root / folder.parent.name]
+    dataset = _find_dataset(folder, [Path(place) for place in places if place is not None], record.dataset_seal)
+    promised = _read_promised(folder, dataset, seal)
+    return Run(folder=folder, name=printable(folder.name), dataset=dataset, record=record, seal=seal, promised=promised)
 
 
 def within(run: Run, folder: Path, dataset: Dataset) -> Run:
@@ -162,15 +153,11 @@ def _read_promised(folder: Path, dataset: Dataset, run_seal: str | None) -> dict
     if not path.is_file():
         return None
     content = load_sealed(path)
-    for key, what, mine, own in (
-        ("dataset_seal", "of other data", dataset.root, dataset.seal),
-        ("run_seal", "by another run", "run.json here", run_seal),
-    ):
-        found = content.get(key)
-        if found not in (None, own) and own is not None:
+    for key, own in (("dataset_seal", dataset.seal), ("run_seal", run_seal)):
+        if None not in (own, found := content.get(key)) and found != own:
             raise HyalineError(
-                f"{path}: its pictures are {what} ({key} {str(found)[:12]}...) than {mine} ({own[:12]}...); "
-                f"draw them again with `{_render_command(folder)}`"
+                f"{path}: {key} is {str(found)[:12]}..., of other data or another run; expected {str(own)[:12]}...; "
+                f"draw its pictures again with `{_render_command(folder)}`"
             )
     return from_json(dict[str, str], content.get("files"), where=f"{path}: files")
 
@@ -184,14 +171,11 @@ def has_split(run: Run, split: Split) -> bool:
     folder = run.folder / "predictions" / split
     if not folder.is_dir():
         return False
-    views = run.dataset.config.split(split).views
-    span = f"{view_name(0)}.png to {view_name(views - 1)}.png, the {views} views of {run.dataset.root}"
-    expected = {f"{view_name(view)}.png" for view in range(views)}
-    found = {path.name for path in folder.glob("*.png")}
-    if missing := sorted(expected - found):
-        raise HyalineError(f"{folder / missing[0]}: missing ({len(missing)} of {views} are); expected {span}")
-    if extra := sorted(found - expected):
-        raise HyalineError(f"{folder / extra[0]}: not a view of the {split} split; expected only {span}")
+    expected = [f"{view_name(view)}.png" for view in range(run.dataset.config.split(split).views)]
+    if wrong := sorted({path.name for path in folder.glob("*.png")} ^ {*expected}):
+        what = "missing" if wrong[0] in expected else "not a view of the split"
+        span = f"{expected[0]} to {expected[-1]}, the {len(expected)} views of {run.dataset.root}"
+        raise HyalineError(f"{folder / wrong[0]}: {what}; expected {span}")
     return True
 
 
@@ -235,24 +219,20 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     data = read_regular(path, at_most=MAX_PNG_BYTES)
     relative = path.relative_to(run.folder).as_posix()
     if run.promised is None and run.seal is not None:
-        raise HyalineError(
-            f"{run.folder / 'predictions.json'}: missing, so the pictures cannot be verified; "
-            f"render them again with `{_render_command(run.folder)}`"
-        )
-    if run.promised is not None and run.promised.get(relative) != sha256(data):
+        what = f"{run.folder / 'predictions.json'}: missing, so the pictures cannot be verified"
+    elif run.promised is not None and run.promised.get(relative) != sha256(data):
         what = "damaged (checksum differs)" if relative in run.promised else "not one of the run's pictures"
-        raise HyalineError(
-            f"{path}: {what}, according to {run.folder / 'predictions.json'}; "
-            f"render it again with `{_render_command(run.folder)}`"
-        )
-    return data
+        what = f"{path}: {what}, according to {run.folder / 'predictions.json'}"
+    else:
+        return data
+    raise HyalineError(f"{what}; render it again with `{_render_command(run.folder)}`")
 
 
 def _render_command(folder: Path) -> str:
     """The command that renders the pictures of a run, or of a variant inside it."""
-    if folder.parent.name == VARIANTS:
-        return shlex.join(["model", "predict", str(folder.parent.parent), "--variant", folder.name])
-    return shlex.join(["model", "predict", str(folder)])
+    is_variant = folder.parent.name == VARIANTS
+    words = [str(folder.parent.parent), "--variant", folder.name] if is_variant else [str(folder)]
+    return shlex.join(["model", "predict", *words])
 
 
 def prediction_digests(run: Run, split: Split) -> list[str]:
@@ -272,13 +252,12 @@ def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
 
 def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:
     """The first dataset of `places` with this digest; the first of all if the run has none."""
-    there = [place for place in places if (place / "dataset.json").is_file()]
-    if not there:
+    datasets = [open_dataset(place) for place in places if (place / "dataset.json").is_file()]
+    if not datasets:
         raise HyalineError(
             f"{folder}: no dataset at {' or '.join(map(str, places))}; set --data to the folder that contains it under "
             "the scene's name"
         )
-    datasets = [open_dataset(place) for place in there]
     for dataset in datasets:
         if seal in (None, dataset.seal):
             return dataset

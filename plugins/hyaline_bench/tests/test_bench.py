@@ -251,7 +251,7 @@ HOSTILE: dict[str, tuple[Path, Callable[[Path], object], str]] = {
         "a link out of its folder",
     ),
     "a pipe": (PICTURE, as_a_pipe, "is no regular file|is a pipe"),
-    "a view too many": (PICTURE, another("0002.png"), "not a view of the interpolating split"),
+    "a view too many": (PICTURE, another("0002.png"), "not a view of the split"),
     "an unknown key": (RECORD, holding(b'{"command": "rm"}'), "unknown key 'command'"),
     "no JSON": (RECORD, holding(b"{"), "not a JSON file"),
 }
