@@ -101,36 +101,31 @@ def score_runs(
     scenes = _score_scenes(runs, errors)
     if not scenes:
         return None
-    found = _find_parts([scene.dataset for scene in scenes], folders, errors)
     variants = [score_variants(scene, errors) for scene in scenes]
-    analyses: dict[str, dict[str, Json]] = {}
-    for scene, scored, of_plugins in zip(scenes, variants, found, strict=True):
-        stored: Json = {each.variant.name: variant_json(each) for each in scored}
-        analyses[scene.title] = {
-            **({"variants": stored} if scored else {}),
-            **{name: part.data for name, part in of_plugins.items()},
-        }
-    results = results_data(scenes, analyses, {"made_by": {"command": command, "code": code_version()}})
-    parts = []
-    for scene, scored, of_plugins, stored in zip(scenes, variants, found, results["scenes"], strict=True):
-        edits = [edit_grid(scene, each) for each in scored if each.variant.edit is not None]
-        pages = [page for part in of_plugins.values() for page in part.pages]
-        grids = [*scene_grids(cast(Stored, stored)), *edits]
-        parts.append(ScenePart(scene=scene, variants=scored, grids=grids, pages=pages))
-    return Scored(parts=parts, results=results)
-
-
-def _find_parts(
-    datasets: Sequence[Dataset], folders: Sequence[Path], errors: list[HyalineError]
-) -> list[dict[str, FoundPart]]:
-    """What plug-ins know of each dataset, by their names."""
-    found: list[dict[str, FoundPart]] = [{} for _ in datasets]
+    found: list[dict[str, FoundPart]] = [{} for _ in scenes]  # What plug-ins know of each dataset, by their names.
     for name, part in report_parts().items():
         own = [folder for folder in folders if (folder / part.head).is_file()]
-        for of_dataset, each in zip(found, part.find(datasets, own, errors), strict=True):
-            if each is not None:
-                of_dataset[name] = each
-    return found
+        for of_scene, each in zip(found, part.find([scene.dataset for scene in scenes], own, errors), strict=True):
+            of_scene |= {} if each is None else {name: each}
+    analyses: dict[str, dict[str, Json]] = {}
+    for scene, scored, of_scene in zip(scenes, variants, found, strict=True):
+        stored: dict[str, Json] = {each.variant.name: variant_json(each) for each in scored}
+        known = {name: part.data for name, part in of_scene.items()}
+        analyses[scene.title] = ({"variants": stored} if scored else {}) | known
+    results = results_data(scenes, analyses, {"made_by": {"command": command, "code": code_version()}})
+    parts = [
+        ScenePart(
+            scene=scene,
+            variants=scored,
+            grids=[
+                *scene_grids(cast(Stored, stored)),
+                *(edit_grid(scene, each) for each in scored if each.variant.edit is not None),
+            ],
+            pages=[page for part in of_scene.values() for page in part.pages],
+        )
+        for scene, scored, of_scene, stored in zip(scenes, variants, found, results["scenes"], strict=True)
+    ]
+    return Scored(parts=parts, results=results)
 
 
 def write_page(found: Scored, out: Path, *, most_views: int) -> Path:

@@ -97,7 +97,7 @@ def test_predictions_from_elsewhere_are_not_scored_and_are_drawn_again(source: s
     answer = call("eval report --out report")
     assert answer.status == 1
     (line,) = [line for line in answer.err.splitlines() if "d1/one" in line]
-    assert f"runs/d1/one/predictions.json: its pictures are {said}" in line
+    assert f"runs/d1/one/predictions.json: {said}" in line
     run("model predict runs/d1/one --device cpu")
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
     run("eval report --out report")

@@ -201,12 +201,6 @@ def test_predictions_for_other_data_are_refused_but_the_others_are_scored(
     assert set(csv_rows(capsys.readouterr().out)) == {"perfect", "foreign_nerf", CEILING}
 
 
-def test_a_run_without_its_dataset_says_where_it_looked(copy: Path) -> None:
-    shutil.rmtree(copy / "data")
-    with pytest.raises(HyalineError, match=r"no dataset at .*data/synthetic; set --data to the folder"):
-        report(copy)
-
-
 def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (copy / "runs" / "other" / "lost" / "predictions" / "interpolating").mkdir(parents=True)
     moved = copy / "elsewhere" / "synthetic"
