@@ -133,11 +133,11 @@ def object_psnr(edits: Sequence[VariantScores]) -> dict[str, dict[str, dict[Spli
 
     None if a split does not show any edited object.
     """
-    scores: dict[str, dict[str, dict[Split, float | None]]] = {}
-    for edit in edits:
-        for name, regions in edit.regions.items():
-            scores.setdefault(name, {})[edit.variant.name] = regions["object"]
-    return scores
+    names = {name for edit in edits for name in edit.regions}
+    return {
+        name: {edit.variant.name: edit.regions[name]["object"] for edit in edits if name in edit.regions}
+        for name in sorted(names)
+    }
 
 
 def edit_grid(scene: SceneScores, edit: VariantScores) -> Grid:

@@ -1,6 +1,6 @@
 """The report as one HTML file that opens without a server, requests nothing, and can be read without scripts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -78,7 +78,7 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     """
     gallery = Gallery(most_bytes)
     listed = [(part, part.compared()) for part in parts]
-    overview = _overview(parts, [_side_by_side(part, items, gallery) for part, items in listed])
+    overview = _overview(parts, [_side_by_side(part, gallery) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
     every = [item for _, of_part in listed for items in of_part.values() for item in items]
     store_views(gallery, every, min(most_views, USUAL_VIEWS))
@@ -117,16 +117,22 @@ def _overview(parts: Sequence[ScenePart], pictures: Sequence[Markup]) -> Markup:
     return tag("div", *content, class_="page", id="overview-page")
 
 
-def _side_by_side(part: ScenePart, items: dict[str, list[Compared]], gallery: Gallery) -> Markup:
-    """The middle view of each test split, as truth and by all runs, as far as they fit."""
-    rows = []
+def _row(gallery: Gallery, truths: Sequence[Part], items: Iterable[Compared], split: Split, view: int) -> Markup:
+    """A view as truth and by all runs, as far as they fit."""
+    return tag(
+        "div",
+        *truths,
+        *(prediction_panel(gallery, item, view) for item in items if item.split == split),
+        class_="sheet wide",
+    )
+
+
+def _side_by_side(part: ScenePart, gallery: Gallery) -> Markup:
+    """The middle view of each test split."""
+    rows, items = [], [item for scores in part.scene.runs for item in compared(scores)]
     for split in TEST_SPLITS:
         view = part.scene.dataset.config.split(split).views // 2
-        panels: list[Part] = [truth_panel(gallery, part.scene.dataset, split, view)]
-        for item in (item for of_run in items.values() for item in of_run):
-            if item.split == split and item.run.dataset.variant is None:
-                panels.append(prediction_panel(gallery, item, view))
-        rows.append(tag("div", *panels, class_="sheet wide"))
+        rows.append(_row(gallery, [truth_panel(gallery, part.scene.dataset, split, view)], items, split, view))
     return join(rows)
 
 
@@ -155,17 +161,14 @@ def _draw_edit(gallery: Gallery, scene: SceneScores, edit: VariantScores) -> Mar
     """The view of each test split that shows most of the edited objects, as far as it fits."""
     record = edit.variant.edit
     assert record is not None
-    rows: list[Part] = []
+    rows, items = [], [item for scores in edit.runs.values() for item in compared(scores)]
     for split in TEST_SPLITS:
         view = _clearest_view(edit, split)
-        panels: list[Part] = [
+        truths = [
             truth_panel(gallery, scene.dataset, split, view, "truth before"),
             truth_panel(gallery, edit.variant, split, view, "truth after"),
         ]
-        for item in (item for scores in edit.runs.values() for item in compared(scores)):
-            if item.split == split:
-                panels.append(prediction_panel(gallery, item, view))
-        rows.append(tag("div", *panels, class_="sheet wide"))
+        rows.append(_row(gallery, truths, items, split, view))
     place = anchor("edit", scene.title, edit.variant.name)
     return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
 

@@ -109,9 +109,9 @@ def score_runs(
             of_scene |= {} if each is None else {name: each}
     analyses: dict[str, dict[str, Json]] = {}
     for scene, scored, of_scene in zip(scenes, variants, found, strict=True):
-        stored: dict[str, Json] = {each.variant.name: variant_json(each) for each in scored}
-        known = {name: part.data for name, part in of_scene.items()}
-        analyses[scene.title] = ({"variants": stored} if scored else {}) | known
+        analyses[scene.title] = {name: part.data for name, part in of_scene.items()}
+        if scored:
+            analyses[scene.title]["variants"] = {each.variant.name: variant_json(each) for each in scored}
     results = results_data(scenes, analyses, {"made_by": {"command": command, "code": code_version()}})
     parts = [
         ScenePart(

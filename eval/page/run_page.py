@@ -1,5 +1,6 @@
 """The page of one run: its views, its training (from metrics.jsonl and costs.json), its settings, how to repeat it."""
 
+import contextlib
 import json
 import math
 import shlex
@@ -13,7 +14,7 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json, read_regular
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
+from datagen.pages.html import Markup, Part, anchor, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
@@ -194,37 +195,30 @@ def _how_to_make(run: Run) -> Markup:
         return join([tag("p", note, class_="note"), details])
     dataset = Path("data") / run.dataset.name if run.dataset.root.is_absolute() else run.dataset.root
     words = ["model", "train", record.method, str(dataset), *flag_words(record.flags.items())]
-    return join([command(shlex.join(words)), details])
+    return join([tag("pre", tag("code", shlex.join(words))), details])
 
 
-def read_training(folder: Path) -> dict[str, tuple[tuple[float, float], ...]]:
+def read_training(folder: Path) -> dict[str, list[tuple[float, float]]]:
     """Steps and values of a run's curves by name, from metrics.jsonl; empty without it, as for foreign methods."""
     path = folder / "metrics.jsonl"
     curves: dict[str, list[tuple[float, float]]] = {}
-    try:
-        lines = read_regular(path, at_most=MAX_JSON_BYTES).splitlines() if path.is_file() else []
-    except HyalineError:
-        lines = []
-    for line in lines:
-        try:
+    with contextlib.suppress(HyalineError):  # A run that was killed may have left half a line.
+        for line in read_regular(path, at_most=MAX_JSON_BYTES).splitlines() if path.is_file() else []:
             record = parse_json(line, where=str(path))
-        except HyalineError:  # A run that was killed may have left half a line.
-            continue
-        step = record.pop("step", None)
-        if is_number(step):
+            step = record.pop("step", None)
             for key, value in record.items():
-                if is_number(value) and abs(value) < MAX_VALUE:
+                if is_number(step) and is_number(value) and abs(value) < MAX_VALUE:
                     curves.setdefault(key, []).append((float(step), float(value)))
-    return {key: tuple(points[:: -(-len(points) // MOST_POINTS)]) for key, points in curves.items()}
+    return {key: points[:: -(-len(points) // MOST_POINTS)] for key, points in curves.items()}
 
 
-def training_charts(curves: Mapping[str, tuple[tuple[float, float], ...]]) -> Markup:
+def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Markup:
     """Curves of two points and more as charts."""
     charts: list[Part] = []
     for key, points in curves.items():
         if len(points) > 1:
             title, y_title = TITLES.get(key, (key.replace("_", " "),) * 2)
-            line = Line(name=title, points=points)
+            line = Line(name=title, points=tuple(points))
             charts.append(line_chart((line,), title=f"{title} by training step", x_title="step", y_title=y_title))
     if not charts:
         return tag("p", "The run's folder contains no training curves.", class_="note")

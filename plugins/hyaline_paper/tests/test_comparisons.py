@@ -377,7 +377,7 @@ def test_runs_are_told_apart_by_what_is_known_of_the_glass(
 def test_unknown_tables_formats_and_missing_runs_are_one_line(dataset: Dataset, tmp_path: Path) -> None:
     with pytest.raises(HyalineError, match="no table 'tabel1'; did you mean 'table1'"):
         tables(dataset, tmp_path, "tabel1")
-    with pytest.raises(HyalineError, match="no format 'csv'"):
+    with pytest.raises(HyalineError, match="--format csv: has no named tables"):
         tables(dataset, tmp_path, "table1", output_format="csv")
     write_run(dataset, tmp_path, "view", paper(), 10, 11)
     with pytest.raises(HyalineError, match=r"contains no run of table2; make them with `model sweep table2 --dataset "):
