@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.synthetic import write_synthetic_dataset
+from support.synthetic import write_predictions, write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.config import TEST_SPLITS
+from datagen.data.dataset import open_dataset
 from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
 from datagen.machine.doctor import code_version
@@ -46,10 +46,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "num_texture_parameters": 1,
     }
     for name, change in {"perfect": lambda image: image, "grey": lambda image: np.full_like(image, 128)}.items():
-        for split in TEST_SPLITS:
-            write_predictions(dataset, root / "runs" / "synthetic" / name, split, change)
+        write_predictions(dataset, root / "runs" / "synthetic" / name, change)
         (root / "runs" / "synthetic" / name / "run.json").write_text(json.dumps(about))
-    write_predictions(dataset, root / "runs" / "synthetic" / "foreign_nerf", "interpolating", darken)
+    write_predictions(dataset, root / "runs" / "synthetic" / "foreign_nerf", darken, splits=["interpolating"])
     (root / "runs" / "synthetic" / "unfinished").mkdir()
     return root
 
@@ -65,13 +64,6 @@ def copy(made: Path, tmp_path: Path) -> Path:
 
 def darken(image: np.ndarray) -> np.ndarray:
     return image - np.minimum(image, 3)
-
-
-def write_predictions(dataset: Dataset, run: Path, split: Split, change) -> None:
-    folder = run / "predictions" / split
-    folder.mkdir(parents=True)
-    for view in range(dataset.config.split(split).views):
-        (folder / f"{view:04d}.png").write_bytes(png_bytes(change(dataset.view(split, view).image)))
 
 
 def report(root: Path, output_format: str = "csv") -> None:

@@ -7,12 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 from support.browser import require_browser
-from support.synthetic import write_synthetic_dataset
+from support.synthetic import write_predictions, write_synthetic_dataset
 
 from benchmarks.browser import Watched, running_browser, watched_page
-from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes
 from datagen.look.look import look_page
 from eval.page.report import make_report
 
@@ -31,11 +29,7 @@ def report(dataset: Dataset) -> Path:
     """The page of two runs, one much darker than the truth."""
     root = dataset.root.parents[1]
     for name, step in (("near", 3), ("very dark", 200)):
-        for split in TEST_SPLITS:
-            folder = root / "runs" / "synthetic" / name / "predictions" / split
-            folder.mkdir(parents=True)
-            for view in dataset.views(split):
-                (folder / f"{view.index:04d}.png").write_bytes(png_bytes(view.image - np.minimum(view.image, step)))
+        write_predictions(dataset, root / "runs/synthetic" / name, lambda image, by=step: image - np.minimum(image, by))
     make_report(root / "runs", root / "data", root / "out", output_format="csv")
     return root / "out" / "index.html"
 
