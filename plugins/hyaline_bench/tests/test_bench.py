@@ -186,7 +186,7 @@ def test_a_stopped_score_writes_nothing(predicted: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("file", "message"),
     [
-        ("predictions/interpolating/0001.png", r"missing \(1 of 2 are\)"),
+        ("predictions/interpolating/0001.png", "0001.png: missing; expected 0000"),
         ("variants/angles", "the protocol asks for extrapolating-10deg"),
         ("predictions/extrapolating", "the protocol asks for all its views"),
     ],
