@@ -10,22 +10,19 @@ STAMP := $(ENVIRONMENT)/.hyaline-installed
 
 setup: $(STAMP)
 
-# A torch that is there stays (its line is dropped from the constraints). A system libLLVM >= 17 is used;
-# where there is none, the `llvm` extra brings one.
+# A torch that is there stays (its line is dropped from the constraints).
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(BIN)/python || python3 -m venv $(ENVIRONMENT)
 	@if $(BIN)/python -c "import torch" 2>/dev/null; then grep -v '^torch==' constraints.txt; else cat constraints.txt; fi \
 		> $(ENVIRONMENT)/hyaline-constraints.txt
-	@system=$$($(BIN)/python -m datagen.machine.llvm); \
-	extras=$$(test -n "$$system" && echo dev || echo llvm,dev); \
-	echo "setup: installs hyaline-glass[$$extras]$${system:+ (uses $$system)} and its libraries into $(ENVIRONMENT)"; \
+	@echo "setup: installs hyaline-glass[llvm,dev] and its libraries into $(ENVIRONMENT)"; \
 	echo "setup: downloads about 0.8 GB, which take 2.2 GB on disk; minutes, depending on the network"; \
 	if [ "$$(uname)" = Linux ] && ! command -v nvidia-smi >/dev/null && ! $(BIN)/python -c "import torch" 2>/dev/null; then \
 		echo "setup: there is no NVIDIA GPU here. If pip brings CUDA libraries (4 GB more), press Ctrl-C and first run"; \
 		echo "       $(BIN)/python -m pip install uv && $(BIN)/uv pip install --python $(BIN)/python --torch-backend=cpu torch==2.13.0"; \
 	fi; \
 	$(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check --no-compile \
-		-c $(ENVIRONMENT)/hyaline-constraints.txt -e ".[$$extras]"
+		-c $(ENVIRONMENT)/hyaline-constraints.txt -e ".[llvm,dev]"
 	@# pip would compile half a minute on one core; some libraries have files that cannot be compiled.
 	@$(BIN)/python -m compileall -qq -j 0 "$$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')" || true
 	$(BIN)/datagen doctor
@@ -62,7 +59,7 @@ house: setup
 
 # docs/results/*.md and the tables of README, RESULTS and docs/{index,paper,claims}.md, from the stored results.json files.
 results: setup
-	for page in paper scenes fits; do $(BIN)/report --results docs/results/$$page > docs/results/$$page.md || exit 1; done
+	for page in paper scenes fits; do $(BIN)/python docs/results.py docs/results/$$page > docs/results/$$page.md || exit 1; done
 	$(BIN)/hyaline-bench leaderboard docs/results/bench > docs/results/bench.md
 	$(BIN)/python docs/tables.py
 

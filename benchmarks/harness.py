@@ -26,7 +26,7 @@ from pathlib import Path
 import numpy as np
 
 from datagen.disk.errors import HyalineError
-from datagen.machine.mitsuba_variant import num_cores
+from datagen.machine.processes import num_cores
 from datagen.terminal.command import fail, say
 
 MIN_ROUNDS = 3

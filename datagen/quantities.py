@@ -29,7 +29,7 @@ from datagen.scene.folder import open_scene
 from datagen.scene.images import linear_pixels, look_up
 from datagen.scene.materials import Conductor, Diffuse, ImageTexture, Material, Plastic, RoughDielectric, SolidTexture
 from datagen.scene.textures import evaluate_texture
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.plugins import naming_parts
 from datagen.trace.surface_tables import Limits
 
 if TYPE_CHECKING:

@@ -23,7 +23,6 @@ def report(
     out: Path | None = None,
     table: tuple[str, ...] = (),
     shown_views: int = 3,
-    results: Path | None = None,
     quiet: bool = False,
     json: bool = False,
 ) -> None:
@@ -45,17 +44,10 @@ def report(
             results.
         shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
             pictures would exceed 20 MB, it shows fewer.
-        results: Instead of scoring runs, print a results.json, or those of a folder, as a page of Markdown; `make
-            results` writes docs/results/*.md this way.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
     hush(quiet)
-    if results is not None:
-        from eval.tables.pages import results_page
-
-        sys.stdout.write(results_page(results))
-        return
     output_format = "json" if json else format
     from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables

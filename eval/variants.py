@@ -18,8 +18,7 @@ from datagen.disk.records import Json, to_json
 from datagen.terminal.command import track
 from eval.score.metrics import masked_psnr, mean_of
 from eval.score.runs import Run, has_split, read_prediction, within
-from eval.score.scores import RunScores, SceneScores, Truth, read_truth, score_run
-from eval.score.seeds import group_seeds
+from eval.score.scores import RunScores, SceneScores, Truth, group_seeds, read_truth, score_run
 from eval.tables.grids import Column, Grid, format_number
 from eval.tables.results import splits_json
 
@@ -134,11 +133,11 @@ def object_psnr(edits: Sequence[VariantScores]) -> dict[str, dict[str, dict[Spli
 
     None if a split does not show any edited object.
     """
-    scores: dict[str, dict[str, dict[Split, float | None]]] = {}
-    for edit in edits:
-        for name, regions in edit.regions.items():
-            scores.setdefault(name, {})[edit.variant.name] = regions["object"]
-    return scores
+    names = {name for edit in edits for name in edit.regions}
+    return {
+        name: {edit.variant.name: edit.regions[name]["object"] for edit in edits if name in edit.regions}
+        for name in sorted(names)
+    }
 
 
 def edit_grid(scene: SceneScores, edit: VariantScores) -> Grid:

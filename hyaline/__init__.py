@@ -24,7 +24,7 @@ Everything is imported when it is first used: `__init__.pyi` lists all names and
 
 import lazy_loader
 
-from datagen.terminal.distribution import VERSION, naming_parts
+from datagen.terminal.plugins import VERSION, naming_parts
 
 __version__ = VERSION
 

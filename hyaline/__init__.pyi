@@ -11,19 +11,21 @@ from .datasets import HyalineError as HyalineError
 from .datasets import Layers as Layers
 from .datasets import LightEnds as LightEnds
 from .datasets import Mesh as Mesh
+from .datasets import Proxies as Proxies
 from .datasets import Split as Split
 from .datasets import View as View
 from .datasets import ViewQuantities as ViewQuantities
 from .datasets import build as build
 from .datasets import layers as layers
 from .datasets import list_datasets as list_datasets
+from .datasets import make_proxies as make_proxies
 from .datasets import open_dataset as open_dataset
 from .datasets import quantities as quantities
 from .pictures import show as show
-from .proxies import Proxies as Proxies
-from .proxies import make_proxies as make_proxies
 from .reports import Report as Report
+from .reports import Scores as Scores
 from .reports import report as report
+from .reports import score as score
 from .runs import Run as Run
 from .runs import list_runs as list_runs
 from .runs import open_run as open_run
@@ -46,8 +48,6 @@ from .scenes import SoftEnvironment as SoftEnvironment
 from .scenes import SolidTexture as SolidTexture
 from .scenes import ThinDielectric as ThinDielectric
 from .scenes import WalkPoint as WalkPoint
-from .scores import Scores as Scores
-from .scores import score as score
 from .tensors import RayDataset as RayDataset
 from .tensors import ViewDataset as ViewDataset
 

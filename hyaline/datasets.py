@@ -1,7 +1,8 @@
-"""Datasets: finding, opening and building them; layers along the rays of any camera."""
+"""Datasets: finding, opening and building them; layers along the rays of any camera; proxies of their objects."""
 
 import dataclasses
 import functools
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,20 +17,21 @@ from datagen.data.dataset import View as View
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.layers import Layers, check_settings, round_mantissa
 from datagen.data.meshes import Mesh as Mesh
-from datagen.data.paths import DATA_ROOT, TRUTH
+from datagen.data.paths import DATA_ROOT, PROXY_KINDS, TRUTH
 from datagen.disk.errors import HyalineError as HyalineError
 from datagen.disk.records import checked
 from datagen.quantities import LightEnds as LightEnds
 from datagen.quantities import ViewQuantities as ViewQuantities
 from datagen.quantities import quantities as quantities
 from datagen.terminal.command import choose, say_all
-from datagen.terminal.distribution import naming_parts
 from datagen.terminal.parsing import flags_of
+from datagen.terminal.plugins import naming_parts
 from hyaline.scenes import Hemisphere, Scene
 from model.settings import with_settings
 
 if TYPE_CHECKING:
     from datagen.trace.peel import Peeler
+    from proxies.make import ProxyReport
 
 NUM_LAYERS = 8
 """Layers kept per ray unless told."""
@@ -152,3 +154,53 @@ def build(
     )
     say_all(summary(made, TRUTH))
     return made
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Proxies:
+    """The proxies of one geometry; `make_proxies` makes them."""
+
+    dataset: Dataset
+    geometry: str
+    """The name to train with: `train(..., geometry=proxies.geometry)`."""
+    reports: "tuple[ProxyReport, ...]" = field(repr=False)
+    """For each object: kind, number of triangles, volume ratio, distances, and any problem of its proxy."""
+
+    @property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """One for each object, in the dataset's order."""
+        return read_meshes(self.dataset, self.geometry)
+
+
+@checked
+@naming_parts("proxies")
+def make_proxies(
+    dataset: Dataset | Path | str,
+    kind: str = "ellipsoid",
+    *,
+    num_layers: int = NUM_LAYERS,
+    workers: int = 1,
+    overwrite: bool = False,
+) -> Proxies:
+    """Fits a proxy to every object and peels the proxies for every view; images are not rendered again.
+
+        proxies = hyaline.make_proxies(dataset, "ellipsoid")
+        run = hyaline.train("paper", dataset, geometry=proxies.geometry)
+
+    Args:
+        dataset: a dataset, its name under data/, or its folder.
+        kind: box, ellipsoid, hull or wrap.
+        num_layers: layers kept per ray.
+        workers: parallel processes that peel.
+        overwrite: replace existing proxies and layers; they are kept otherwise.
+
+    Raises:
+        HyalineError: an unknown kind, or an object that cannot have a proxy of it.
+    """
+    from proxies.make import make_and_peel
+
+    choose("kind", kind, PROXY_KINDS)
+    if isinstance(dataset, (str, Path)):
+        dataset = open_dataset(dataset)
+    reports = make_and_peel(dataset, kind, num_layers=num_layers, workers=workers, overwrite=overwrite)
+    return Proxies(dataset=dataset, geometry=kind, reports=reports)

@@ -9,7 +9,7 @@ from PIL import Image
 from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View, has_layers
 from datagen.disk.records import checked
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.plugins import naming_parts
 from hyaline.runs import Run
 from hyaline.scenes import Scene
 
@@ -36,7 +36,7 @@ def show(item: Scene | Dataset | View | Run) -> Image.Image:
     if isinstance(item, Dataset):
         return _in_a_row([item.view(split, 0).image for split in item.splits])
     if isinstance(item, View):
-        from datagen.look.view_pictures import stored_pictures
+        from datagen.look.drawings import stored_pictures
 
         return _in_a_row(list(stored_pictures(item, has_layers=has_layers(item.dataset)).values()))
     views = [item.dataset.view(split, 0) for split in TEST_SPLITS]

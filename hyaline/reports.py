@@ -1,4 +1,4 @@
-"""Reports: the scores of runs as tables, data and a page."""
+"""Scores of one picture, and reports: those of runs as tables, data and a page."""
 
 import csv
 import io
@@ -7,15 +7,71 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from datagen.data.config import MAX_VIEWS
+import numpy as np
+from jaxtyping import Bool, UInt8
+
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import checked
 from datagen.terminal.command import say
+from eval.score import metrics
 from hyaline.runs import RUNS, Run
 
 if TYPE_CHECKING:
     from eval.page.report import Scored
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scores:
+    """The scores of one picture."""
+
+    psnr_db: float
+    """Peak signal-to-noise ratio, peak 255; inf where both are identical."""
+    ssim: float | None
+    """Wang et al. 2004, at most 1; None for pictures of fewer than 11 pixels a side."""
+    delta_e: float
+    """CIE DE2000 under D65, mean over pixels."""
+    flip: float | None
+    """LDR-FLIP at 67 pixels per degree, 0 to 1; None without the package flip-evaluator."""
+    lpips: float | None
+    """LPIPS 0.1 with AlexNet; None without the package lpips and torchvision's weights."""
+    masked_psnr_db: float | None
+    """PSNR of the pixels in the mask alone; None without a mask, or with an empty one."""
+
+
+@checked
+def score(
+    pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], mask: Bool[np.ndarray, "h w"] | None = None
+) -> Scores:
+    """Scores a picture; a split's score is the mean of its pictures' scores.
+
+    >>> import numpy as np
+    >>> target = np.full((16, 16, 3), 100, np.uint8)
+    >>> scores = score(target + np.uint8(10), target, mask=np.ones((16, 16), bool))
+    >>> round(scores.psnr_db, 2) == round(scores.masked_psnr_db, 2) == 28.13   # 10 log10(255^2 / 10^2)
+    True
+
+    Args:
+        pred: 8-bit sRGB.
+        target: 8-bit sRGB, the ground truth.
+        mask: pixels for `masked_psnr_db`, for example `view.mask("glass")`.
+
+    Raises:
+        HyalineError: pictures that are not 8-bit, a mask that is not bool, or sizes that differ.
+    """
+    if pred.shape != target.shape or not target.size:
+        raise HyalineError(f"pred: has shape {pred.shape}; expected {target.shape}, that of target, and not empty")
+    if mask is not None and mask.shape != target.shape[:2]:
+        raise HyalineError(f"mask: has shape {mask.shape}; expected {target.shape[:2]}, that of target")
+    is_large = min(target.shape[:2]) >= metrics.SSIM_WINDOW
+    return Scores(
+        psnr_db=metrics.psnr(pred, target),
+        ssim=metrics.ssim(pred, target) if is_large else None,
+        delta_e=float(metrics.delta_e_2000(pred, target).mean()),
+        flip=metrics.flip(pred, target),
+        lpips=metrics.lpips(pred, target),
+        masked_psnr_db=metrics.masked_psnr(pred, target, mask) if mask is not None and mask.any() else None,
+    )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,7 +92,7 @@ class Report:
         return list(csv.DictReader(io.StringIO(results_csv(self.scored.scenes))))
 
     def _repr_html_(self) -> str:
-        from eval.tables.looks import html_table
+        from eval.tables.grids import html_table
 
         return "".join(html_table(part.grids[0]) for part in self.scored.parts)
 
@@ -53,7 +109,7 @@ def report(
     """Scores runs against the truth and writes a page of them, as `eval report` does.
 
         report = hyaline.report([run])
-        report.to_frame()[["run", "psnr_db_interpolating"]]
+        pandas.DataFrame(report.rows)[["run", "psnr_db_interpolating"]]
 
     Args:
         runs: opened runs (or one), names under `root`, or folders of 8-bit sRGB pictures of any method, SCENE/NAME
@@ -71,8 +127,6 @@ def report(
     from eval.page.report import REPORT, score_runs, write_page
     from eval.score.runs import has_predictions, list_run_folders, open_run
 
-    if not 1 <= views <= MAX_VIEWS:
-        raise HyalineError(f"views: is {views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     root, others = Path(root), []
     if runs is None:
         others = list_run_folders(root, besides=Path(out or root / "report"))

@@ -17,10 +17,9 @@ from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.disk.records import checked
 from datagen.disk.storage import real_path
-from datagen.terminal.command import choose
-from datagen.terminal.distribution import naming_parts
+from datagen.terminal.command import Stopped, choose
 from datagen.terminal.parsing import flags_of
-from datagen.terminal.signals import Stopped
+from datagen.terminal.plugins import naming_parts
 from hyaline.datasets import open_dataset
 from model.methods.protocol import Inputs, MethodConfig
 from model.run import run_folder

@@ -5,12 +5,11 @@ import shlex
 import sys
 from pathlib import Path
 
-from datagen.builder.choices import FilmChoices
+from datagen.builder.choices import FilmChoices, LaunchChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import next_command, run, say, tell
-from datagen.terminal.parsing import CommandGroup, group
+from datagen.terminal.parsing import CommandGroup, Later, group
 from datagen.terminal.plugins import absent_commands, commands_of
 from model.methods.protocol import METHODS, about
 from model.run.train_flags import Asked, complete_run, make_command
@@ -29,13 +28,7 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "train": CommandGroup(
-            about=TRAIN,
-            names=METHODS.names,
-            line=about,
-            choose=lambda method, words: make_command(method, words, _train_method),
-            word="method",
-        ),
+        "train": CommandGroup(about=TRAIN, commands=_methods, word="method"),
         "predict": predict,
         "film": film,
         "sweep": sweep,
@@ -46,6 +39,13 @@ def commands() -> CommandGroup:
         by_name | commands_of("model"),
         absent_commands("model"),
     )
+
+
+def _methods() -> dict[str, Later]:
+    def train(name: str) -> Later:
+        return Later(lambda words: make_command(name, words, _train_method), lambda: about(name))
+
+    return {name: train(name) for name in METHODS.names()}
 
 
 def _train_method(method: str, asked: Asked) -> None:

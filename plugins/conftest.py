@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from datagen.disk.errors import HyalineError
-from datagen.machine import confined
+from datagen.machine import processes
 
 
 @pytest.fixture(autouse=True)
@@ -25,4 +25,4 @@ def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
         (folder / "end.txt").write_text(end)
         return 0
 
-    monkeypatch.setattr(confined, "_run", run)
+    monkeypatch.setattr(processes, "_run", run)

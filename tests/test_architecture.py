@@ -31,7 +31,7 @@ ALLOWED = {
 HOMES = {
     "mitsuba": {"datagen"},
     "drjit": {"datagen"},
-    "pymeshlab": {"proxies/meshing/meshlab.py"},
+    "pymeshlab": {"proxies/kinds/wrap.py"},
     "torch": {"model", "hyaline/tensors.py", "eval/score/metrics.py"},
     "skimage": {"eval"},
     "colour": {"eval"},
@@ -59,9 +59,9 @@ FLOORS = {
         "terminal",
         "disk",
     ),
-    "proxies": ("cli", "make", "kinds", "meshing"),
+    "proxies": ("cli", "make", "kinds", "measure", "solid"),
     "model": ("cli", "run", "methods", "batches", "nets", "runtime", "settings", "state"),
-    "hyaline": ("tensors", "reports", "pictures", "runs", "proxies", "datasets", "scenes", "scores", "cameras"),
+    "hyaline": ("tensors", "reports", "pictures", "runs", "datasets", "scenes", "cameras"),
     "eval": ("cli", "page", "variants", "tables", "score"),
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""

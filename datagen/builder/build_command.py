@@ -138,7 +138,7 @@ def _build_seeds_in_jobs(
 
 
 def _run_jobs(root: Path, jobs: dict[str, list[str]], launch: ShardChoices) -> None:
-    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch)
+    failures = run_in_jobs("datagen", jobs, root.parent / f"{root.name}-jobs", launch.launcher, launch.parameters())
     raise_failures(str(root), failures, len(jobs))
 
 

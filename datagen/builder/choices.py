@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING, Literal
 
 from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution, square
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.machine.launch import LaunchChoices
 from datagen.terminal.command import choose
 
 if TYPE_CHECKING:
     from datagen.scene.description import Scene
 
 PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
+LOCAL_MIN = 7 * 24 * 60
+"""Time limit of jobs on this machine; submitit's own is two minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,6 +68,41 @@ class SizeChoices:
     """Layers stored per ray; the share of rays with more layers is reported."""
     max_depth: int = 24
     """Maximum number of segments in a light path."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LaunchChoices:
+    """Run in jobs on a Slurm cluster. Options of sbatch are read from its variables, such as SBATCH_PARTITION."""
+
+    launcher: Literal["slurm", "local"] | None = None
+    """slurm: submit Slurm jobs from a machine that shares the folder, wait for them, and report failures. local: run
+    all jobs on this machine at once. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
+    slurm_time: int = 24 * 60
+    """Time limit of each job in minutes; finished work is kept."""
+    slurm_cpus: int = 4
+    """CPUs of each job."""
+    slurm_gpus: int = 0
+    """GPUs of each job."""
+
+    def __post_init__(self) -> None:
+        changed = [item.name for item in dataclasses.fields(self) if getattr(self, item.name) != item.default]
+        if self.launcher is None and changed:
+            flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+            raise UsageError(f"{flags}: need --launcher; give that, too, or leave them out")
+        if min(self.slurm_time, self.slurm_cpus) < 1 or self.slurm_gpus < 0:
+            raise UsageError("--slurm-time, --slurm-cpus: expected at least 1, and --slurm-gpus at least 0")
+
+    def parameters(self) -> dict[str, object]:
+        """What submitit asks the cluster for."""
+        if self.launcher == "local":
+            return {"timeout_min": LOCAL_MIN}
+        return {
+            "timeout_min": self.slurm_time,
+            "cpus_per_task": self.slurm_cpus,
+            # Since 22.05 srun does not take over sbatch's number, and would bind the command to a single CPU.
+            "slurm_srun_args": [f"--cpus-per-task={self.slurm_cpus}"],
+            **({"gpus_per_node": self.slurm_gpus} if self.slurm_gpus else {}),
+        }
 
 
 @dataclass(frozen=True, kw_only=True)

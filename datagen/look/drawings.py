@@ -1,15 +1,16 @@
-"""Drawings of a dataset: its cameras from above, and the light paths of a few pixels that show glass.
+"""Pictures for people: a view's stored data, a dataset's cameras from above, light paths over a view's picture.
 
 A ray from the camera splits where it hits glass: one part is refracted, the other reflected. Each is followed until it
 ends on something opaque or leaves for the sky.
 """
 
+import colorsys
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Camera
 from datagen.data.config import Split
@@ -20,16 +21,23 @@ from datagen.data.paths import TRUTH
 from datagen.data.variants import evenly
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.charts import COLORS
-from datagen.quantities import Surfaces, surfaces_of
-from datagen.terminal.distribution import naming_parts
+from datagen.quantities import Surfaces, quantities, surfaces_of
+from datagen.terminal.plugins import naming_parts
 from datagen.trace.light_path import TracedPaths
-from datagen.trace.surface_tables import Limits
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from datagen.trace.light_path import TracedPaths
+
 Picture = UInt8[np.ndarray, "h w 3"]
 
+NOTHING = (24, 24, 24)
+"""The colour of pixels without a surface."""
+TONES = ((0.55, 0.95), (0.85, 0.75), (0.35, 0.8))
+"""Saturations and values of objects, in turn, so that they differ in more than hue."""
+NEAREST, FARTHEST = 255, 40
+"""Grey levels of the nearest and the farthest pixel in a depth picture."""
 PIXELS = 900
 """Longer side of a drawing."""
 MOST_CAMERAS = 120
@@ -47,7 +55,54 @@ MOST_SURFACES = 10
 SKY_REACH = 0.3
 """Length of the line to the sky, relative to the distance from the camera to the glass."""
 SKY = "sky"
-LIMITS = Limits(max_branches=2, max_vertices=24)
+
+
+def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, Picture]:
+    """Pictures of a view by name; the view's own picture comes first.
+
+    Args:
+        has_layers: whether the true geometry's straight layers are stored; everything but the picture needs them.
+        proxies: geometries with stored straight layers; their first layer is laid over the picture.
+    """
+    pictures = {"picture": view.image}
+    if not has_layers:
+        if (mask := view.imported_mask) is not None:
+            pictures["glass"] = np.where(mask[..., None], view.image, view.image // 5)
+        if (depth := view.imported_depth) is not None:
+            pictures["depth"] = depth_picture(depth, depth > 0)
+        return pictures
+    layers = view.layers()
+    colors = object_colors(len(view.dataset.objects))
+    found = quantities(view)
+    pictures["glass"] = np.where(found.glass[..., None], view.image, view.image // 5)
+    pictures["depth"] = depth_picture(layers.depth[0], layers.object_id[0] > 0)
+    normals = (127.5 * (found.normal() + 1)).clip(0, 255).astype(np.uint8)
+    is_there = (layers.object_id[0] > 0)[..., None]
+    pictures["normals"] = np.where(is_there, normals, np.array(NOTHING, np.uint8))
+    for number, ids in enumerate(layers.object_id):
+        if ids.any():
+            pictures[f"layer {number}"] = colors[ids]
+    for geometry in proxies:
+        ids = view.object_ids(geometry)[0]
+        pictures[geometry] = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
+    return pictures
+
+
+def object_colors(count: int) -> UInt8[np.ndarray, "id 3"]:
+    """A colour for each object id, with neighbouring ids far apart; `NOTHING` for 0."""
+    hues = [colorsys.hsv_to_rgb((0.61803 * place) % 1, *TONES[place % len(TONES)]) for place in range(count)]
+    return np.concatenate([[NOTHING], 255 * np.array(hues).reshape(-1, 3)]).astype(np.uint8)
+
+
+def depth_picture(depth: Float32[np.ndarray, "h w"], is_there: Bool[np.ndarray, "h w"]) -> Picture:
+    """Depth as grey: near is bright, black means no surface. The nearest and the farthest pixel span the scale."""
+    picture = np.zeros((*depth.shape, 3), np.uint8)
+    if not is_there.any():
+        return picture
+    near, far = float(depth[is_there].min()), float(depth[is_there].max())
+    share = (depth[is_there] - near) / max(far - near, 1e-9)
+    picture[is_there] = (NEAREST - (NEAREST - FARTHEST) * share).astype(np.uint8)[:, None]
+    return picture
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,10 +206,12 @@ def find_light_paths(dataset: Dataset) -> tuple[View, list[DrawnPath]] | None:
     """Paths of up to `RAYS` rays of one training view: the best of a few, by how far its glass shifts what is seen."""
     if not any(item.is_glass for item in dataset.objects):
         return None
-    surfaces = surfaces_of(dataset)
     with naming_parts("datagen look"):
+        from datagen.trace.surface_tables import Limits
+
         use_mitsuba()
-        tracer = surfaces.tracer
+        surfaces = surfaces_of(dataset)
+        tracer, limits = surfaces.tracer, Limits(max_branches=2, max_vertices=24)
     split: Split = "train" if "train" in dataset.splits else dataset.splits[0]
     cameras = dataset.cameras(split)
     best, found = 0.0, None
@@ -164,28 +221,26 @@ def find_light_paths(dataset: Dataset) -> tuple[View, list[DrawnPath]] | None:
         step = -(-max(camera.width, camera.height) // ASKED)
         pixels = np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step].reshape(2, -1)[::-1].T
         rays = np.ascontiguousarray(directions[pixels[:, 1], pixels[:, 0]])
-        traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, LIMITS)
-        shift, is_fit = _shifts(camera, pixels, traced, surfaces)
-        if is_fit.any() and (total := 1e-3 + float(shift[is_fit].sum())) > best:
-            best, found = total, (view, origin, pixels, traced, _choose(pixels, np.where(is_fit, shift + 1e-3, 0)))
+        traced = tracer.trace(np.tile(origin, (len(rays), 1)), rays, limits)
+        score = _scores(camera, pixels, traced, surfaces)
+        if score.sum() > best:
+            best, found = score.sum(), (dataset.view(split, view), origin, pixels, traced, _choose(pixels, score))
     if found is None:
         return None
     view, origin, pixels, traced, chosen = found
-    paths = []
-    for number, ray in enumerate(chosen, 1):
-        pixel = int(pixels[ray, 0]), int(pixels[ray, 1])
-        paths += [
-            path
-            for branch in (0, 1)
-            if (path := _path_of(number, ray, branch, pixel, origin, traced, dataset)) is not None
-        ]
-    return dataset.view(split, view), paths
+    paths = [
+        _path_of(number, ray, branch, (int(pixels[ray, 0]), int(pixels[ray, 1])), origin, traced, dataset)
+        for number, ray in enumerate(chosen, 1)
+        for branch in (0, 1)
+    ]
+    return view, [path for path in paths if path is not None]
 
 
-def _shifts(
-    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
-) -> tuple[Float[np.ndarray, " ray"], Bool[np.ndarray, " ray"]]:
-    """Distance in widths from each ray's pixel to its end in the picture, 0 if that is not seen; which hit glass."""
+def _scores(
+    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: "TracedPaths", surfaces: Surfaces
+) -> Float[np.ndarray, " ray"]:
+    """0 for rays that miss the glass, else a little more than the distance in widths from the pixel to the ray's end in
+    the picture, if that is seen."""
     ids = traced.object_id[0]
     count = (ids > 0).sum(axis=0)
     last = traced.position[0, np.maximum(count - 1, 0), np.arange(len(pixels))].astype(np.float64)
@@ -193,7 +248,8 @@ def _shifts(
     is_inside = (depth > 0) & (seen > 0).all(axis=1) & (seen < (camera.width, camera.height)).all(axis=1)
     shift = np.linalg.norm(seen - pixels - 0.5, axis=1) / camera.width
     is_seen = is_inside & ~traced.has_left[0] & (count <= MOST_SURFACES)
-    return np.where(is_seen, shift, 0), surfaces.is_glass[ids[0]] & ((count > 1) | traced.has_left[0])
+    is_fit = surfaces.is_glass[ids[0]] & ((count > 1) | traced.has_left[0])
+    return np.where(is_fit, np.where(is_seen, shift, 0) + 1e-3, 0)
 
 
 def _choose(pixels: Int[np.ndarray, "ray 2"], score: Float[np.ndarray, " ray"]) -> list[int]:
@@ -211,7 +267,7 @@ def _path_of(
     branch: int,
     pixel: tuple[int, int],
     origin: Float[np.ndarray, "3"],
-    traced: TracedPaths,
+    traced: "TracedPaths",
     dataset: Dataset,
 ) -> DrawnPath | None:
     """The refracted (0) or the reflected branch (1) of a ray, if there is one."""

@@ -1,8 +1,6 @@
 """The page that shows a dataset: its contents, what is missing or damaged, and what it looks like."""
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
@@ -13,8 +11,14 @@ from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import MAKE_AGAIN
-from datagen.look.drawings import DrawnPath, draw_cameras, draw_light_paths, find_light_paths
-from datagen.look.view_pictures import Picture, object_colors, stored_pictures
+from datagen.look.drawings import (
+    Picture,
+    draw_cameras,
+    draw_light_paths,
+    find_light_paths,
+    object_colors,
+    stored_pictures,
+)
 from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
@@ -24,6 +28,7 @@ MOST_BYTES = 18_000_000
 SHOWN_VIEWS = 6
 """Pictures shown per split."""
 UNKNOWN = "unknown"
+CAMERAS = "Cameras from above, and the glass"
 STORED = (
     "Glass: everything else is dark. Depth: distance to the first surface along the ray, from the nearest (bright) to "
     "the farthest (dark). Normals: red, green and blue are x, y and z of the world. Layer 0 is the first surface on a "
@@ -41,30 +46,25 @@ def look_page(dataset: Dataset) -> bytes:
     """The page of a dataset, every file of which is read; it lists whatever is missing or damaged."""
     gallery = Gallery(MOST_BYTES)
     found = verify_dataset(dataset.root)
-    pictures = [_pictures(dataset, split, gallery) for split in dataset.splits]
-    stored = [_one_view(dataset, split, gallery, is_open=place == 0) for place, split in enumerate(dataset.splits)]
     count = len(found.problems)
-    number = f"{count} things are missing or damaged." if count > 1 else "1 thing is missing or damaged."
-    whole = f"Nothing: all {len(found.files):,} files match their checksums."
-    missing = [tag("ul", *(tag("li", prose(line), class_="bad") for line in found.problems)) if count else None]
-    parts: list[Part] = [
-        tag("h1", dataset.name),
-        tag("p", tag("a", number, href="#missing"), class_="bad") if count else None,
-        section("Pictures", *pictures, id_="pictures"),
-        section("Light paths", _or_error(lambda: _light_paths(dataset, gallery)), id_="light-paths"),
-        section("Cameras", _or_error(lambda: _cameras(dataset, gallery)), id_="cameras"),
-        section("What is stored with a view", tag("p", STORED, class_="note"), *stored, id_="stored"),
-        section("Noise of the truth", _or_error(lambda: _noise_chart(dataset)), id_="noise"),
-        section("Objects", _or_error(lambda: _objects(dataset)), id_="objects"),
-        section("What it is", definitions(_facts(dataset)), id_="facts"),
-        section(
-            "What is missing or damaged",
-            *missing,
-            tag("p", f"To mend this, {MAKE_AGAIN}." if count else whole),
-            id_="missing",
+    missing = f"{count} of the files are missing or damaged."
+    end = f"To mend this, {MAKE_AGAIN}." if count else f"All {len(found.files):,} files match their checksums."
+    problems = tag("ul", *(tag("li", prose(line), class_="bad") for line in found.problems))
+    drawn: dict[str, Callable[[], Part]] = {
+        "Pictures": lambda: join(_pictures(dataset, split, gallery) for split in dataset.splits),
+        "Light paths": lambda: _light_paths(dataset, gallery),
+        "Cameras": lambda: gallery.figure(
+            anchor("cameras"), lambda: draw_cameras(dataset), label=CAMERAS, caption=CAMERAS
         ),
-    ]
-    return document(dataset.name, gallery.store(), *parts)
+        "Stored with a view": lambda: join([tag("p", STORED, class_="note"), *_stored_views(dataset, gallery)]),
+        "Noise of the truth": lambda: _noise_chart(dataset),
+        "Objects": lambda: _objects(dataset),
+        "What it is": lambda: definitions(_facts(dataset)),
+        "Missing or damaged": lambda: join([problems if count else None, tag("p", end)]),
+    }
+    parts = [section(title, _or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
+    warning = tag("p", tag("a", missing, href="#missing-or-damaged"), class_="bad") if count else None
+    return document(dataset.name, gallery.store(), tag("h1", dataset.name), warning, *parts)
 
 
 def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
@@ -85,19 +85,8 @@ def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
         ("objects", f"{len(dataset.objects)}, {sum(item.is_glass for item in dataset.objects)} of glass"),
         ("geometries", ", ".join(list_geometries(dataset))),
         ("variants", ", ".join(list_variants(dataset.root)) or "none"),
-        ("on disk", "; ".join(f"{name} {size / 1e6:,.1f} MB" for name, size in folder_sizes(dataset.root).items())),
         ("digest", dataset.seal[:12]),
     ]
-
-
-def folder_sizes(root: Path) -> dict[str, int]:
-    """Bytes in each folder of a dataset, and in the files next to them; links are not followed."""
-    sizes: dict[str, int] = {}
-    for place, _, names in os.walk(root):
-        inside = Path(place).relative_to(root).parts
-        name = inside[0] if inside else "heads and cameras"
-        sizes[name] = sizes.get(name, 0) + sum((Path(place) / file).lstat().st_size for file in names)
-    return dict(sorted(sizes.items(), key=lambda item: -item[1]))
 
 
 def _shown(dataset: Dataset, split: Split) -> list[int]:
@@ -106,41 +95,36 @@ def _shown(dataset: Dataset, split: Split) -> list[int]:
     return [there[place] for place in evenly(min(SHOWN_VIEWS, len(there)), len(there))] if there else []
 
 
-def _figure(gallery: Gallery, key: str, read: Callable[[], Picture], label: str, caption: str) -> Markup:
-    """A picture with a caption; nothing if the page has no room for it."""
-    if not gallery.add(key, read):
-        return Markup("")
-    return tag("figure", gallery.show(key, label=label), tag("figcaption", caption), data_name=caption)
-
-
 def _pictures(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
     """Pictures of some views of a split; a damaged one is replaced by its error."""
 
-    def show(view: int) -> Markup:
+    def show(view: int) -> Part:
         key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
-        return _figure(gallery, key, lambda: dataset.view(split, view).image, label, f"view {view}")
+        return gallery.figure(key, lambda: dataset.view(split, view).image, label=label, caption=f"view {view}")
 
     shown = [_or_error(lambda view=view: show(view)) for view in _shown(dataset, split)]
     sheet = tag("div", *shown, class_="sheet") if shown else tag("p", "No view is built yet.", class_="bad")
     return section(f"{split}: {dataset.num_views[split]:,} views", sheet, id_=anchor("split", split), level=3)
 
 
-def _one_view(dataset: Dataset, split: Split, gallery: Gallery, *, is_open: bool) -> Markup | None:
-    """All stored data of the first view that can be read; a script shows one picture at a time."""
-    errors = []
-    for view in _shown(dataset, split):
-        try:
-            stored = _stored(dataset, split, view)
-        except HyalineError as error:
-            errors.append(tag("p", prose(str(error)), class_="bad"))
-            continue
-        figures = [
-            _figure(gallery, anchor(name, split), lambda pixels=pixels: pixels, f"{split} view {view}: {name}", name)
-            for name, pixels in stored.items()
-        ]
-        summary = tag("summary", f"{split} view {view}: {len(stored)} pictures")
-        return tag("details", summary, tag("div", *figures, class_="choice sheet"), open=is_open)
-    return errors[0] if errors else None
+def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
+    """All stored data of the first view of each split that can be read; a script shows one picture at a time."""
+    parts: list[Part] = []
+    for split in dataset.splits:
+        for view in _shown(dataset, split):
+            try:
+                stored = _stored(dataset, split, view)
+            except HyalineError:  # Listed among what is damaged.
+                continue
+            what = f"{split} view {view}"
+            figures = [
+                gallery.figure(anchor(name, split), lambda pixels=pixels: pixels, label=f"{what}: {name}", caption=name)
+                for name, pixels in stored.items()
+            ]
+            summary = tag("summary", f"{what}: {len(stored)} pictures")
+            parts.append(tag("details", summary, tag("div", *figures, class_="choice sheet"), open=not parts))
+            break
+    return parts
 
 
 def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
@@ -161,23 +145,25 @@ def _light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
         return tag("p", "No ray of the training views hits glass.")
     view, paths = found
     name = f"Light paths over {view.split} view {view.index}"
-    figure = _figure(gallery, anchor("light paths"), lambda: draw_light_paths(view, paths), name, name)
-    head = tag("tr", *(tag("th", name, scope="col") for name in ("ray", "column, row", "refracted", "reflected")))
-    rows = [_row_of_paths([path for path in paths if path.ray == ray]) for ray in sorted({path.ray for path in paths})]
-    table = tag("table", tag("thead", head), tag("tbody", *rows))
-    return join([tag("p", PATHS, class_="note"), figure, tag("div", table, class_="scroll", tabindex=0)])
+    figure = gallery.figure(anchor("light paths"), lambda: draw_light_paths(view, paths), label=name, caption=name)
+    words = {(path.ray, path.is_reflected): f"{path.through} → {path.end}" for path in paths}
+    rows: list[list[Part]] = [
+        [number, f"{column}, {row}", *(words.get((number, kind), "nothing") for kind in (False, True))]
+        for number, (column, row) in {path.ray: path.pixel for path in paths}.items()
+    ]
+    table = _table(("ray", "column, row", "refracted", "reflected"), rows, head=0)
+    return join([tag("p", PATHS, class_="note"), figure, table])
 
 
-def _row_of_paths(paths: list[DrawnPath]) -> Markup:
-    words = {path.is_reflected: f"{path.through} → {path.end}" for path in paths}
-    column, row = paths[0].pixel
-    cells = (f"{column}, {row}", words.get(False, "nothing"), words.get(True, "nothing"))
-    return tag("tr", tag("th", paths[0].ray, scope="row"), *(tag("td", cell) for cell in cells))
+def _table(titles: tuple[str, ...], rows: list[list[Part]], *, head: int) -> Markup:
+    """A table; the cells of column `head` name their rows."""
 
+    def line(row: list[Part]) -> Markup:
+        cells = (tag("th", cell, scope="row") if place == head else tag("td", cell) for place, cell in enumerate(row))
+        return tag("tr", *cells)
 
-def _cameras(dataset: Dataset, gallery: Gallery) -> Markup:
-    name = "Cameras from above"
-    return _figure(gallery, anchor("cameras"), lambda: draw_cameras(dataset), name, f"{name}, and the glass")
+    top = tag("thead", tag("tr", *(tag("th", title, scope="col") for title in titles)))
+    return tag("div", tag("table", top, tag("tbody", *map(line, rows))), class_="scroll", tabindex=0)
 
 
 def _noise_chart(dataset: Dataset) -> Markup:
@@ -197,19 +183,16 @@ def _objects(dataset: Dataset) -> Markup:
     """The objects with their ids, their colours in layers, and their materials."""
     if not dataset.objects:
         return tag("p", "No meshes were imported with the pictures.")
-    colors = object_colors(len(dataset.objects))
-    head = tag("tr", *(tag("th", name, scope="col") for name in ("id", "colour", "object", "material")))
-    rows = []
-    for number, (item, material) in enumerate(zip(dataset.objects, surfaces_of(dataset).materials, strict=True), 1):
-        square = tag("rect", x=1, y=1, width=18, height=18, fill="#" + bytes(colors[number].tolist()).hex())
+    rows: list[list[Part]] = []
+    colors = object_colors(len(dataset.objects))[1:]
+    for item, material, color in zip(dataset.objects, surfaces_of(dataset).materials, colors, strict=True):
+        square = tag("rect", x=1, y=1, width=18, height=18, fill="#" + bytes(color.tolist()).hex())
         swatch = tag("svg", square, width=20, height=20, viewBox="0 0 20 20", aria_hidden="true")
-        cells = (tag("td", number), tag("td", swatch), tag("th", item.name, scope="row"), tag("td", repr(material)))
-        rows.append(tag("tr", *cells))
-    table = tag("table", tag("thead", head), tag("tbody", *rows), class_="sortable")
-    return tag("div", table, class_="scroll", tabindex=0, role="region", aria_label="Objects")
+        rows.append([len(rows) + 1, swatch, item.name, repr(material)])
+    return _table(("id", "colour", "object", "material"), rows, head=2)
 
 
-def _or_error(draw: Callable[[], Markup]) -> Markup:
+def _or_error(draw: Callable[[], Part]) -> Part:
     """The result of `draw`, or its error about the files that it reads."""
     try:
         return draw()

@@ -8,11 +8,20 @@ import subprocess
 from typing import NamedTuple
 
 from datagen.disk.errors import HyalineError
-from datagen.machine.hardware import cuda_problem, describe_gpus, has_gpu
-from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
-from datagen.machine.mitsuba_variant import choose_variant, llvm_remedy
+from datagen.machine.mitsuba_variant import (
+    MIN_LLVM,
+    VARIABLE,
+    choose_llvm,
+    choose_variant,
+    cuda_problem,
+    has_gpu,
+    llvm_remedy,
+)
 from datagen.machine.processes import ROOT
-from datagen.terminal.distribution import VERSION, install_command
+from datagen.terminal.plugins import VERSION, install_command
+
+LIST_LIMIT_S = 5
+"""Time limit of `nvidia-smi`, which hangs when its driver does."""
 
 
 class Finding(NamedTuple):
@@ -26,29 +35,40 @@ class Finding(NamedTuple):
 
 def examine() -> list[Finding]:
     """Checks the installation, cores, processor, GPU, and what path tracing, training and proxies need."""
+    mitsuba = _package("Mitsuba", "generate", "building datasets and tracing layers need it")
     return [
         Finding("hyaline", f"{VERSION} in {ROOT}"),
         Finding("machine", f"{os.cpu_count()} cores, {platform.machine()}, {platform.system()}"),
-        Finding("GPU", _gpu()),
-        *_mitsuba(),
-        _torch(),
-        _meshlab(),
+        Finding("GPU", _gpu(tries=mitsuba.remedy is None)),
+        *([mitsuba] if mitsuba.remedy else _mitsuba(mitsuba.found)),
+        _package("torch", "model", "training, and rendering with trained runs, need it"),
+        _package("PyMeshLab", "proxies", "proxies of the kind wrap need it"),
     ]
 
 
-def _gpu() -> str:
-    """The GPUs, and why Mitsuba cannot use them where it cannot."""
-    found = describe_gpus()
-    if has_gpu() and _version("mitsuba") is not None and (problem := cuda_problem(again=True)) is not None:
+def _package(what: str, extra: str, need: str) -> Finding:
+    """The version of an installed package, or what brings it."""
+    try:
+        return Finding(what, importlib.metadata.version(what.lower()))
+    except importlib.metadata.PackageNotFoundError:
+        return Finding(what, f"not installed; {need}", install_command(extra))
+
+
+def _gpu(*, tries: bool) -> str:
+    """Name and driver of each GPU, as `nvidia-smi` lists them, and why Mitsuba cannot use them where it cannot."""
+    command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=LIST_LIMIT_S, check=False)
+        found = (answer.stdout.strip().replace("\n", "; ") if answer.returncode == 0 else "") or "none"
+    except (OSError, subprocess.TimeoutExpired) as error:
+        found = f"an NVIDIA driver, but nvidia-smi gave no answer ({error})" if has_gpu() else "none"
+    if tries and has_gpu() and (problem := cuda_problem(again=True)) is not None:
         return f"{found}; Mitsuba cannot render on it: {problem}"
     return found
 
 
-def _mitsuba() -> list[Finding]:
+def _mitsuba(version: str) -> list[Finding]:
     """Mitsuba, and the libLLVM that it needs without a GPU."""
-    version = _version("mitsuba")
-    if version is None:
-        return [_missing("Mitsuba", "generate", "building datasets and tracing layers need it")]
     llvm, named = choose_llvm(), os.environ.get(VARIABLE)
     missing = f"{VARIABLE}={named} is no libLLVM of {MIN_LLVM} or newer" if named else f"none of {MIN_LLVM} or newer"
     try:
@@ -60,40 +80,6 @@ def _mitsuba() -> list[Finding]:
         Finding("libLLVM", f"{llvm.version} ({llvm.path})" if llvm else missing, None if llvm else llvm_remedy()),
         Finding("Mitsuba", f"{version}, {runs}"),
     ]
-
-
-def _torch() -> Finding:
-    version = _version("torch")
-    if version is None:
-        return _missing("torch", "model", "training, and rendering with trained runs, need it")
-    return Finding("torch", version)
-
-
-def _version(package: str) -> str | None:
-    """The version of an installed package, else None."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
-
-
-def _missing(what: str, extra: str, need: str) -> Finding:
-    return Finding(what, f"not installed; {need}", install_command(extra))
-
-
-def _meshlab() -> Finding:
-    """PyMeshLab needs the system's libGL; all proxies but wraps are made without it."""
-    version = _version("pymeshlab")
-    if version is None:
-        return _missing("PyMeshLab", "proxies", "proxies of the kind wrap need it")
-    try:
-        import ctypes
-
-        ctypes.CDLL("libGL.so.1" if platform.system() == "Linux" else None)
-    except OSError:
-        found = f"{version}, cannot load: libGL.so.1 is missing (all proxies but wraps are made without it)"
-        return Finding("PyMeshLab", found, "apt install libgl1")
-    return Finding("PyMeshLab", version)
 
 
 @functools.cache

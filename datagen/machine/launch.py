@@ -9,62 +9,31 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.disk.storage import real_path
 from datagen.terminal.command import say
 
 if TYPE_CHECKING:
     import submitit
 
-LOCAL_MIN = 7 * 24 * 60
-"""Time limit of jobs on this machine; submitit's own is two minutes."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class LaunchChoices:
-    """Run in jobs on a Slurm cluster. Options of sbatch are read from its variables, such as SBATCH_PARTITION."""
-
-    launcher: Literal["slurm", "local"] | None = None
-    """slurm: submit Slurm jobs from a machine that shares the folder, wait for them, and report failures. local: run
-    all jobs on this machine at once. Needs the extra `cluster`. Logs: DATASET-jobs/ or runs/jobs/."""
-    slurm_time: int = 24 * 60
-    """Time limit of each job in minutes; finished work is kept."""
-    slurm_cpus: int = 4
-    """CPUs of each job."""
-    slurm_gpus: int = 0
-    """GPUs of each job."""
-
-    def __post_init__(self) -> None:
-        changed = [item.name for item in fields(self) if getattr(self, item.name) != item.default]
-        if self.launcher is None and changed:
-            flags = ", ".join(f"--{name.replace('_', '-')}" for name in changed)
-            raise UsageError(f"{flags}: need --launcher; give that, too, or leave them out")
-        if min(self.slurm_time, self.slurm_cpus) < 1 or self.slurm_gpus < 0:
-            raise UsageError("--slurm-time, --slurm-cpus: expected at least 1, and --slurm-gpus at least 0")
-
-    def parameters(self) -> dict[str, object]:
-        """What submitit asks the cluster for."""
-        if self.launcher == "local":
-            return {"timeout_min": LOCAL_MIN}
-        return {
-            "timeout_min": self.slurm_time,
-            "cpus_per_task": self.slurm_cpus,
-            # Since 22.05 srun does not take over sbatch's number, and would bind the command to a single CPU.
-            "slurm_srun_args": [f"--cpus-per-task={self.slurm_cpus}"],
-            **({"gpus_per_node": self.slurm_gpus} if self.slurm_gpus else {}),
-        }
-
-
-def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, launch: LaunchChoices) -> dict[str, str]:
+def run_in_jobs(
+    program: str,
+    jobs: Mapping[str, Sequence[str]],
+    folder: Path,
+    launcher: str | None,
+    parameters: Mapping[str, object],
+) -> dict[str, str]:
     """Runs `PROGRAM WORDS` as a job for each of `jobs`, and returns when all have ended.
 
     Args:
         jobs: words of the jobs' commands, by the names that messages call the jobs.
         folder: for submitit's files and the jobs' logs.
+        launcher: slurm or local.
+        parameters: what submitit asks the cluster for.
 
     Returns:
         Why jobs failed, by their names.
@@ -75,14 +44,14 @@ def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], folder: Path, l
     import submitit
 
     folder = real_path(folder)
-    say(f"{folder}: logs of {len(jobs)} jobs ({launch.launcher})")
+    say(f"{folder}: logs of {len(jobs)} jobs ({launcher})")
     try:
-        executor = submitit.AutoExecutor(folder=folder, cluster=launch.launcher)
-        executor.update_parameters(name=program, **launch.parameters())
+        executor = submitit.AutoExecutor(folder=folder, cluster=launcher)
+        executor.update_parameters(name=program, **parameters)
         with executor.batch():
             sent = [executor.submit(run_command, program, list(words), str(Path.cwd())) for words in jobs.values()]
     except RuntimeError as error:  # No sbatch on this machine; or Slurm rejects the jobs.
-        raise HyalineError(f"--launcher {launch.launcher}: the cluster took no job ({error})") from error
+        raise HyalineError(f"--launcher {launcher}: the cluster took no job ({error})") from error
     failures = {}
     try:
         for name, job in zip(jobs, sent, strict=True):

@@ -1,4 +1,9 @@
-"""The choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit."""
+"""The choice of Mitsuba's variant on this machine, made before anything imports Mitsuba or Dr.Jit.
+
+CUDA is chosen where a GPU renders a test scene. Else Dr.Jit 1.5 takes the newest libLLVM that it finds. LLVM 15, which
+Debian 12 ships, and 16 load and then abort the process at the first render (they cannot lower llvm.minimum on x86-64);
+17 to 23 work. So the library is chosen here and passed on in DRJIT_LIBLLVM_PATH.
+"""
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
 # pyright: reportCallIssue=false
@@ -6,18 +11,131 @@
 import contextlib
 import functools
 import gc
+import importlib.metadata
 import os
 import platform
+import re
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from datagen.disk.errors import HyalineError
-from datagen.machine.hardware import cuda_problem, has_gpu
-from datagen.machine.llvm import MIN_LLVM, VARIABLE, choose_llvm
-from datagen.terminal.distribution import install_command
-from datagen.terminal.signals import hold_signals
+from datagen.disk.records import commit_sealed, load_sealed
+from datagen.disk.storage import private_cache, sha256
+from datagen.machine.processes import num_cores
+from datagen.terminal.command import hold_signals
+from datagen.terminal.plugins import install_command
+
+MIN_LLVM = 17
+VARIABLE = "DRJIT_LIBLLVM_PATH"
+
+SYSTEM_PATTERNS = (
+    *("/usr/lib/*-linux-gnu/libLLVM*.so*", "/usr/lib/llvm-*/lib/libLLVM*.so*"),
+    *("/usr/lib64/libLLVM*.so*", "/usr/lib64/llvm*/lib/libLLVM*.so*"),
+    *("/opt/homebrew/opt/llvm*/lib/libLLVM.dylib", "/usr/local/opt/llvm*/lib/libLLVM.dylib"),
+)
+
+DRIVERS = (Path("/proc/driver/nvidia/version"), Path("/dev/nvidiactl"), Path("/usr/lib/wsl/lib/libcuda.so.1"))
+"""Files of an NVIDIA driver: on Linux, in containers, and under Windows (WSL 2)."""
+
+PROBE_LIMIT_S = 60
+"""Time limit of the test render, which compiles kernels."""
+
+
+class LlvmLibrary(NamedTuple):
+    """A libLLVM file and the version that it reports."""
+
+    path: Path
+    version: str
+
+
+def choose_llvm() -> LlvmLibrary | None:
+    """The libLLVM to use: from the user's variable, else the wheel's, else the system's newest; None if none works."""
+    if named := os.environ.get(VARIABLE):
+        return probe(Path(named))
+    return probe(Path(sys.prefix) / "lib" / "libLLVM.so") or system_llvm()
+
+
+def system_llvm() -> LlvmLibrary | None:
+    """The system's newest libLLVM that works, or None."""
+    paths = {path.resolve() for pattern in SYSTEM_PATTERNS for path in Path("/").glob(pattern.lstrip("/"))}
+    # The version is in the name, so libraries that are too old are never loaded.
+    named = [(int(match[1]), path) for path in paths if (match := re.search(r"(\d+)", path.name.replace("LLVM", "")))]
+    found = (probe(path) for number, path in sorted(named, reverse=True) if number >= MIN_LLVM)
+    return next((library for library in found if library is not None), None)
+
+
+def probe(path: Path) -> LlvmLibrary | None:
+    """The library with the version that it reports to a child process; None if it is not a libLLVM that works."""
+    command = [sys.executable, "-I", "-S", "-c", _LLVM_PROBE, str(path)]
+    if not path.is_file():
+        return None
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    version = answer.stdout.split()
+    if answer.returncode != 0 or int(version[0]) < MIN_LLVM:
+        return None
+    return LlvmLibrary(path=path, version=".".join(version))
+
+
+def has_gpu() -> bool:
+    """True where an NVIDIA driver is loaded."""
+    return any(path.exists() for path in DRIVERS)
+
+
+@functools.cache
+def cuda_problem(*, again: bool = False) -> str | None:
+    """Why Mitsuba cannot render on the GPU, or None if it can; a child process tries it, which may crash or hang.
+
+    The answer is cached for later processes, until the driver, Mitsuba or the variables that choose a GPU change.
+
+    Args:
+        again: ignore the cached answer.
+    """
+    drivers = [path.read_text() if path == DRIVERS[0] else path.stat().st_size for path in DRIVERS if path.exists()]
+    packages = [importlib.metadata.version(name) for name in ("mitsuba", "drjit")]
+    variables = ("CUDA_VISIBLE_DEVICES", "DRJIT_LIBCUDA_PATH", "DRJIT_LIBOPTIX_PATH", "LD_LIBRARY_PATH")
+    asked = drivers, packages, [os.environ.get(name) for name in variables], _GPU_PROBE
+    cache = private_cache("gpu")
+    kept = None if cache is None else cache / f"{sha256(repr(asked).encode())[:32]}.json"
+    if kept is not None and not again:
+        with contextlib.suppress(HyalineError, OSError, KeyError):
+            return cast(str | None, load_sealed(kept)["problem"])
+    problem = _test_render()
+    if kept is not None:
+        with contextlib.suppress(OSError):  # In a read-only home, the next process asks again.
+            commit_sealed(kept, {"problem": problem})
+    return problem
+
+
+def _test_render() -> str | None:
+    command = [sys.executable, "-P", "-c", _GPU_PROBE]
+    try:
+        answer = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=PROBE_LIMIT_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"the test render took more than {PROBE_LIMIT_S} s"
+    lines = answer.stderr.strip().splitlines() or [f"the test render ended with status {answer.returncode}"]
+    return lines[-1] if answer.returncode else None
+
+
+_LLVM_PROBE = """
+import ctypes, sys
+library = ctypes.CDLL(sys.argv[1])
+numbers = [ctypes.c_uint() for _ in range(3)]
+library.LLVMGetVersion(*map(ctypes.byref, numbers))
+print(*(number.value for number in numbers))
+"""
+
+_GPU_PROBE = """
+import mitsuba as mi
+mi.set_variant("cuda_ad_rgb")
+image = mi.render(mi.load_dict(mi.cornell_box()), spp=1)
+assert float(image.array[0]) >= 0
+"""
 
 
 class VariantChoice(NamedTuple):
@@ -50,11 +168,6 @@ def llvm_remedy() -> str:
         return f"unset {VARIABLE}"
     remedies = {("Darwin", "arm64"): "brew install llvm", ("Linux", "x86_64"): install_command("llvm")}
     return remedies.get((platform.system(), platform.machine()), "apt install libllvm19")
-
-
-def num_cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 _num_threads = 2

@@ -1,20 +1,29 @@
-"""Child processes: modules that get and return arrays, since native code may crash or hang; and pools of workers."""
+"""Child processes: for native code, which may crash or hang; for untrusted files; and pools of workers.
+
+A file is read in a child with limits on memory and CPU time. Whatever it does to its reader (a loop, a crash, 60 GB, an
+unexpected exception) ends only that process and becomes one HyalineError here.
+"""
 
 import contextlib
 import functools
+import multiprocessing
 import os
+import pickle
+import resource
 import signal
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
 from datagen.disk.errors import HyalineError, WorkerKilledError, naming
+from datagen.terminal.command import say
 
 ROOT = Path(__file__).resolve().parents[2]
 """The folder that contains these packages."""
@@ -28,6 +37,11 @@ del sys.argv[0]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 """
 """Lifts the soft CPU limit that a child would inherit from a confined parent; the child has its own timeout."""
+
+
+def num_cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class ChildError(Exception):
@@ -63,10 +77,8 @@ def run_child(words: list[str], said: BinaryIO, *, timeout_s: float | None = Non
         process.wait()
 
 
-def arrays_from_child(
-    module: str, arrays: Mapping[str, np.ndarray], *, timeout_s: float, words: tuple[str, ...] = ()
-) -> dict[str, np.ndarray]:
-    """Runs `python -m MODULE IN.npz OUT.npz WORDS` and returns the arrays in OUT.npz.
+def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, timeout_s: float) -> dict[str, np.ndarray]:
+    """Runs `python -m MODULE IN.npz OUT.npz` and returns the arrays in OUT.npz.
 
     Args:
         arrays: the contents of IN.npz.
@@ -80,7 +92,7 @@ def arrays_from_child(
             np.savez(source, allow_pickle=False, **arrays)
         try:
             with said.open("wb") as file:
-                command = ["-c", _START, module, str(source), str(target), *words]
+                command = ["-c", _START, module, str(source), str(target)]
                 status = run_child(command, file, timeout_s=timeout_s)
         except subprocess.TimeoutExpired:
             raise ChildError(f"it took more than {timeout_s:.0f} s") from None
@@ -106,37 +118,26 @@ def in_workers(
 ) -> Iterable[None]:
     """Calls `function` with a job and each task: here, or in spawned processes (a fork would hang torch and Dr.Jit).
 
+    Args:
+        make_job: makes the job of a process from the number of threads that it may use and `arguments`.
+
     Raises:
         WorkerKilledError: a process was killed; all others have been ended.
     """
     if workers < 1:
         raise HyalineError(f"workers: is {workers}; expected at least 1")
-    if workers > 1:
-        return _spawned(function, tasks, min(workers, len(tasks)), (make_job, arguments))
-    return _here(function, tasks, make_job, arguments)
-
-
-def _here(
-    function: Callable[[Job, Task], None],
-    tasks: list[Task],
-    make_job: Callable[..., Job],
-    arguments: tuple[object, ...],
-) -> Iterator[None]:
-    from datagen.machine.mitsuba_variant import num_cores
-
+    if min(workers, len(tasks)) > 1:
+        return _spawned(function, tasks, min(workers, len(tasks)), make_job, arguments)
     job = make_job(num_cores(), *arguments)
-    for task in tasks:
-        yield function(job, task)
+    return (function(job, task) for task in tasks)
 
 
 def _spawned(
-    function: Callable[[Job, Task], None], tasks: list[Task], workers: int, how: tuple[object, ...]
+    function: Callable[..., None], tasks: list[Task], workers: int, make_job: Callable[..., Job], arguments: tuple
 ) -> Iterator[None]:
-    import multiprocessing
-    from concurrent.futures.process import BrokenProcessPool
-
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(workers, *how)) as pool:
+    how = os.getpid(), make_job, max(1, num_cores() // workers), *arguments
+    with ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=how) as pool:
         try:
             yield from pool.map(_call_worker, [function] * len(tasks), tasks)
         except BrokenProcessPool:
@@ -146,22 +147,20 @@ def _spawned(
 
 
 _how: tuple[Any, ...] = ()
-"""How this worker makes its job: the number of workers, the function and its arguments."""
+"""How this worker makes its job: a function and its arguments."""
 
 
-def _start_worker(*how: object) -> None:
+def _start_worker(parent: int, *how: object) -> None:
     global _how
     _how = how
-    die_with(os.getppid())
+    die_with(parent)
 
 
 @functools.cache
 def _job() -> object:
     """This worker's job. The first task makes it, since an error of the initializer would print a traceback."""
-    from datagen.machine.mitsuba_variant import num_cores
-
-    workers, make_job, arguments = _how
-    return make_job(max(1, num_cores() // workers), *arguments)
+    make_job, *arguments = _how
+    return make_job(*arguments)
 
 
 def _call_worker(function: Callable[[object, object], None], task: object) -> None:
@@ -183,3 +182,122 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
+
+
+CPU_S = 8
+"""CPU seconds allowed before anything is read; starting takes half a second."""
+MEMORY = 2_000_000_000
+"""Bytes of address space allowed before anything is read; imports and libraries take a quarter."""
+CPU_S_PER_BYTE = 3e-5
+"""Reading a mesh from text takes 5e-7, compressed XML 1e-5."""
+MEMORY_PER_BYTE = 24
+CPU_S_PER_TRIANGLE = 5e-4
+"""Repairing, mapping and checking one takes 1e-4."""
+MEMORY_PER_TRIANGLE = 1500
+
+
+@contextlib.contextmanager
+def confined(function: Callable[..., None], *arguments: object, where: str) -> Iterator[Path]:
+    """Runs `function(folder, *arguments)` in a child process and yields the folder, which is deleted after the block.
+
+    Function and arguments are pickled for the child; results are never unpickled. If the block is left early, even by
+    a signal, the child and all its descendants are killed.
+
+    Args:
+        function: a module's top-level function, which writes into the folder; it calls `allow_file` and
+            `allow_triangles` for what it reads.
+        where: the file, as named in errors.
+    """
+    with tempfile.TemporaryDirectory(prefix="hyaline-reader-", ignore_cleanup_errors=True) as scratch:
+        folder = Path(scratch)
+        with naming(folder):
+            (folder / "answer").mkdir()
+            (folder / "temporary").mkdir()
+            (folder / "call").write_bytes(pickle.dumps((function, arguments, where, CPU_S)))
+        status = _run(folder)
+        end = folder / "end.txt"
+        if status != 0 or not end.is_file():
+            raise HyalineError(f"{where}: {_met(status)}; it is damaged, or too large: export it again, smaller")
+        for line in (folder / "said").read_text(errors="replace").splitlines():
+            say(line)
+        if error := end.read_text(errors="replace"):
+            raise HyalineError(error)
+        yield folder / "answer"
+
+
+def _run(folder: Path) -> int:
+    """Runs the child process and returns its exit status."""
+    with (folder / "said").open("wb") as said:
+        return run_child(
+            ["-m", "datagen.machine.processes", str(folder), str(os.getpid())],
+            said,
+            TMPDIR=str(folder / "temporary"),
+            # Each thread of a pool reserves address space.
+            OPENBLAS_NUM_THREADS="1",
+            OMP_NUM_THREADS="1",
+            MALLOC_ARENA_MAX="2",
+        )
+
+
+def _met(status: int) -> str:
+    if status == -signal.SIGXCPU:
+        return "reading it took too much CPU time"
+    if status < 0:
+        return f"its reader was ended by {signal.Signals(-status).name}"
+    return f"its reader ended with status {status} and no answer"
+
+
+# Inside the process
+
+_is_confined = False
+
+
+def allow_file(size: int) -> None:
+    """Raises this process's limits by the CPU time and memory that reading a file of this many bytes takes."""
+    _allow(CPU_S_PER_BYTE * size, MEMORY_PER_BYTE * size)
+
+
+def allow_triangles(count: int) -> None:
+    """Raises this process's limits by what making a scene of these triangles takes."""
+    _allow(CPU_S_PER_TRIANGLE * count, MEMORY_PER_TRIANGLE * count)
+
+
+def _allow(cpu_s: float, memory: float) -> None:
+    if _is_confined:
+        for what, more in ((resource.RLIMIT_CPU, cpu_s), (resource.RLIMIT_AS, memory)):
+            _limit(what, resource.getrlimit(what)[0] + round(more + 0.5))
+
+
+def _limit(what: int, limit: int) -> None:
+    _, hard = resource.getrlimit(what)
+    with contextlib.suppress(ValueError, OSError):  # macOS cannot limit address space.
+        resource.setrlimit(what, (limit if hard == resource.RLIM_INFINITY else min(limit, hard), hard))
+
+
+def _main(folder: Path, parent: int) -> None:
+    global _is_confined
+    function, arguments, where, cpu_s = pickle.loads((folder / "call").read_bytes())
+    die_with(parent)
+    _is_confined = True
+    _limit(resource.RLIMIT_CPU, cpu_s)
+    _limit(resource.RLIMIT_AS, MEMORY)
+    end = ""
+    try:
+        function(folder / "answer", *arguments)
+    except HyalineError as error:
+        end = str(error)
+    except MemoryError:
+        memory = resource.getrlimit(resource.RLIMIT_AS)[0] / 1e9
+        end = f"{where}: needs more than {memory:.1f} GB of memory to be read; make it smaller, or split it"
+    # Libraries raise all kinds of exceptions on broken files.
+    except Exception as error:
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        end = f"{where}: cannot be read ({reason[:200]}); the file is damaged, export it again"
+    (folder / "end.txt").write_text(end)
+
+
+if __name__ == "__main__":
+    # `allow_file` has to find the limits in the module that others import.
+    from datagen.machine import processes as this
+
+    this._main(Path(sys.argv[1]), int(sys.argv[2]))

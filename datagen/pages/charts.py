@@ -1,4 +1,4 @@
-"""Line charts by matplotlib: as SVG files, and as pictures in pages."""
+"""Line charts by matplotlib, as pictures in pages."""
 
 import base64
 import functools
@@ -38,7 +38,8 @@ STYLE: dict[Any, Any] = {
 }
 """matplotlib's style: a grid, titles and numbers in quiet colours, no frame."""
 
-WIDTH, HEIGHT = 640, 300
+WIDTH, HEIGHT, DOTS = 640, 300, 72
+"""Pixels, and how many SVG has an inch."""
 MOST_MARKED = 40
 """Lines with more points are drawn without dots, which would touch each other."""
 
@@ -56,11 +57,13 @@ class Line:
 def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: str) -> Markup:
     """A page's figure with a legend; points that are not finite leave gaps."""
     import matplotlib as mpl
+    from matplotlib.figure import Figure
 
     if not any(math.isfinite(y) for line in lines for _, y in line.points):
         return tag("p", f"{title}: nothing to draw.", class_="note")
-    with mpl.rc_context(STYLE):
-        figure = new_figure(WIDTH, HEIGHT)
+    with mpl.rc_context({**STYLE, "svg.fonttype": "none", "svg.hashsalt": "hyaline"}):  # The same bytes every time.
+        size = WIDTH / DOTS, HEIGHT / DOTS
+        figure = Figure(figsize=size, dpi=DOTS, facecolor="white", layout="constrained")
         axes = figure.subplots()
         for line in lines:
             x, y = [x for x, _ in line.points], [y if math.isfinite(y) else math.nan for _, y in line.points]
@@ -68,44 +71,14 @@ def line_chart(lines: tuple[Line, ...], *, title: str, x_title: str, y_title: st
         axes.set(xlabel=printable(x_title), ylabel=printable(y_title))
         axes.locator_params(axis="x", nbins=5)
         figure.legend(loc="outside lower left", ncols=3, frameon=False)
-        return page_figure(figure, title)
-
-
-def new_figure(width: int, height: int) -> "Figure":
-    """An empty figure for a page; sizes are pixels."""
-    from matplotlib.figure import Figure
-
-    return Figure(
-        figsize=(width / 72, height / 72), dpi=72, facecolor="white", layout="constrained"
-    )  # SVG has 72 pixels an inch.
-
-
-def page_figure(figure: "Figure", title: str) -> Markup:
-    """A figure as a picture in a page.
-
-    Args:
-        title: the caption, also read by screen readers.
-    """
-    data = base64.b64encode(figure_svg(figure, is_outlined=False)).decode()
+        names_as_they_are(figure)
+        buffer = io.BytesIO()
+        # matplotlib would write the time and its own version into the file.
+        metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        figure.savefig(buffer, format="svg", metadata=metadata)
+    data = base64.b64encode(buffer.getvalue()).decode()
     picture = tag("img", class_="chart", src=f"data:image/svg+xml;base64,{data}", alt=title)
     return tag("figure", tag("figcaption", title), picture)
-
-
-def figure_svg(figure: "Figure", *, is_outlined: bool = True) -> bytes:
-    """The figure as SVG; the same figure always gives the same bytes.
-
-    Args:
-        is_outlined: draw letters as outlines, which look the same everywhere, instead of text.
-    """
-    import matplotlib as mpl
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-
-    names_as_they_are(figure)
-    buffer = io.BytesIO()
-    with mpl.rc_context({"svg.fonttype": "path" if is_outlined else "none", "svg.hashsalt": "hyaline"}):
-        # matplotlib would write the time and its own version into the file.
-        FigureCanvasSVG(figure).print_svg(buffer, metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
-    return buffer.getvalue()
 
 
 def names_as_they_are(figure: "Figure") -> None:

@@ -64,16 +64,13 @@ def escaped(text: str) -> str:
     return html.escape(printable(text), quote=True)
 
 
-HERE = Path(__file__).parent
-
-
 def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     """The bytes of a page.
 
     Its content security policy allows only embedded pictures and the page's own script, so that nothing smuggled in
     through a hostile name runs.
     """
-    style, script = read_part("page.css"), read_part("page.js")
+    style, script = (Path(__file__).with_name(name).read_text(encoding="utf-8") for name in ("page.css", "page.js"))
     if "</" in style or "</script" in script:
         raise ValueError("a style or script contains an end tag, which would end it inside the page")
     policy = (
@@ -92,13 +89,8 @@ def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     skip = tag("a", "Skip to the content", href="#content", class_="skip")
     main = tag("main", *content, id="content")
     body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
-    page = f'<!DOCTYPE html>\n<html lang="en">\n<head>\n{_lines(head)}</head>\n{body}\n</html>\n'
-    return page.encode()
-
-
-def read_part(name: str) -> str:
-    """A style or script next to this file."""
-    return (HERE / name).read_text(encoding="utf-8")
+    lines = ["<!DOCTYPE html>", '<html lang="en">', "<head>", *head, "</head>", body, "</html>", ""]
+    return "\n".join(lines).encode()
 
 
 def anchor(*words: str) -> str:
@@ -118,14 +110,5 @@ def definitions(pairs: Sequence[tuple[str, Part]]) -> Markup:
     return tag("dl", *(join([tag("dt", term), tag("dd", value)]) for term, value in pairs))
 
 
-def command(words: str) -> Markup:
-    """A command to copy."""
-    return tag("pre", tag("code", words))
-
-
 def _source(text: str) -> str:
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
-
-
-def _lines(parts: list[Markup]) -> str:
-    return "".join(f"{part}\n" for part in parts)

@@ -66,6 +66,16 @@ class Gallery:
             aria_label=label,
         )
 
+    def figure(self, name: str, read: Callable[[], Image8], *, label: str, caption: str) -> Markup | None:
+        """Stores a picture and shows it with a caption; None if it does not fit.
+
+        Args:
+            label: what screen readers say.
+        """
+        if not self.add(name, read):
+            return None
+        return tag("figure", self.show(name, label=label), tag("figcaption", caption), data_name=caption)
+
     def store(self) -> Markup:
         """The hidden element that contains all pictures; put it into the page once."""
         return tag("svg", tag("defs", *self._stored.values()), class_="store", aria_hidden="true", width=0, height=0)

@@ -17,7 +17,7 @@ from jaxtyping import UInt32
 from scipy.stats import qmc
 
 from datagen.disk.errors import HyalineError
-from datagen.terminal.signals import hold_signals
+from datagen.terminal.command import hold_signals
 
 NUM_DIMENSIONS = 128
 """Further dimensions repeat the first ones with another scrambling: still unbiased, but less evenly spread."""

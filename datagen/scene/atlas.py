@@ -21,7 +21,6 @@ from jaxtyping import Float, Float32, Int32
 from datagen.data.meshes import Mesh, check_numbers, is_there
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit, private_cache
-from datagen.machine.mitsuba_variant import num_cores
 from datagen.machine.processes import ChildError, arrays_from_child
 
 if TYPE_CHECKING:
@@ -56,6 +55,8 @@ def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
     xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was unwrapped
     before gets the same atlas from the user's cache.
     """
+    from datagen.machine.processes import num_cores
+
     for where, mesh in meshes.items():
         check_numbers(mesh, where=where)
         if not np.isfinite(mesh.normals).all():
@@ -93,6 +94,7 @@ def _share_out(surfaces: dict[str, Arrays], most: int) -> list[dict[str, Arrays]
 
 
 def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
+
     arrays: dict[str, np.ndarray] = {}
     for index, surface in enumerate(surfaces.values()):
         arrays |= {f"{index}.{name}": values for name, values in surface.items()}

@@ -31,49 +31,32 @@ MAX_SUGGESTED = 100
 """Characters of a wrong name for which a similar one is sought; the time that takes grows with their square."""
 
 
+class Later(NamedTuple):
+    """A command that is imported when it is asked for."""
+
+    load: Callable[[Sequence[str]], Command]
+    """Makes it from the words that follow its name."""
+    line: Callable[[], str] | None = None
+    """Describes it in one line; its docstring does unless given."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CommandGroup:
     """Commands that share their first words, such as those of a program."""
 
     about: str
-    names: Callable[[], Sequence[str]]
-    line: Callable[[str], str]
-    """Describes a command in one line."""
-    choose: Callable[[str, Sequence[str]], "Command | CommandGroup"]
-    """Finds a command by its name, and the words that follow."""
+    commands: Callable[[], "Mapping[str, Command | CommandGroup | Later]"]
     word: str = "command"
-    """What its names are called in messages."""
+    """What a name is called in messages."""
     absent: Mapping[str, str] = field(default_factory=dict)
     """Plug-ins that are not here, by the names that they would add."""
-
-
-class Later(NamedTuple):
-    """A command that is imported when it is asked for."""
-
-    load: Callable[[], Command]
 
 
 def group(
     about: str, commands: Mapping[str, Command | CommandGroup | Later], absent: Mapping[str, str] | None = None
 ) -> CommandGroup:
     """The commands of a program."""
-
-    def find(name: str) -> Command | CommandGroup:
-        command = commands[name]
-        return command.load() if isinstance(command, Later) else command
-
-    def line(name: str) -> str:
-        command = find(name)
-        text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command) or ""
-        return text.partition("\n\n")[0]
-
-    return CommandGroup(
-        about=about,
-        names=lambda: list(commands),
-        line=line,
-        choose=lambda name, _: find(name),
-        absent=absent or {},
-    )
+    return CommandGroup(about=about, commands=lambda: commands, absent=absent or {})
 
 
 def choose(what: str, value: str, choices: Collection[str]) -> str:
@@ -108,8 +91,9 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
         name, *words = words
         if name in command.absent:
             raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
-        choose(f"{program} {command.word}", name, command.names())
-        program, command = f"{program} {name}", command.choose(name, words)
+        commands = command.commands()
+        found = commands[choose(f"{program} {command.word}", name, commands)]
+        program, command = f"{program} {name}", found.load(words) if isinstance(found, Later) else found
     given = collect(program, command, words)
     return functools.partial(command, *given.args, **given.kwargs)
 
@@ -289,17 +273,19 @@ def _config() -> tuple[Any, ...]:
     return (tyro.conf.OmitArgPrefixes, tyro.conf.UseAppendAction, tyro.conf.DisallowNone)
 
 
-def _list_commands(program: str, commands: CommandGroup) -> str:
+def _list_commands(program: str, group: CommandGroup) -> str:
     """The help of a group."""
-    names = commands.names()
-    indent = max(map(len, names)) + 4
-    lines = [f"usage: {program} [-h] {commands.word.upper()} ...", ""]
-    for paragraph in inspect.cleandoc(commands.about).split("\n\n"):
-        lines += [_wrapped(" ".join(paragraph.split())), ""]
-    for name in names:
-        text = f"  {name:{indent - 2}}" + " ".join(commands.line(name).split())
+    commands = group.commands()
+    indent = max(map(len, commands)) + 4
+    lines = [f"usage: {program} [-h] {group.word.upper()} ...", "", _wrapped(group.about), ""]
+    for name, command in commands.items():
+        if isinstance(command, Later):
+            text = command.line() if command.line else inspect.getdoc(command.load(()))
+        else:
+            text = command.about if isinstance(command, CommandGroup) else inspect.getdoc(command)
+        text = f"  {name:{indent - 2}}" + " ".join((text or "").partition("\n\n")[0].split())
         lines += textwrap.wrap(text, HELP_WIDTH, subsequent_indent=" " * indent, drop_whitespace=True)
-    return "\n".join([*lines, "", f"`{program} {commands.word.upper()} --help` describes each."])
+    return "\n".join([*lines, "", f"`{program} {group.word.upper()} --help` describes each."])
 
 
 def _wrapped(line: str) -> str:

@@ -1,26 +1,70 @@
-"""Plug-ins: what a name of an entry-point group refers to, here or in another distribution; imported when asked for.
+"""The distribution that people install, the parts of it, and the plug-ins that it and others bring.
 
 Another distribution adds a name by an entry point, `[project.entry-points."hyaline.exports"]` in its pyproject.toml.
 What is built in is a table in code, so that a source checkout needs no metadata. A name is only ever looked up: no name
 that somebody types, or that a file holds, imports a module.
 """
 
+import contextlib
 import functools
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import choose
-from datagen.terminal.distribution import DISTRIBUTION
-from datagen.terminal.parsing import Later
+from datagen.terminal.parsing import Later, choose
 
 Plugin = TypeVar("Plugin")
+
+DISTRIBUTION = "hyaline-glass"
+"""What pip calls it; the package index has another project by the name of `hyaline`."""
+
+VERSION = "0.3.0"
+
+_GENERATE = ("mitsuba", "drjit", "trimesh", "xatlas", "numba", "manifold3d")
+PARTS = {
+    "generate": _GENERATE,
+    "proxies": (*_GENERATE, "pymeshlab"),
+    "model": (*_GENERATE, "torch"),
+    "view": ("viser",),
+    "tensorboard": ("tensorboard",),
+    "cluster": ("submitit",),
+}
+"""The modules that each extra adds to what reads datasets and scores pictures (pyproject.toml has their versions)."""
+
+OWN_PARTS = {"datagen": "generate", "proxies": "proxies", "model": "model"}
+"""What each command needs to do all it can."""
+
+
+def install_command(extra: str) -> str:
+    """What adds a part to this installation, from wherever it was installed."""
+    return f'pip install "{DISTRIBUTION}[{extra}]"'
+
+
+@contextlib.contextmanager
+def naming_parts(where: str) -> Iterator[None]:
+    """Says which part to install where a module of one is missing.
+
+    Args:
+        where: the command or function that needs it, its program first.
+
+    Raises:
+        HyalineError: the module is not installed.
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        own = OWN_PARTS.get(where.split()[0], "")
+        extra = next((name for name in (own, *PARTS) if error.name in PARTS.get(name, ())), None)
+        if extra is None:
+            raise
+        needed = f"{where}: needs {error.name}, which is not installed"
+        raise HyalineError(f"{needed}; `{install_command(extra)}` brings it") from error
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,7 +166,7 @@ COMMANDS: Group[Callable[..., None]] = Group(
 def commands_of(program: str) -> dict[str, Later]:
     """The commands that plug-ins add to a program, by their words."""
     names = [name for name in COMMANDS.names() if name.startswith(f"{program}.")]
-    return {name.removeprefix(f"{program}."): Later(functools.partial(COMMANDS.find, name)) for name in names}
+    return {name.removeprefix(f"{program}."): Later(lambda _, name=name: COMMANDS.find(name)) for name in names}
 
 
 def absent_commands(program: str) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """The report as one HTML file that opens without a server, requests nothing, and can be read without scripts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +19,7 @@ from eval.page.run_page import (
     truth_panel,
 )
 from eval.score.scores import METRIC_NOTES, SceneScores
-from eval.score.seeds import group_seeds
-from eval.tables.grids import Column, Grid, format_number
-from eval.tables.looks import html_table
+from eval.tables.grids import Grid, html_table
 from eval.tables.plugins import PartPage
 from eval.variants import VariantScores
 
@@ -80,7 +78,7 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     """
     gallery = Gallery(most_bytes)
     listed = [(part, part.compared()) for part in parts]
-    overview = _overview(parts, [_side_by_side(part, items, gallery) for part, items in listed])
+    overview = _overview(parts, [_side_by_side(part, gallery) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
     every = [item for _, of_part in listed for items in of_part.values() for item in items]
     store_views(gallery, every, min(most_views, USUAL_VIEWS))
@@ -95,34 +93,6 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     note = tag("p", left_out, class_="note") if gallery.left_out else None
     content = (gallery.store(), overview, *scenes, *others, *runs, note)
     return document("Report", *content, navigation=_navigation(parts))
-
-
-def scenes_grid(scenes: Sequence[SceneScores]) -> Grid:
-    """PSNR of each run on every scene, runs of one name together; the mean over seeds where there are several."""
-    groups = [{group.name: group for group in group_seeds(scene.runs)} for scene in scenes]
-    names = sorted({name for found in groups for name in found})
-    values = [
-        [
-            found[name].score("psnr_db", split).mean if name in found else None
-            for found in groups
-            for split in TEST_SPLITS
-        ]
-        for name in names
-    ]
-    best = set()
-    for place, column in enumerate(zip(*values, strict=True)):
-        known = [(value, row) for row, value in enumerate(column) if value is not None]
-        if len(known) > 1:
-            best.add((max(known)[1], place + 1))
-    columns = [Column(group=scene.title, split=split) for scene in scenes for split in TEST_SPLITS]
-    return Grid(
-        title="PSNR dB over scenes",
-        columns=(Column(group="run", is_number=False), *columns),
-        rows=tuple(
-            (name, *(format_number(value, 2) for value in row)) for name, row in zip(names, values, strict=True)
-        ),
-        best=frozenset(best),
-    )
 
 
 def _navigation(parts: Sequence[ScenePart]) -> Markup:
@@ -141,24 +111,28 @@ def _navigation(parts: Sequence[ScenePart]) -> Markup:
 
 def _overview(parts: Sequence[ScenePart], pictures: Sequence[Markup]) -> Markup:
     content: list[Part] = [tag("h1", "Report", id="overview")]
-    if len(parts) > 1:
-        content.append(html_table(scenes_grid([part.scene for part in parts])))
     for part, side_by_side in zip(parts, pictures, strict=True):
         content += [tag("h2", part.scene.title), html_table(part.grids[0], part.links), side_by_side]
     content += [tag("p", prose(note), class_="note") for note in METRIC_NOTES]
     return tag("div", *content, class_="page", id="overview-page")
 
 
-def _side_by_side(part: ScenePart, items: dict[str, list[Compared]], gallery: Gallery) -> Markup:
-    """The middle view of each test split, as truth and by all runs, as far as they fit."""
-    rows = []
+def _row(gallery: Gallery, truths: Sequence[Part], items: Iterable[Compared], split: Split, view: int) -> Markup:
+    """A view as truth and by all runs, as far as they fit."""
+    return tag(
+        "div",
+        *truths,
+        *(prediction_panel(gallery, item, view) for item in items if item.split == split),
+        class_="sheet wide",
+    )
+
+
+def _side_by_side(part: ScenePart, gallery: Gallery) -> Markup:
+    """The middle view of each test split."""
+    rows, items = [], [item for scores in part.scene.runs for item in compared(scores)]
     for split in TEST_SPLITS:
         view = part.scene.dataset.config.split(split).views // 2
-        panels: list[Part] = [truth_panel(gallery, part.scene.dataset, split, view)]
-        for item in (item for of_run in items.values() for item in of_run):
-            if item.split == split and item.run.dataset.variant is None:
-                panels.append(prediction_panel(gallery, item, view))
-        rows.append(tag("div", *panels, class_="sheet wide"))
+        rows.append(_row(gallery, [truth_panel(gallery, part.scene.dataset, split, view)], items, split, view))
     return join(rows)
 
 
@@ -173,10 +147,11 @@ def _scene_page(part: ScenePart, gallery: Gallery) -> Markup:
 
 def _part_page(part: ScenePart, page: PartPage, gallery: Gallery) -> Markup:
     """A page that a plug-in brings: its note, its tables, and its pictures, as far as they fit."""
-    place, figures = part.page_anchor(page), []
-    for name, read in page.pictures.items():
-        if gallery.add(key := f"{place}-{anchor(name)}", read):
-            figures.append(tag("figure", gallery.show(key, label=name), tag("figcaption", name)))
+    place = part.page_anchor(page)
+    figures = [
+        gallery.figure(f"{place}-{anchor(name)}", read, label=name, caption=name)
+        for name, read in page.pictures.items()
+    ]
     note = tag("p", prose(f"On {part.scene.title}. {page.note}"), class_="note")
     content = [note, *map(html_table, page.grids), tag("div", *figures, class_="charts")]
     return tag("div", section(page.title, *content, id_=place), class_="page", id=f"{place}-page")
@@ -186,17 +161,14 @@ def _draw_edit(gallery: Gallery, scene: SceneScores, edit: VariantScores) -> Mar
     """The view of each test split that shows most of the edited objects, as far as it fits."""
     record = edit.variant.edit
     assert record is not None
-    rows: list[Part] = []
+    rows, items = [], [item for scores in edit.runs.values() for item in compared(scores)]
     for split in TEST_SPLITS:
         view = _clearest_view(edit, split)
-        panels: list[Part] = [
+        truths = [
             truth_panel(gallery, scene.dataset, split, view, "truth before"),
             truth_panel(gallery, edit.variant, split, view, "truth after"),
         ]
-        for item in (item for scores in edit.runs.values() for item in compared(scores)):
-            if item.split == split:
-                panels.append(prediction_panel(gallery, item, view))
-        rows.append(tag("div", *panels, class_="sheet wide"))
+        rows.append(_row(gallery, truths, items, split, view))
     place = anchor("edit", scene.title, edit.variant.name)
     return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
 

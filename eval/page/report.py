@@ -7,35 +7,31 @@ REPORT/index.html      the page (eval/page/page.py)
 
 import dataclasses
 import shlex
+import shutil
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
-from datagen.data.config import MAX_VIEWS, TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.paths import list_datasets
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import FolderKind, begin, holding, refuse_others
 from datagen.disk.records import Json, dump_json
 from datagen.disk.storage import commit
 from datagen.machine.doctor import code_version
-from datagen.terminal.command import choose, say, track
+from datagen.terminal.command import say, track
 from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, Truth, read_truth, score_run
-from eval.tables.grids import TABLE_WIDTH, Grid
-from eval.tables.looks import grid_text, paragraphs
-from eval.tables.plugins import TABLES, EditedPsnr, FoundPart, report_parts
+from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, paragraphs
+from eval.tables.plugins import TABLES, EditedPsnr, FoundPart, Table, report_parts
 from eval.tables.results import grid_json, results_csv, results_data
 from eval.tables.scenes import Stored, scene_grids
 from eval.variants import edit_grid, object_psnr, score_variants, variant_json
-
-FORMATS = ("table", "markdown", "csv", "latex", "json")
-TABLE_FORMATS = ("table", "markdown", "latex", "json")
-"""Formats of `make_tables`; the report's CSV contains the same values."""
 
 REPORT = FolderKind(what="report", head="report.json", way_out="choose another --out, or empty the folder")
 REPORT_VERSION = 1
@@ -56,9 +52,6 @@ def make_report(
         only: score only the runs of this dataset; None: all runs.
         most_views: views that the page shows of each split and run.
     """
-    choose("format", output_format, FORMATS)
-    if not 1 <= most_views <= MAX_VIEWS:
-        raise HyalineError(f"--shown-views: is {most_views}; expected 1 to {MAX_VIEWS:,} of each split and run")
     refuse_others(out, REPORT)
     runs, errors = _open_runs(runs_root, data_root, out, only)
     if not runs and not errors:
@@ -108,57 +101,47 @@ def score_runs(
     scenes = _score_scenes(runs, errors)
     if not scenes:
         return None
-    found = _find_parts([scene.dataset for scene in scenes], folders, errors)
     variants = [score_variants(scene, errors) for scene in scenes]
+    found: list[dict[str, FoundPart]] = [{} for _ in scenes]  # What plug-ins know of each dataset, by their names.
+    for name, part in report_parts().items():
+        own = [folder for folder in folders if (folder / part.head).is_file()]
+        for of_scene, each in zip(found, part.find([scene.dataset for scene in scenes], own, errors), strict=True):
+            of_scene |= {} if each is None else {name: each}
     analyses: dict[str, dict[str, Json]] = {}
-    for scene, scored, of_plugins in zip(scenes, variants, found, strict=True):
-        stored: Json = {each.variant.name: variant_json(each) for each in scored}
-        analyses[scene.title] = {
-            **({"variants": stored} if scored else {}),
-            **{name: part.data for name, part in of_plugins.items()},
-        }
+    for scene, scored, of_scene in zip(scenes, variants, found, strict=True):
+        analyses[scene.title] = {name: part.data for name, part in of_scene.items()}
+        if scored:
+            analyses[scene.title]["variants"] = {each.variant.name: variant_json(each) for each in scored}
     results = results_data(scenes, analyses, {"made_by": {"command": command, "code": code_version()}})
-    parts = []
-    for scene, scored, of_plugins, stored in zip(scenes, variants, found, results["scenes"], strict=True):
-        edits = [edit_grid(scene, each) for each in scored if each.variant.edit is not None]
-        pages = [page for part in of_plugins.values() for page in part.pages]
-        grids = [*scene_grids(cast(Stored, stored)), *edits]
-        parts.append(ScenePart(scene=scene, variants=scored, grids=grids, pages=pages))
+    parts = [
+        ScenePart(
+            scene=scene,
+            variants=scored,
+            grids=[
+                *scene_grids(cast(Stored, stored)),
+                *(edit_grid(scene, each) for each in scored if each.variant.edit is not None),
+            ],
+            pages=[page for part in of_scene.values() for page in part.pages],
+        )
+        for scene, scored, of_scene, stored in zip(scenes, variants, found, results["scenes"], strict=True)
+    ]
     return Scored(parts=parts, results=results)
 
 
-def _find_parts(
-    datasets: Sequence[Dataset], folders: Sequence[Path], errors: list[HyalineError]
-) -> list[dict[str, FoundPart]]:
-    """What plug-ins know of each dataset, by their names."""
-    found: list[dict[str, FoundPart]] = [{} for _ in datasets]
-    for name, part in report_parts().items():
-        own = [folder for folder in folders if (folder / part.head).is_file()]
-        for of_dataset, each in zip(found, part.find(datasets, own, errors), strict=True):
-            if each is not None:
-                of_dataset[name] = each
-    return found
-
-
 def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
-    """Writes results.json and the page of a report into `out`; returns the page's path.
+    """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path.
 
     Args:
         most_views: views that the page shows of each split and run.
     """
     page = report_page(found.parts, most_views=most_views)
-    write_report(out, {"results.json": dump_json(found.results), PAGE: page})
-    say(f"open {out / PAGE} in a browser")
-    return out / PAGE
-
-
-def write_report(out: Path, files: dict[str, bytes]) -> None:
-    """Commits the files of a report into its folder, which must be new, empty or a report's."""
     with holding(out, REPORT):
         begin(out, REPORT, {"version": REPORT_VERSION})
-        for name, data in files.items():
+        for name, data in {"results.json": dump_json(found.results), PAGE: page}.items():
             commit(out / name, data)
             say(f"wrote {out / name}")
+    say(f"open {out / PAGE} in a browser")
+    return out / PAGE
 
 
 def make_tables(
@@ -170,18 +153,14 @@ def make_tables(
         HyalineError: an unknown table or format, or a run that cannot be scored.
     """
     asked = {name: TABLES.find(name) for name in tables}
-    choose("format", output_format, TABLE_FORMATS)
+    if output_format == "csv":
+        raise UsageError("--format csv: has no named tables; leave out --table, or choose another format")
     runs, errors = _open_runs(runs_root, data_root, runs_root / "report", only)
     wanted = [run for run in runs if any(table.shows(run) for table in asked.values())]
     scenes = _score_scenes(wanted, errors)
     if not scenes:
         datasets = list_datasets(data_root) if only is None else [only]
-        hint = (
-            f"; make them with `{_sweep_command(tables[0], [] if asked[tables[0]].needs_more else datasets)}`"
-            if asked[tables[0]].is_swept
-            else ""
-        )
-        errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{hint}"))
+        errors.append(HyalineError(f"{runs_root}: contains no run of {', '.join(tables)}{_hint(asked, datasets)}"))
 
     def edited(scene: SceneScores) -> EditedPsnr:
         return object_psnr(score_variants(scene, errors, of=lambda variant: variant.edit is not None))
@@ -205,8 +184,11 @@ def _raise_last(errors: Sequence[HyalineError]) -> None:
         raise errors[-1]
 
 
-def _sweep_command(table: str, datasets: Sequence[Path]) -> str:
-    return shlex.join(["model", "sweep", table, *(word for place in datasets for word in ("--dataset", str(place)))])
+def _hint(asked: Mapping[str, Table], datasets: Sequence[Path]) -> str:
+    """What trains the runs of the first table."""
+    name, table = next(iter(asked.items()))
+    places = [] if table.needs_more else [word for place in datasets for word in ("--dataset", str(place))]
+    return f"; make them with `{shlex.join(['model', 'sweep', name, *places])}`" if table.is_swept else ""
 
 
 def _open_runs(runs_root: Path, data_root: Path, out: Path, only: Path | None) -> tuple[list[Run], list[HyalineError]]:
@@ -291,6 +273,4 @@ def _print_grids(grids: Sequence[Grid], output_format: str) -> None:
 
 def _output_width() -> int:
     """Columns of the terminal, at least what the tables need; the same 120 everywhere else."""
-    import shutil
-
     return max(TABLE_WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else TABLE_WIDTH

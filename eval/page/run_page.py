@@ -1,5 +1,6 @@
 """The page of one run: its views, its training (from metrics.jsonl and costs.json), its settings, how to repeat it."""
 
+import contextlib
 import json
 import math
 import shlex
@@ -14,7 +15,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json
 from datagen.disk.storage import read_regular
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.html import Markup, Part, anchor, command, definitions, join, prose, section, tag
+from datagen.pages.html import Markup, Part, anchor, definitions, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
@@ -81,7 +82,7 @@ def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[
     """
     shown: dict[Compared, ShownViews] = {item: [] for item in items}
     ranked = {item: ranked_views(item.scores) for item in items}
-    for rank in range(most):
+    for rank in range(min(most, max(map(len, ranked.values()), default=0))):
         for item, views in ranked.items():
             if rank < len(views) and store_view(gallery, item, views[rank][0]):
                 shown[item].append(views[rank])
@@ -90,31 +91,23 @@ def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[
 
 def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
     """Adds truth and prediction of a view to the gallery; False if there is no room for both."""
-    return store_truth(gallery, item.run.dataset, item.split, view) and gallery.add(
-        _prediction_name(item, view), lambda: read_prediction(item.run, item.split, view)
-    )
-
-
-def store_truth(gallery: Gallery, dataset: Dataset, split: Split, view: int) -> bool:
-    """Adds a true picture to the gallery; False if there is no room."""
-    return gallery.add(_truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+    dataset, split = item.run.dataset, item.split
+    is_there = gallery.add(_truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+    return is_there and gallery.add(_prediction_name(item, view), lambda: read_prediction(item.run, split, view))
 
 
 def truth_panel(gallery: Gallery, dataset: Dataset, split: Split, view: int, what: str = "truth") -> Markup | None:
     """The truth of a view; None if it does not fit into the gallery."""
-    if not store_truth(gallery, dataset, split, view):
-        return None
     label = f"{what}, {split} view {view_name(view)}"
-    return tag("figure", gallery.show(_truth_name(dataset, split, view), label=label), tag("figcaption", label))
+    place = _truth_name(dataset, split, view)
+    return gallery.figure(place, lambda: dataset.view(split, view).image, label=label, caption=label)
 
 
 def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
     """A prediction with its score; None if it does not fit into the gallery."""
-    if not store_view(gallery, item, view):
-        return None
-    label = f"{item.run.name}, {item.title} view {view_name(view)}"
-    picture = gallery.show(_prediction_name(item, view), label=label)
-    return tag("figure", picture, tag("figcaption", item.run.name, ": ", item.caption(view)))
+    label, caption = f"{item.run.name}, {item.title} view {view_name(view)}", f"{item.run.name}: {item.caption(view)}"
+    place = _prediction_name(item, view)
+    return gallery.figure(place, lambda: read_prediction(item.run, item.split, view), label=label, caption=caption)
 
 
 def _compared_figure(gallery: Gallery, item: Compared, view: int, rank: str) -> Markup:
@@ -203,37 +196,30 @@ def _how_to_make(run: Run) -> Markup:
         return join([tag("p", note, class_="note"), details])
     dataset = Path("data") / run.dataset.name if run.dataset.root.is_absolute() else run.dataset.root
     words = ["model", "train", record.method, str(dataset), *flag_words(record.flags.items())]
-    return join([command(shlex.join(words)), details])
+    return join([tag("pre", tag("code", shlex.join(words))), details])
 
 
-def read_training(folder: Path) -> dict[str, tuple[tuple[float, float], ...]]:
+def read_training(folder: Path) -> dict[str, list[tuple[float, float]]]:
     """Steps and values of a run's curves by name, from metrics.jsonl; empty without it, as for foreign methods."""
     path = folder / "metrics.jsonl"
     curves: dict[str, list[tuple[float, float]]] = {}
-    try:
-        lines = read_regular(path, at_most=MAX_JSON_BYTES).splitlines() if path.is_file() else []
-    except HyalineError:
-        lines = []
-    for line in lines:
-        try:
+    with contextlib.suppress(HyalineError):  # A run that was killed may have left half a line.
+        for line in read_regular(path, at_most=MAX_JSON_BYTES).splitlines() if path.is_file() else []:
             record = parse_json(line, where=str(path))
-        except HyalineError:  # A run that was killed may have left half a line.
-            continue
-        step = record.pop("step", None)
-        if is_number(step):
+            step = record.pop("step", None)
             for key, value in record.items():
-                if is_number(value) and abs(value) < MAX_VALUE:
+                if is_number(step) and is_number(value) and abs(value) < MAX_VALUE:
                     curves.setdefault(key, []).append((float(step), float(value)))
-    return {key: tuple(points[:: -(-len(points) // MOST_POINTS)]) for key, points in curves.items()}
+    return {key: points[:: -(-len(points) // MOST_POINTS)] for key, points in curves.items()}
 
 
-def training_charts(curves: Mapping[str, tuple[tuple[float, float], ...]]) -> Markup:
+def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Markup:
     """Curves of two points and more as charts."""
     charts: list[Part] = []
     for key, points in curves.items():
         if len(points) > 1:
             title, y_title = TITLES.get(key, (key.replace("_", " "),) * 2)
-            line = Line(name=title, points=points)
+            line = Line(name=title, points=tuple(points))
             charts.append(line_chart((line,), title=f"{title} by training step", x_title="step", y_title=y_title))
     if not charts:
         return tag("p", "The run's folder contains no training curves.", class_="note")

@@ -83,12 +83,6 @@ def delta_e_2000(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h 
     return np.asarray(colour.delta_E(lab[0], lab[1], method="CIE 2000"))
 
 
-def perceptual_metrics() -> tuple[str, ...]:
-    """Those of `flip` and `lpips` that this installation computes."""
-    found = {"flip": _flip_package(), "lpips": _lpips_distance()}
-    return tuple(name for name, part in found.items() if part is not None)
-
-
 def flip(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float | None:
     """LDR-FLIP, the difference seen when flipping between both pictures, 0 to 1; None without flip-evaluator.
 

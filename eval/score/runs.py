@@ -16,7 +16,6 @@ import dataclasses
 import io
 import os
 import shlex
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,11 +25,10 @@ import numpy as np
 from jaxtyping import UInt8
 from PIL import Image
 
-from datagen.data.config import ANGLE_SPLITS, SPLITS, Split
+from datagen.data.config import SPLITS, Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import MAX_PNG_BYTES, decode_png
 from datagen.data.paths import view_name
-from datagen.data.variants import ANGLES, variant_root
 from datagen.data.variants import VARIANTS_FOLDER as VARIANTS
 from datagen.disk.errors import HyalineError, printable, shown
 from datagen.disk.records import MAX_JSON_BYTES, SEAL, Json, from_json, load_json, load_sealed, parse_json, seal_of
@@ -41,8 +39,6 @@ RUN_VERSION = 5
 """The version of `model train`'s run.json (model/run/run_folder.py)."""
 SRGB = (0.45455, 0.3127, 0.329, 0.64, 0.33, 0.3, 0.6, 0.15, 0.06)
 """As gAMA and cHRM chunks describe it: exponent; x and y of white, red, green and blue."""
-ORIENTATION = 0x0112
-"""EXIF's tag."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,33 +97,22 @@ def list_run_folders(root: Path, *, besides: Path) -> list[Path]:
         besides: the report's own folder, which is left out.
     """
     direct = {path for path in root.glob("*") if (path / "run.json").is_file() or (path / "predictions").is_dir()}
-    folders = [
-        path
-        for path in (*direct, *root.glob("*/*"))
-        if path.is_dir() and path.parent not in direct and not path.name.startswith(".")
-    ]
+    nested = {path for path in root.glob("*/*") if path.parent not in direct and not path.name.startswith(".")}
     own = real_path(besides)
-    return sorted(
-        path
-        for path in folders
-        if own not in (real_path(path), *real_path(path).parents)
-        and not (path.is_symlink() and real_path(path).parent == real_path(path.parent))
-    )
+
+    def is_one(path: Path) -> bool:
+        place = real_path(path)
+        is_alias = path.is_symlink() and place.parent == real_path(path.parent)
+        return path.is_dir() and not is_alias and own not in (place, *place.parents)
+
+    return sorted(filter(is_one, direct | nested))
 
 
 def has_predictions(folder: Path) -> bool:
     """True if the run has predictions; checks the names of splits."""
-    splits = [path.name for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
-    for name in splits:
-        if name in ANGLE_SPLITS:
-            raise HyalineError(
-                f"{folder / 'predictions' / name}: is a split of a variant; its pictures belong into "
-                f"{variant_root(folder, ANGLES) / 'predictions' / name}"
-            )
-        try:
-            choose("split", name, SPLITS)
-        except HyalineError as error:
-            raise HyalineError(f"{folder / 'predictions' / name}: {error}") from None
+    splits = [path for path in sorted((folder / "predictions").glob("*")) if path.is_dir()]
+    for path in splits:
+        choose(f"{path}: split", path.name, SPLITS)
     return bool(splits)
 
 
@@ -144,21 +129,15 @@ def open_run(folder: Path, data_root: Path, given: Dataset | None = None) -> Run
             )
         seal = seal_of(content)
     config = content.pop("config", None)  # Of any keys: not a record here.
-    record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
     if config is not None and not isinstance(config, dict):
         raise HyalineError(f"{path}: config is {shown(config)}; expected an object")
+    record = from_json(Record, {key: item for key, item in content.items() if key != "type"}, where=str(path))
     texts = {key: printable(text) for key, text in vars(record).items() if isinstance(text, str)}
     record = dataclasses.replace(record, config=config, **texts)
-    places = [*([] if given is None else [given.root]), *([] if record.dataset is None else [Path(record.dataset)])]
-    dataset = _find_dataset(folder, [*places, data_root / folder.parent.name], record.dataset_seal)
-    return Run(
-        folder=folder,
-        name=printable(folder.name),
-        dataset=dataset,
-        record=record,
-        seal=seal,
-        promised=_read_promised(folder, dataset, seal),
-    )
+    places = [given and given.root, record.dataset, data_root / folder.parent.name]
+    dataset = _find_dataset(folder, [Path(place) for place in places if place is not None], record.dataset_seal)
+    promised = _read_promised(folder, dataset, seal)
+    return Run(folder=folder, name=printable(folder.name), dataset=dataset, record=record, seal=seal, promised=promised)
 
 
 def within(run: Run, folder: Path, dataset: Dataset) -> Run:
@@ -173,15 +152,11 @@ def _read_promised(folder: Path, dataset: Dataset, run_seal: str | None) -> dict
     if not path.is_file():
         return None
     content = load_sealed(path)
-    for key, what, mine, own in (
-        ("dataset_seal", "of other data", dataset.root, dataset.seal),
-        ("run_seal", "by another run", "run.json here", run_seal),
-    ):
-        found = content.get(key)
-        if found not in (None, own) and own is not None:
+    for key, own in (("dataset_seal", dataset.seal), ("run_seal", run_seal)):
+        if None not in (own, found := content.get(key)) and found != own:
             raise HyalineError(
-                f"{path}: its pictures are {what} ({key} {str(found)[:12]}...) than {mine} ({own[:12]}...); "
-                f"draw them again with `{_render_command(folder)}`"
+                f"{path}: {key} is {str(found)[:12]}..., of other data or another run; expected {str(own)[:12]}...; "
+                f"draw its pictures again with `{_render_command(folder)}`"
             )
     return from_json(dict[str, str], content.get("files"), where=f"{path}: files")
 
@@ -195,14 +170,11 @@ def has_split(run: Run, split: Split) -> bool:
     folder = run.folder / "predictions" / split
     if not folder.is_dir():
         return False
-    views = run.dataset.config.split(split).views
-    span = f"{view_name(0)}.png to {view_name(views - 1)}.png, the {views} views of {run.dataset.root}"
-    expected = {f"{view_name(view)}.png" for view in range(views)}
-    found = {path.name for path in folder.glob("*.png")}
-    if missing := sorted(expected - found):
-        raise HyalineError(f"{folder / missing[0]}: missing ({len(missing)} of {views} are); expected {span}")
-    if extra := sorted(found - expected):
-        raise HyalineError(f"{folder / extra[0]}: not a view of the {split} split; expected only {span}")
+    expected = [f"{view_name(view)}.png" for view in range(run.dataset.config.split(split).views)]
+    if wrong := sorted({path.name for path in folder.glob("*.png")} ^ {*expected}):
+        what = "missing" if wrong[0] in expected else "not a view of the split"
+        span = f"{expected[0]} to {expected[-1]}, the {len(expected)} views of {run.dataset.root}"
+        raise HyalineError(f"{folder / wrong[0]}: {what}; expected {span}")
     return True
 
 
@@ -220,18 +192,14 @@ def read_prediction(run: Run, split: Split, view: int) -> UInt8[np.ndarray, "h w
 
 
 def check_png(data: bytes, *, where: str) -> None:
-    """Raises a HyalineError for a picture that can be decoded, but has a chunk with a wrong checksum, no end, further
-    pictures, another colour space than sRGB, or an orientation."""
+    """Raises a HyalineError for a picture that can be decoded, but has a chunk with a wrong checksum, no end, or
+    colours other than sRGB."""
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as picture:
             picture.verify()
-        with Image.open(io.BytesIO(data), formats=["PNG"]) as picture, warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # EXIF data that cannot be read names no orientation.
-            turned, said = picture.getexif().get(ORIENTATION, 1), picture.info
+            said = picture.info
     except Exception as error:  # Of many kinds, as in `decode_png`.
         raise HyalineError(f"{where}: damaged ({error})") from error
-    if getattr(picture, "is_animated", False):
-        raise HyalineError(f"{where}: is an animation; expected one picture")
     if "icc_profile" in said:
         profile = (said["icc_profile"] or b"").replace(b"\0", b"").lower()  # Version 4 has UTF-16.
         is_srgb = b"srgb" in profile and b"linear" not in profile
@@ -240,8 +208,6 @@ def check_png(data: bytes, *, where: str) -> None:
         is_srgb = "srgb" in said or np.allclose(found, SRGB, rtol=0, atol=0.005)
     if not is_srgb:
         raise HyalineError(f"{where}: its ICC profile, gAMA or cHRM chunk is not sRGB's; convert it to 8-bit sRGB")
-    if turned != 1:
-        raise HyalineError(f"{where}: has the EXIF orientation {turned}; rotate or mirror its pixels instead")
 
 
 def _read_bytes(run: Run, split: Split, view: int) -> bytes:
@@ -252,24 +218,20 @@ def _read_bytes(run: Run, split: Split, view: int) -> bytes:
     data = read_regular(path, at_most=MAX_PNG_BYTES)
     relative = path.relative_to(run.folder).as_posix()
     if run.promised is None and run.seal is not None:
-        raise HyalineError(
-            f"{run.folder / 'predictions.json'}: missing, so the pictures cannot be verified; "
-            f"render them again with `{_render_command(run.folder)}`"
-        )
-    if run.promised is not None and run.promised.get(relative) != sha256(data):
+        what = f"{run.folder / 'predictions.json'}: missing, so the pictures cannot be verified"
+    elif run.promised is not None and run.promised.get(relative) != sha256(data):
         what = "damaged (checksum differs)" if relative in run.promised else "not one of the run's pictures"
-        raise HyalineError(
-            f"{path}: {what}, according to {run.folder / 'predictions.json'}; "
-            f"render it again with `{_render_command(run.folder)}`"
-        )
-    return data
+        what = f"{path}: {what}, according to {run.folder / 'predictions.json'}"
+    else:
+        return data
+    raise HyalineError(f"{what}; render it again with `{_render_command(run.folder)}`")
 
 
 def _render_command(folder: Path) -> str:
     """The command that renders the pictures of a run, or of a variant inside it."""
-    if folder.parent.name == VARIANTS:
-        return shlex.join(["model", "predict", str(folder.parent.parent), "--variant", folder.name])
-    return shlex.join(["model", "predict", str(folder)])
+    is_variant = folder.parent.name == VARIANTS
+    words = [str(folder.parent.parent), "--variant", folder.name] if is_variant else [str(folder)]
+    return shlex.join(["model", "predict", *words])
 
 
 def prediction_digests(run: Run, split: Split) -> list[str]:
@@ -289,13 +251,12 @@ def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
 
 def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:
     """The first dataset of `places` with this digest; the first of all if the run has none."""
-    there = [place for place in places if (place / "dataset.json").is_file()]
-    if not there:
+    datasets = [open_dataset(place) for place in places if (place / "dataset.json").is_file()]
+    if not datasets:
         raise HyalineError(
             f"{folder}: no dataset at {' or '.join(map(str, places))}; set --data to the folder that contains it under "
             "the scene's name"
         )
-    datasets = [open_dataset(place) for place in there]
     for dataset in datasets:
         if seal in (None, dataset.seal):
             return dataset

@@ -10,8 +10,17 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.disk.records import Json
 from eval.score.runs import read_costs
-from eval.score.scores import METRIC_NOTES, METRICS, WRAPPED_NOTE, RunScores, SceneScores, SplitScores
-from eval.score.seeds import SeedGroup, describe_run, group_seeds
+from eval.score.scores import (
+    METRIC_NOTES,
+    METRICS,
+    WRAPPED_NOTE,
+    RunScores,
+    SceneScores,
+    SeedGroup,
+    SplitScores,
+    describe_run,
+    group_seeds,
+)
 from eval.tables.grids import CEILING, Grid
 from eval.tables.scenes import Stored
 

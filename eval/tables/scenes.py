@@ -1,14 +1,11 @@
 """Tables of scores from the content of results.json: of a scene's runs and variants."""
 
 import math
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, cast
 
-from datagen.builder.choices import PRESETS
-from datagen.data.config import TEST_SPLITS, Resolution, Split, SplitConfig
-from eval.score.scores import METRICS, Metric
-from eval.score.seeds import Spread, spread
+from datagen.data.config import TEST_SPLITS, Resolution, Split
+from eval.score.scores import METRICS, Metric, Spread, name_of_seeds, spread
 from eval.tables.grids import CEILING, MISSING, Column, Grid, ceiling_text, format_number
 
 Stored = dict[str, Any]
@@ -22,14 +19,15 @@ def scene_grids(scene: Stored, *, is_page: bool = False) -> list[Grid]:
         is_page: for a page of results, with what the runs know.
     """
     runs = {run["run"]: run for run in scene["runs"]}
+    counts = {name: run["num_parameters"] for name, run in runs.items()}
     texts: dict[str, Callable[[str], str]] = {
         "knows": lambda name: runs[name]["knowledge"] or MISSING,
-        "parameters": lambda name: _count(runs[name]["num_parameters"]),
+        "parameters": lambda name: MISSING if counts[name] is None else f"{counts[name]:,}",
     }
     minutes = {name: run["cpu_seconds"] / 60 for name, run in runs.items() if run.get("cpu_seconds")}
     drops = {name: run["drop_db"] for name, run in runs.items()}
     scores = _grid(
-        f"{scene['scene']}{_size(scene)}",
+        f"{scene['scene']}: {_size(scene)}",
         _groups(scene),
         {name: run["splits"] for name, run in runs.items()},
         TEST_SPLITS,
@@ -51,24 +49,9 @@ def _variant_grid(scene: Stored, name: str, variant: Stored) -> Grid:
 
 
 def _size(scene: Stored) -> str:
-    """The size of a scene's dataset, with the preset's name only if the size is the preset's.
-
-    Files of earlier versions do not record training views and samples; there, the scored pictures count.
-    """
-    resolution, preset = Resolution(**scene["resolution"]), PRESETS.get(scene.get("preset", ""))
-    if "splits" in scene:
-        splits = {split: SplitConfig(**values) for split, values in scene["splits"].items()}
-        is_own = preset is not None and all(config == getattr(preset, split) for split, config in splits.items())
-        spps = " + ".join("unknown" if config.spp is None else str(config.spp) for config in splits.values())
-        views = f"{' + '.join(str(config.views) for config in splits.values())} views, {spps} samples per pixel"
-    else:
-        scored = [run["splits"].get(split) for run in scene["runs"] for split in TEST_SPLITS]
-        counts = {len(scores[METRICS[0].key]["pictures"]) for scores in scored if scores}
-        is_own = preset is not None and counts <= {preset.interpolating.views}
-        views = f"{' or '.join(map(str, sorted(counts)))} views of each test split"
-    if is_own and preset is not None and resolution == preset.resolution:
-        return f", preset {scene['preset']}: {resolution} pixels"
-    return f": {resolution} pixels, {views}"
+    scored = [scores for run in scene["runs"] for scores in run["splits"].values() if scores]
+    counts = sorted({len(scores[METRICS[0].key]["pictures"]) for scores in scored})
+    return f"{Resolution(**scene['resolution'])} pixels, {' or '.join(map(str, counts))} views of each test split"
 
 
 def _groups(scene: Stored) -> list[list[str]]:
@@ -84,7 +67,7 @@ def _grid(
     runs: Stored,
     splits: Sequence[Split],
     ceilings: Stored,
-    metrics: tuple[Metric, ...],
+    metrics: Sequence[Metric],
     texts: dict[str, Callable[[str], str]],
     numbers: dict[str, Stored],
     notes: tuple[str, ...] = (),
@@ -96,45 +79,44 @@ def _grid(
         texts: further columns before the scores.
         numbers: further columns after them, with one number per run.
     """
-
-    def scores(group: list[str], metric: Metric, split: Split) -> Spread:
-        return spread([_mean(runs[name].get(split), metric.key) for name in group])
-
-    groups = sorted(groups, key=lambda group: -_comparable(scores(group, metrics[0], splits[0])))
-    columns = [Column(group="run", is_number=False), *(Column(group=text, is_number=False) for text in texts)]
-    columns += [
-        Column(group="seeds"),
-        *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+    scored = [(metric, split) for metric in metrics for split in splits]
+    table = [
+        (group, [spread([_mean(runs[name].get(split), metric.key) for name in group]) for metric, split in scored])
+        for group in groups
     ]
-    columns += [Column(group=number) for number in numbers]
-    rows, best = [], set()
+    table.sort(key=lambda row: -math.inf if row[1][0].mean is None else row[1][0].mean, reverse=True)
     first = len(texts) + 2
-    for group in groups:
-        row = [_group_name(group), *(text(group[0]) for text in texts.values()), str(len(group))]
-        row += [_cell(scores(group, metric, split), metric.decimals) for metric in metrics for split in splits]
-        row += [_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()]
-        rows.append(tuple(row))
-    places: list[tuple[Metric, Split]] = [(metric, split) for metric in metrics for split in splits]
-    for place, (metric, split) in enumerate(places):
-        values = [scores(group, metric, split).mean for group in groups]
-        known = [metric.sign * value for value in values if value is not None]
-        if metric.sign and len(known) > 1:
-            best |= {(row, first + place) for row, value in enumerate(values) if value == metric.sign * max(known)}
-    ceiling = [ceiling_text(_number(ceilings.get(split))) for split in splits]
-    rest = len(columns) - first - len(ceiling)
-    rows.append((CEILING, *[""] * len(texts), "", *ceiling, *[""] * rest))
+    best = set()
+    for place, (metric, _) in enumerate(scored):
+        means = [scores[place].mean for _, scores in table]
+        values = {row: metric.sign * mean for row, mean in enumerate(means) if mean is not None}
+        if metric.sign and len(values) > 1:
+            best |= {(row, first + place) for row, value in values.items() if value == max(values.values())}
+    rows = [
+        (
+            name_of_seeds(group),
+            *(text(group[0]) for text in texts.values()),
+            str(len(group)),
+            *(_cell(score, metric.decimals) for score, (metric, _) in zip(scores, scored, strict=True)),
+            *(_cell(spread([_number(number.get(name)) for name in group]), 2) for number in numbers.values()),
+        )
+        for group, scores in table
+    ]
+    ceiling = (ceiling_text(_number(ceilings.get(split))) for split in splits)
+    rest = len(scored) - len(splits) + len(numbers)
     return Grid(
         title=title,
-        columns=tuple(columns),
-        rows=tuple(rows),
+        columns=(
+            *(Column(group=name, is_number=False) for name in ["run", *texts]),
+            Column(group="seeds"),
+            *(Column(group=metric.title, split=split) for metric in metrics for split in splits),
+            *(Column(group=name) for name in numbers),
+        ),
+        rows=(*rows, (CEILING, *[""] * (len(texts) + 1), *ceiling, *[""] * rest)),
         last_row_apart=True,
         best=frozenset(best),
         notes=notes,
     )
-
-
-def _group_name(group: list[str]) -> str:
-    return re.sub(r"-seed\d+", "", group[0]) if len(group) > 1 else group[0]
 
 
 def _mean(metrics: Stored | None, key: str) -> float | None:
@@ -145,14 +127,6 @@ def _number(value: float | str | None) -> float | None:
     return math.inf if value == "inf" else cast(float | None, value)
 
 
-def _comparable(value: Spread) -> float:
-    return -math.inf if value.mean is None else value.mean
-
-
 def _cell(value: Spread, decimals: int) -> str:
     mean = format_number(value.mean, decimals)
     return mean if value.deviation is None else f"{mean} ± {format_number(value.deviation, decimals)}"
-
-
-def _count(number: int | None) -> str:
-    return MISSING if number is None else f"{number:,}"

@@ -66,6 +66,7 @@ class TracedLayerPixels(PixelSource[RayBatch]):
 
     def take(self, index: Int[Tensor, "*pixel"], rng: np.random.Generator | None) -> RayBatch:
         """The layers of the rays through these pixels; without `rng`, as many rays as for rendering."""
+
         samples = self.train_samples if rng is not None else self.render_samples
         origins, directions = rays_through(self.cameras, index.flatten().cpu().numpy(), samples, rng)
         with short_lived_workers():
@@ -136,6 +137,7 @@ def peel_cameras(
     Args:
         whole_views: the renderer needs neighbouring pixels.
     """
+
     peeler = _load_peeler(geometry_key(dataset, geometry))
     with short_lived_workers():
         views = [peeler.peel(cameras, view, num_layers)[0] for view in range(len(cameras))]
@@ -158,6 +160,7 @@ def trace_cameras(
 
 @functools.lru_cache(maxsize=1)
 def _load_peeler(key: GeometryKey) -> "Peeler":
+
     use_mitsuba()
     from datagen.trace.peel import Peeler
 

@@ -20,7 +20,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
-from datagen.terminal.signals import Stopped
+from datagen.terminal.command import Stopped
 from model.batches.rays import PixelSource, cameras_of
 from model.methods.protocol import METHODS, Inputs, open_inputs
 from model.methods.renderer import Renderer

@@ -30,10 +30,11 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from datagen.builder.choices import LaunchChoices
 from datagen.disk.errors import DamagedError, HyalineError, shown
 from datagen.disk.storage import read_regular
-from datagen.machine.launch import LaunchChoices, own_command, raise_failures, run_in_jobs
-from datagen.machine.mitsuba_variant import num_cores
+from datagen.machine.launch import own_command, raise_failures, run_in_jobs
+from datagen.machine.processes import num_cores
 from datagen.terminal.command import choose, say
 from model.methods.protocol import METHODS
 from model.run.train_flags import folder_name, parse_train
@@ -208,7 +209,7 @@ def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> dict[str, st
     """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
     run_commands(experiment, experiment.needs)
     jobs = {command_line(words): ["train", *words] for words in experiment.runs}
-    return run_in_jobs("model", jobs, RUNS / "jobs", launch)
+    return run_in_jobs("model", jobs, RUNS / "jobs", launch.launcher, launch.parameters())
 
 
 def finish(experiment: Experiment, failures: Mapping[str, str]) -> None:

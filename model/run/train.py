@@ -18,8 +18,7 @@ from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
-from datagen.terminal.command import say, track
-from datagen.terminal.signals import Stopped, hold_signals
+from datagen.terminal.command import Stopped, hold_signals, say, track
 from model.batches.rays import PixelSource, TracedPixels, made_ahead
 from model.methods.patch_losses import Losses
 from model.methods.protocol import Inputs, open_inputs

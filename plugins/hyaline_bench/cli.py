@@ -85,8 +85,7 @@ def score(
         runs: Folder with the runs.
         data: Folder with the datasets, DATA/SCENE, including their truth.
     """
-    from eval.tables.grids import TABLE_WIDTH
-    from eval.tables.looks import grid_text
+    from eval.tables.grids import TABLE_WIDTH, grid_text
     from hyaline_bench.leaderboard import scene_grid
     from hyaline_bench.protocol import left_out
     from hyaline_bench.score import find_runs, score_runs

@@ -5,8 +5,7 @@ from statistics import fmean
 
 from datagen.data.config import TEST_SPLITS
 from datagen.disk.errors import HyalineError, shown
-from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number
-from eval.tables.looks import grid_text, markdown_escaped
+from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number, grid_text, markdown_escaped
 from hyaline_bench.protocol import ALL, Protocol
 from hyaline_bench.score import COSTS, Scored, Summary, summarise
 

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from datagen.data.transforms import CONVENTION, lens_keys
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.terminal.distribution import VERSION
+from datagen.terminal.plugins import VERSION
 from hyaline_export.formats import Format
 from hyaline_export.source import ExportView, Source, depth_png, mask_png, rgb_png, tracked
 

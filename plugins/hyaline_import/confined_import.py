@@ -13,7 +13,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json, dump_json, load_json, load_sealed
 from datagen.disk.storage import check_relative, commit
-from datagen.machine.confined import confined
+from datagen.machine.processes import confined
 from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.finding import ImportChoices
 from datagen.scene.folder import load_scene, save_scene, scene_files

@@ -15,7 +15,7 @@ from datagen.data.cameras import Camera, Lens, check_lens
 from datagen.data.meshes import open_edges, volume_within, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import read_regular
-from datagen.machine.confined import allow_file
+from datagen.machine.processes import allow_file
 from datagen.scene.materials import Color, Material
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.substances import SUBSTANCES

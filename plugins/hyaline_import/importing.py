@@ -16,7 +16,7 @@ from datagen.data.meshes import Mesh, is_there, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import read_regular, sha256
-from datagen.machine.confined import allow_triangles
+from datagen.machine.processes import allow_triangles
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,

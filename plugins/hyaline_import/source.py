@@ -38,7 +38,7 @@ def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Sc
 def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
     import numpy as np
 
-    from datagen.machine.confined import confined
+    from datagen.machine.processes import confined
     from hyaline_import.foreign_files import check_ending
 
     check_ending(path)
@@ -50,7 +50,7 @@ def write_arrays(folder: Path, path: Path) -> None:
     """Reads all objects of a file as one mesh, in the process that `confined` starts."""
     import numpy as np
 
-    from datagen.machine.confined import allow_triangles
+    from datagen.machine.processes import allow_triangles
     from hyaline_import.foreign import joined
     from hyaline_import.foreign_files import READERS, ending_of
     from hyaline_import.remarks import Remarks

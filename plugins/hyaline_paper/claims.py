@@ -10,8 +10,7 @@ from jaxtyping import Float
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.paths import TRUTH
-from eval.score.scores import RunScores, SceneScores
-from eval.score.seeds import SeedGroup, group_seeds
+from eval.score.scores import RunScores, SceneScores, SeedGroup, group_seeds
 from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
 from eval.tables.plugins import EditedPsnr, Table
 from hyaline_paper.comparisons import (

@@ -10,8 +10,7 @@ from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
 from datagen.disk.records import Json, dump_json
 from eval.score.runs import Run, read_costs
-from eval.score.scores import SceneScores
-from eval.score.seeds import SeedGroup, Spread, group_seeds, spread
+from eval.score.scores import SceneScores, SeedGroup, Spread, group_seeds, spread
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 

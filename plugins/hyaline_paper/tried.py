@@ -13,8 +13,7 @@ from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
 from eval.score.metrics import psnr, psnr_uint8_wrap
 from eval.score.runs import read_prediction
-from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, score_picture
-from eval.score.seeds import group_seeds
+from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, group_seeds, score_picture
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 from eval.variants import VariantScores, score_variants

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
-from proxies.meshing.measure import Nearest, nearest_points
+from proxies.measure import Nearest, nearest_points
 
 SAMPLES = 4096
 """Points on each mesh where distances and normals are compared."""

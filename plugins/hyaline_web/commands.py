@@ -50,7 +50,7 @@ def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
             THIS_MACHINE` brings the viewer to that one's port 8080.
         device: Where to compute; auto uses a GPU if there is one.
     """
-    from datagen.terminal.signals import Stopped
+    from datagen.terminal.command import Stopped
     from hyaline_web.view.view import show
 
     if not 0 <= port <= 65535:

@@ -1,6 +1,7 @@
 """Tests RESULTS.md: it is what the command writes from stored results, seeds become means, other files are refused."""
 
 import json
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -9,9 +10,9 @@ from support.commands import call
 
 from datagen.disk.errors import HyalineError
 from eval.tables.grids import MISSING
-from eval.tables.pages import results_page
 
 ROOT = Path(__file__).resolve().parents[2]
+results_page = runpy.run_path(str(ROOT / "docs/results.py"), run_name="results")["results_page"]
 KEYS = ("psnr_db", "glass_psnr_db", "ssim", "delta_e")
 
 
@@ -56,9 +57,9 @@ def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.Mo
     folders = sorted(path for path in Path("docs/results").iterdir() if path.is_dir())
     assert sorted(Path("docs/results").glob("*.md")) == [folder.with_suffix(".md") for folder in folders]
     for folder in folders:
-        bench = f"hyaline-bench leaderboard {folder}"
-        answer = call(bench if folder.name == "bench" else f"report --results {folder}")
-        assert folder.with_suffix(".md").read_text() == answer.out, "write it with `make results`"
+        is_bench = folder.name == "bench"
+        page = call(f"hyaline-bench leaderboard {folder}").out if is_bench else results_page(folder)
+        assert folder.with_suffix(".md").read_text() == page, "write it with `make results`"
         assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()
 
 

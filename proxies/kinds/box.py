@@ -7,7 +7,7 @@ from jaxtyping import Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import grid_faces
-from proxies.meshing.solid import Solid
+from proxies.solid import Solid
 
 MAX_DIRECTIONS = 400
 """Face normals of the hull to try as a side of the box, largest area first."""

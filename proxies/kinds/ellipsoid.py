@@ -7,7 +7,7 @@ from jaxtyping import Float64, Int64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import grid_faces
-from proxies.meshing.solid import Solid, gauge, planes_of
+from proxies.solid import Solid, gauge, planes_of
 
 TOLERANCE = 1e-5
 """Tolerance of the optimality conditions; measured volumes are then within 3e-5 of the least."""

@@ -8,8 +8,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh
 from proxies.kinds.ellipsoid import smallest_ellipsoid, sphere_grid
-from proxies.meshing.solid import Solid, convex_hull, gauge, outside_by, planes_of
-from proxies.meshing.surface import Surface, unwrap_sound
+from proxies.solid import Solid, Surface, convex_hull, gauge, outside_by, planes_of, unwrap_sound
 
 CELLS = 12
 """Grid cells along an edge of the octahedron: 4 * 12^2 + 2 = 578 normals, and a hull vertex for each."""

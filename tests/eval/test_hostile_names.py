@@ -2,8 +2,7 @@
 
 import pytest
 
-from eval.tables.grids import Column, Grid
-from eval.tables.looks import grid_text
+from eval.tables.grids import Column, Grid, grid_text
 from eval.tables.results import csv_text
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\r\nerror: \u202eforged | <b> \\ [x](y) `z` & $1$"

@@ -21,7 +21,9 @@ def dataset(tmp_path: Path) -> hyaline.Dataset:
 
 
 @pytest.mark.usefixtures("dataset")
-@pytest.mark.parametrize("name", ["hyaline", "hyaline.datasets", "hyaline.scenes", "hyaline.scores", "hyaline.tensors"])
+@pytest.mark.parametrize(
+    "name", ["hyaline", "hyaline.datasets", "hyaline.scenes", "hyaline.reports", "hyaline.tensors"]
+)
 def test_the_examples_of_the_documentation_print_what_they_say(name: str) -> None:
     results = doctest.testmod(importlib.import_module(name))
     assert results.attempted > 2 and results.failed == 0

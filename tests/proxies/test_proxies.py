@@ -20,10 +20,10 @@ from datagen.data.meshes import (
     vertex_normals,
 )
 from datagen.data.paths import ProxyKind
+from proxies import measure
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings
-from proxies.meshing import measure
-from proxies.meshing.solid import Solid, make_solid, outside_by
+from proxies.solid import Solid, make_solid, outside_by
 
 KINDS = list(FITTERS)
 CONVEX_KINDS: list[ProxyKind] = ["box", "ellipsoid", "hull"]

@@ -1,5 +1,10 @@
 """The dataset of pane and floor, which needs no Mitsuba (datagen/builder/synthetic.py)."""
 
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
 from datagen.builder.synthetic import (
     HEIGHTS,
     look_at,
@@ -10,6 +15,9 @@ from datagen.builder.synthetic import (
     trace,
     write_synthetic_dataset,
 )
+from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.images import png_bytes
 
 __all__ = [
     "HEIGHTS",
@@ -19,5 +27,17 @@ __all__ = [
     "shade",
     "synthetic_scene",
     "trace",
+    "write_predictions",
     "write_synthetic_dataset",
 ]
+
+
+def write_predictions(
+    dataset: Dataset, run: Path, change: Callable[[np.ndarray], np.ndarray], *, splits: Sequence[Split] = TEST_SPLITS
+) -> None:
+    """A method's pictures of a dataset: the true ones, changed."""
+    for split in splits:
+        (run / "predictions" / split).mkdir(parents=True)
+        for view in dataset.views(split):
+            picture = png_bytes(change(view.image))
+            (run / "predictions" / split / f"{view.index:04d}.png").write_bytes(picture)

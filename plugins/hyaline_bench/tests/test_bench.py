@@ -155,7 +155,7 @@ def test_files_that_are_no_scores_of_this_protocol_are_named_and_left_out(predic
 @pytest.mark.parametrize(
     ("file", "message"),
     [
-        ("predictions/interpolating/0001.png", r"missing \(1 of 2 are\)"),
+        ("predictions/interpolating/0001.png", "0001.png: missing; expected 0000"),
         ("variants/angles", "the protocol asks for extrapolating-10deg"),
         ("predictions/extrapolating", "the protocol asks for all its views"),
     ],
@@ -186,7 +186,7 @@ HOSTILE: dict[str, tuple[Path, Callable[[Path], object], str]] = {
     "a view too many": (
         PICTURE,
         lambda path: shutil.copy(path, path.with_name("0002.png")),
-        "not a view of the interpolating split",
+        "not a view of the split",
     ),
     "an unknown key": (RECORD, lambda path: path.write_bytes(b'{"command": "rm"}'), "unknown key 'command'"),
 }

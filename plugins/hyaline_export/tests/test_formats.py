@@ -21,7 +21,7 @@ from support.traced_dataset import BALL, write_traced_dataset
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.quantities import quantities, surfaces_of
-from datagen.terminal.distribution import VERSION
+from datagen.terminal.plugins import VERSION
 from hyaline_export.formats import FORMATS, export_dataset
 from hyaline_export.source import Source
 

@@ -17,7 +17,7 @@ from datagen.data.writing import commit_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import read_regular, sha256
-from datagen.machine.confined import allow_triangles
+from datagen.machine.processes import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric

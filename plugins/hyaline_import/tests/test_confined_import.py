@@ -21,7 +21,7 @@ from support.gltf import BOX, GltfBuilder
 
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
-from datagen.machine import confined
+from datagen.machine import processes
 from hyaline_import.importing import READERS
 from hyaline_import.remarks import Remarks
 
@@ -165,9 +165,9 @@ def test_whatever_ends_a_reader_is_one_error(
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     monkeypatch.delitem(sys.modules, "ends_of_readers", raising=False)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    monkeypatch.setattr(confined, "CPU_S", 2)
+    monkeypatch.setattr(processes, "CPU_S", 2)
     function = getattr(importlib.import_module("ends_of_readers"), name)
-    with pytest.raises(HyalineError, match=message) as error, confined.confined(function, where="x.glb"):
+    with pytest.raises(HyalineError, match=message) as error, processes.confined(function, where="x.glb"):
         pass
     assert "\n" not in str(error.value)
     assert not left(tmp_path)

@@ -20,8 +20,7 @@ from datagen.disk.records import to_json
 from datagen.scene.folder import save_scene
 from eval.page.report import make_report, make_tables
 from eval.score.runs import open_run
-from eval.score.scores import SceneScores, Truth, read_truth, score_run
-from eval.score.seeds import spread
+from eval.score.scores import SceneScores, Truth, read_truth, score_run, spread
 from eval.tables.grids import MISSING
 from hyaline_paper import claims
 from hyaline_paper.comparisons import known_to
@@ -128,9 +127,9 @@ def test_a_spread_is_numpys_mean_and_sample_deviation() -> None:
     values = np.random.default_rng(1).normal(30, 2, size=7)
     found = spread([float(value) for value in values])
     assert found.mean == pytest.approx(values.mean()) and found.deviation == pytest.approx(values.std(ddof=1))
-    assert spread([3.0]) == dataclasses.replace(found, mean=3.0, deviation=None, count=1)
+    assert spread([3.0]) == dataclasses.replace(found, mean=3.0, deviation=None)
     assert spread([3.0, None]).mean is None
-    assert spread([3.0, math.inf]) == dataclasses.replace(found, mean=math.inf, deviation=None, count=2)
+    assert spread([3.0, math.inf]) == dataclasses.replace(found, mean=math.inf, deviation=None)
 
 
 def test_the_report_averages_runs_that_differ_in_their_seed_alone(

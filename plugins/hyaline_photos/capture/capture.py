@@ -12,7 +12,7 @@ from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
 from datagen.data.images import mask_pixels, png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.machine.confined import allow_triangles
+from datagen.machine.processes import allow_triangles
 from datagen.scene.description import SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Float32
 
 from datagen.data.meshes import Mesh
 from datagen.machine.compiled import compiled
-from datagen.machine.mitsuba_variant import num_cores
+from datagen.machine.processes import num_cores
 from hyaline_photos.capture.stereo import DepthMaps, projections_of
 
 if TYPE_CHECKING:

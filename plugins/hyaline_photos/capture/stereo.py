@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Cameras
 from datagen.machine.compiled import compiled
-from datagen.machine.mitsuba_variant import num_cores
+from datagen.machine.processes import num_cores
 from datagen.terminal.command import track
 
 PLANES = 192

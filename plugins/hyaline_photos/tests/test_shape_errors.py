@@ -9,7 +9,7 @@ from support.meshes import box, mesh_of
 
 from datagen.data.meshes import Mesh
 from hyaline_photos.shape_errors import measure_walls, shape_errors
-from proxies.meshing.measure import nearest_points
+from proxies.measure import nearest_points
 
 
 def ball(radius: float = 1.0, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:

@@ -23,7 +23,7 @@ from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, read_regular
 from datagen.pages.pictures import data_uri
-from datagen.terminal.distribution import VERSION
+from datagen.terminal.plugins import VERSION
 from hyaline_web.page.packing import Quality
 from hyaline_web.page.scene import web_scene
 from model.methods.page import package_text

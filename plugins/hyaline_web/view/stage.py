@@ -17,7 +17,7 @@ from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.meshes import is_there
 from datagen.data.paths import TRUTH, view_name
 from datagen.disk.errors import HyalineError
-from datagen.look.view_pictures import object_colors
+from datagen.look.drawings import object_colors
 from hyaline_web.view.schedule import window_pose
 
 COLORS = {"train": (90, 140, 230), "interpolating": (70, 180, 110), "extrapolating": (220, 90, 80)}

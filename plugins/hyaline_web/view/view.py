@@ -28,8 +28,7 @@ from websockets.http11 import Request, Response
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import say, tell
-from datagen.terminal.signals import Held, hold_signals
+from datagen.terminal.command import Held, hold_signals, say, tell
 from hyaline_web.view.live_run import LiveRun, MovedOn
 from hyaline_web.view.schedule import Job, Pose, Schedule
 from hyaline_web.view.stage import Stage

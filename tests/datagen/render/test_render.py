@@ -344,7 +344,7 @@ def test_a_picture_repeats_to_the_last_bit_however_many_threads_share_its_pixels
     """At this size threads meet within pixels; Mitsuba's own film then differs from run to run."""
     import drjit as dr
 
-    from datagen.machine.mitsuba_variant import num_cores
+    from datagen.machine.processes import num_cores
 
     ball = SceneObject(name="ball", mesh=mesh_of(trimesh.creation.icosphere(3, 0.4)), material=Dielectric(ior=1.5))
     floor = SceneObject(name="floor", mesh=quad(-0.5), material=Diffuse(color=(0.7, 0.3, 0.2)))

@@ -74,7 +74,7 @@ import os, signal
 import numpy as np
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.terminal.signals import Stopped
+from datagen.terminal.command import Stopped
 
 use_mitsuba()
 from datagen.render.sobol import SobolPoints

@@ -9,11 +9,10 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from support.synthetic import write_synthetic_dataset
+from support.synthetic import write_predictions, write_synthetic_dataset
 
-from datagen.data.images import png_bytes
 from datagen.disk.errors import HyalineError
-from datagen.terminal.distribution import DISTRIBUTION, PARTS, VERSION, naming_parts
+from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION, naming_parts
 
 ROOT = Path(__file__).resolve().parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -64,11 +63,7 @@ def without_parts(folder: Path, *lines: str) -> dict[str, tuple[int, str, str]]:
 
 def test_the_base_verifies_reads_and_scores_and_a_missing_part_is_one_line(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "one")
-    for split in ("interpolating", "extrapolating"):
-        for view in dataset.views(split):
-            place = tmp_path / "runs" / "one" / "mine" / "predictions" / split / f"{view.index:04}.png"
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_bytes(png_bytes(255 - view.image))
+    write_predictions(dataset, tmp_path / "runs" / "one" / "mine", lambda image: 255 - image)
     needing = {
         "datagen build --scene glass_table --preset tiny": "generate",
         "datagen peel data/one --overwrite": "generate",

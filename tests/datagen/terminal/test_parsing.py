@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import CommandGroup, changed_flags, collect, flag_words, group, parse
+from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words, group, parse
 
 PROGRAMS = {
     "datagen": "datagen.cli",
@@ -27,7 +27,9 @@ def every_command() -> list[str]:
     def below(line: str, command: object) -> list[str]:
         if not isinstance(command, CommandGroup):
             return [line]
-        return [line, *(one for name in command.names() for one in below(f"{line} {name}", command.choose(name, ())))]
+        found = command.commands().items()
+        loaded = {name: item.load(()) if isinstance(item, Later) else item for name, item in found}
+        return [line, *(one for name, item in loaded.items() for one in below(f"{line} {name}", item))]
 
     found = [
         line

@@ -14,7 +14,7 @@ from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.terminal.signals import Stopped, hold_signals, signal_within
+from datagen.terminal.command import Stopped, hold_signals, signal_within
 from model import cli
 from model.run import train as train_module
 from model.run.run_folder import TrainConfig

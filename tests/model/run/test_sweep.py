@@ -234,8 +234,8 @@ def test_devices_are_those_that_may_be_seen(
 def test_a_sweep_in_jobs_has_one_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     sent: list[Mapping[str, Sequence[str]]] = []
 
-    def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], place: Path, launch: object) -> dict[str, str]:
-        assert (program, place) == ("model", Path("runs/jobs"))
+    def run_in_jobs(program: str, jobs: Mapping[str, Sequence[str]], *where: object) -> dict[str, str]:
+        assert (program, *where[:2]) == ("model", Path("runs/jobs"), "slurm")
         sent.append(jobs)
         return {list(jobs)[-1]: "it was cancelled"}
 

@@ -13,7 +13,7 @@ from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import rotation
 from hyaline_photos.fit.boxes import Box, fit_box
 from hyaline_photos.fit.views import rays_near
-from proxies.meshing.measure import enclosure
+from proxies.measure import enclosure
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER, SIZES, TURN = (0.01, -0.02, 0.052), (0.03, 0.02, 0.05), rotation((0, 0, 1), 28)

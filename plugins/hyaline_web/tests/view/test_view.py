@@ -12,7 +12,7 @@ from support.commands import call
 from support.viewer import PATIENCE_S, open_window, pose_of, require_viewer, viewer
 
 import hyaline
-from datagen.terminal.signals import Held
+from datagen.terminal.command import Held
 from hyaline_web.view.schedule import camera_in_window
 
 pytestmark = pytest.mark.usefixtures("at_home")

@@ -21,16 +21,13 @@ from datagen.data.meshes import (
     signed_volume,
     windings,
 )
-from proxies.meshing.solid import Solid, outside_by, used_positions
+from proxies.solid import ATLAS_ROOM, Solid, outside_by, smallest_chart, used_positions
 
 SAMPLES = 4096
 """Points on a proxy, besides its vertices, for which distances are measured."""
 
 ROUNDING = 32 * 2.0**-24
 """Largest distance of a facet with float32 vertices from its plane, relative to the largest coordinate."""
-
-ATLAS_ROOM = 1.5e-6
-"""Least area of a face in uv, relative to the atlas: a tenth of a texel at 256^2."""
 
 FLAT = 1e-9
 """Sine of the angle between an edge and a face's plane below which the edge counts as lying in it."""
@@ -66,13 +63,6 @@ def enclosure(proxy: Mesh, truth: Mesh | None) -> Enclosure:
     elif chart < ATLAS_ROOM:
         problem = f"has a face of {chart:g} of the atlas"
     return Enclosure(inside_share=inside_share, problem=problem)
-
-
-def smallest_chart(mesh: Mesh) -> float:
-    """Least area of a face in uv; charts may be mirrored, because xatlas 0.0.11 rotates them by swapping u and v."""
-    a, b, c = np.moveaxis(mesh.uv[mesh.faces].astype(np.float64), 1, 0)
-    (ux, uy), (vx, vy) = (b - a).T, (c - a).T
-    return float((0.5 * np.abs(ux * vy - uy * vx)).min())
 
 
 def proxy_statistics(mesh: Mesh, truth: Mesh, solid: Solid) -> ProxyStatistics:
