@@ -35,7 +35,6 @@ from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
 from datagen.scene.staging import LIGHT
 from hyaline_import.cameras import listed_cameras, read_camera_file
-from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
@@ -48,7 +47,11 @@ from hyaline_import.foreign import (
     with_cavities,
     z_up_from,
 )
-from hyaline_import.foreign_files import (
+from hyaline_import.mapping import Mapper, lets_light_through
+from hyaline_import.overlaps import apart, nested, parted
+from hyaline_import.pictures import Cut, cut_of, veiled, with_cuts
+from hyaline_import.remarks import Remark, Remarks
+from hyaline_import.source import (
     READERS,
     check_ending,
     check_overrides,
@@ -57,14 +60,27 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
-from hyaline_import.mapping import Mapper, lets_light_through
-from hyaline_import.mending import mend_surface, with_mended_surfaces
-from hyaline_import.overlaps import apart, nested, parted
-from hyaline_import.pictures import cut_of, veiled
-from hyaline_import.remarks import Remark, Remarks
-from hyaline_import.staging import even_sky, find_scale, has_ground, make_ground, make_rig
-from hyaline_import.surfaces import closed, edge_tilt_deg, made_sound, mesh_of, shape_of
+from hyaline_import.staging import (
+    LEAST_GLOW,
+    even_sky,
+    exposed,
+    find_scale,
+    glowing,
+    has_ground,
+    make_ground,
+    make_rig,
+    placed_light,
+    placed_map,
+)
+from hyaline_import.surfaces import (
+    closed,
+    edge_tilt_deg,
+    made_sound,
+    mend_surface,
+    mesh_of,
+    shape_of,
+    with_mended_surfaces,
+)
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""

@@ -24,12 +24,15 @@ from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import track
 from datagen.terminal.plugins import Group
+from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name
-from hyaline_import.datasets.pictures import view_files
+from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name, view_files
 from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
-from hyaline_import.foreign_files import (
+from hyaline_import.importing import Made, World, unique_names
+from hyaline_import.mapping import Mapper
+from hyaline_import.overlaps import apart, nested
+from hyaline_import.remarks import Remarks
+from hyaline_import.source import (
     EXPORT_ADVICE,
     check_overrides,
     ending_of,
@@ -37,11 +40,7 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.foreign_files import READERS as FILES
-from hyaline_import.importing import Made, World, unique_names
-from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
-from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS as FILES
 from hyaline_import.staging import even_sky
 
 READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(

@@ -23,7 +23,7 @@ from hyaline_import.foreign import (
     clipped_color,
     substance_of,
 )
-from hyaline_import.gltf import records
+from hyaline_import.gltf import file as records
 from hyaline_import.gltf.file import GltfFile
 from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks

@@ -17,9 +17,8 @@ from datagen.scene.description import SceneObject
 from datagen.scene.images import linear_pixels
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
-from hyaline_import.cutouts import Cut, corner_uv_of, cut_out
 from hyaline_import.foreign import ForeignImage
-from hyaline_import.pictures import decoded
+from hyaline_import.pictures import Cut, corner_uv_of, cut_out, decoded
 
 use_mitsuba()
 

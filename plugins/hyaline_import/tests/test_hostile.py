@@ -25,9 +25,9 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene
 from datagen.scene.import_choices import ImportChoices
-from hyaline_import.foreign_files import READERS
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS
 
 HUGE = 2**36
 Change = Callable[[dict], object]

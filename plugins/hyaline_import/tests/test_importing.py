@@ -28,7 +28,7 @@ from datagen.scene.modelling import ball, lathe
 from datagen.scene.rig import make_cameras
 from datagen.scene.textures import ImageTexture
 from hyaline_import.importing import Imported, import_scene
-from hyaline_import.lights import glowing
+from hyaline_import.staging import glowing
 from hyaline_import.surfaces import edge_tilt_deg, mesh_of
 
 

@@ -8,7 +8,7 @@ import pytest
 from datagen.data.meshes import Mesh, check_closed
 from datagen.scene.modelling import ball
 from datagen.scene.shading_normals import opposing_share
-from hyaline_import.mending import mend_surface
+from hyaline_import.surfaces import mend_surface
 
 BALL = ball(0.3, subdivisions=2)
 A, B, C = BALL.faces[0].tolist()

@@ -16,9 +16,9 @@ from datagen.data.meshes import open_edges, signed_volume
 from datagen.scene.materials import Diffuse, ThinDielectric
 from datagen.scene.textures import ImageTexture
 from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
-from hyaline_import.foreign_files import READERS
 from hyaline_import.pictures import stored
 from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS
 from hyaline_import.surfaces import made_sound, mesh_of
 
 
