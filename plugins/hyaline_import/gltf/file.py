@@ -64,22 +64,6 @@ class Asset(Entry):
     extras: Any = None
 
 
-class Part(Struct, rename="camel"):
-    """Where the places or the values of a sparse array are."""
-
-    buffer_view: Index
-    byte_offset: Index = 0
-    component_type: Literal[5121, 5123, 5125] = 5123
-
-
-class Sparse(Struct, rename="camel"):
-    """The elements of an array that differ from its base."""
-
-    count: Count
-    indices: Part
-    values: Part
-
-
 class Accessor(Entry):
     component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
     count: Count
@@ -88,7 +72,7 @@ class Accessor(Entry):
     """None for an array of zeros."""
     byte_offset: Index = 0
     normalized: bool = False
-    sparse: Sparse | None = None
+    sparse: Any = None
 
 
 class BufferView(Entry):
@@ -172,7 +156,6 @@ class Extension(Struct, rename="camel"):
     transmission_factor: float = 0.0
     transmission_texture: Use | None = None
     thickness_factor: float = 0.0
-    thickness_texture: Any = None
     attenuation_color: Color = WHITE
     attenuation_distance: Positive | None = None
     # KHR_materials_ior (0 mirrors everything), _dispersion, _emissive_strength
@@ -186,27 +169,19 @@ class Primitive(Entry):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Meta(ge=0, le=6)] = 4
-    targets: list[dict[str, Index]] = []
+    targets: Any = None
 
 
 class Mesh(Entry):
     primitives: Annotated[list[Primitive], Meta(min_length=1)]
     name: str = ""
-    weights: tuple[float, ...] = ()
-    """The weights of its morph targets."""
-
-
-class Skin(Entry):
-    joints: Annotated[list[Index], Meta(min_length=1)]
-    inverse_bind_matrices: Index | None = None
 
 
 class Node(Entry):
     name: str = ""
     mesh: Index | None = None
     camera: Index | None = None
-    skin: Index | None = None
-    weights: tuple[float, ...] | None = None
+    skin: Any = None
     children: list[Index] = []
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -247,19 +222,18 @@ class Gltf(Entry):
     nodes: list[Node] = []
     samplers: list[Sampler] = []
     scenes: list[Scene] = []
-    skins: list[Skin] = []
     textures: list[Texture] = []
     extras: Any = None
 
 
 LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
-         "scenes", "skins", "textures")  # fmt: skip
+         "scenes", "textures")  # fmt: skip
 """The lists of `Gltf` whose entries know their places."""
 
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MAX_VALUES = 1 << 27
 """Numbers in one array."""
 MAX_JSON_BYTES = 1 << 28
@@ -344,10 +318,6 @@ class GltfFile:
             self._buffers[index] = data[: buffer.byte_length]
         return self._buffers[index]
 
-    def count(self, index: int, *, where: str) -> int:
-        """How many elements an accessor promises."""
-        return self.item(self.root.accessors, index, where=where).count
-
     def array(self, index: int, kind: str, *, where: str) -> np.ndarray:
         """The elements of an accessor: (n, width) of floats, normalised if it asks for it; or (n,) indices."""
         accessor = self.item(self.root.accessors, index, where=where)
@@ -358,19 +328,12 @@ class GltfFile:
         return self._arrays[index]
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
+        if accessor.sparse is not None:
+            raise HyalineError(f"{accessor.where}: is sparse, which is not read; export the file without sparse arrays")
         if accessor.count * width > MAX_VALUES:
             raise HyalineError(f"{accessor.where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
-        place = accessor.buffer_view, accessor.byte_offset
-        raw = self._rows(*place, (accessor.count, width), dtype, where=accessor.where)
-        if (sparse := accessor.sparse) is not None:
-            places, values = sparse.indices, sparse.values
-            kind = np.dtype(COMPONENTS[places.component_type])
-            rows = self._rows(places.buffer_view, places.byte_offset, (sparse.count, 1), kind, where=accessor.where)
-            if rows.max() >= len(raw):
-                raise HyalineError(f"{accessor.where}: changes element {rows.max()} of {len(raw)}; export it again")
-            raw, shape = raw.copy(), (sparse.count, width)
-            raw[rows[:, 0]] = self._rows(values.buffer_view, values.byte_offset, shape, dtype, where=accessor.where)
+        raw = self._rows(accessor, width, dtype)
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
@@ -382,22 +345,19 @@ class GltfFile:
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
 
-    def _rows(
-        self, view: int | None, offset: int, shape: tuple[int, int], dtype: np.dtype, *, where: str
-    ) -> np.ndarray:
+    def _rows(self, accessor: Accessor, width: int, dtype: np.dtype) -> np.ndarray:
         """Rows of numbers in a buffer view; zeros where an array has none."""
-        if view is None:
+        shape, size, where = (accessor.count, width), width * dtype.itemsize, accessor.where
+        if accessor.buffer_view is None:
             return np.zeros(shape, dtype)
-        content, stride = self.buffer_view(view, where=where)
-        count, width = shape
-        size = width * dtype.itemsize
+        content, stride = self.buffer_view(accessor.buffer_view, where=where)
         stride = stride or size  # Each row begins that many bytes after the last one.
-        end = offset + (count - 1) * stride + size
+        end = accessor.byte_offset + (accessor.count - 1) * stride + size
         if stride < size or end > len(content):
             raise HyalineError(
                 f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
             )
-        return np.ndarray(shape, dtype, content, offset, (stride, dtype.itemsize))
+        return np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:

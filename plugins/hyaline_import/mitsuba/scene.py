@@ -28,7 +28,6 @@ from hyaline_import.foreign import (
     Axis,
     ForeignLight,
     ForeignMap,
-    ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
@@ -93,14 +92,13 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
         lights.append(_light(node, emitter))
         return
     grey = replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0)
-    by_name = {name: read_bsdf(bsdf, remarks) for name, bsdf in node.named("BSDF").items()}
-    first = next(iter(by_name.values()), FoundMaterial(material=grey, image_from_uv=np.eye(4)))
+    bsdf = node.inner("BSDF")
+    found = FoundMaterial(material=grey, image_from_uv=np.eye(4)) if bsdf is None else read_bsdf(bsdf, remarks)
     interior = absorption_of(node.child("interior"))
     emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
-    if max(interior) > 0 and all(found.material.transmission == 0 for found in by_name.values()):
+    if max(interior) > 0 and found.material.transmission == 0:
         raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
     for item in read_shape(node, remarks):
-        found = by_name.get(item.material.name, first) if isinstance(item.material, ForeignMaterial) else first
         absorption = interior if found.material.transmission > 0 else (0.0, 0.0, 0.0)
         material = replace(found.material, absorption=absorption, emission=emission)
         uv = item.uv
@@ -242,9 +240,7 @@ def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
 
 
 def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    # Of several BSDFs, each is that of the material of its name. Source: the plugin obj of Mitsuba 0.6.
-    materials = {name: replace(PLAIN, name=name) for name in node.named("BSDF")}
-    objects = read_obj(node.file("filename"), remarks, materials=materials).objects
+    objects = read_obj(node.file("filename"), remarks, has_materials=False).objects
     return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
 
 
