@@ -1,6 +1,5 @@
 """What a foreign scene lacks to be rendered, and its lamps: size in metres, ground, cameras all around, light."""
 
-import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -31,8 +30,6 @@ MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
 WATCHED_POINTS = 8
 """Points of the glass that cameras must see."""
-NUM_WAYS = 500
-"""Directions in which a place looks for the sky."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 
@@ -83,6 +80,9 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
         f"added, {2 * half:.3g} m wide (pattern period {period:.3g} m, {TEXELS_A_PERIOD} texels at {resolution})",
     )
     height = float(low[2]) - gap
+    name = "ground"
+    while name in {item.name for item in objects}:
+        name += "_"
     mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))
     pattern = SolidTexture(
         pattern="checker",
@@ -90,7 +90,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
         scale=period,
         origin=(float(middle[0]) + period / 4, float(middle[1]) + period / 4, height),
     )
-    return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
+    return SceneObject(name=name, mesh=mesh, material=Diffuse(color=pattern))
 
 
 def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
@@ -100,12 +100,6 @@ def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     reach = float(np.linalg.norm(high - low)) / 2
     arc = _open_arc(objects, np.array(rig.target), reach, rig.radius, remarks)
     return rig_around(objects, azimuth_deg=arc)
-
-
-def _free_name(name: str, objects: Sequence[SceneObject]) -> str:
-    taken = {item.name for item in objects}
-    choices = (name, *(f"{name}_{index}" for index in range(len(taken) + 1)))
-    return next(choice for choice in choices if choice not in taken)
 
 
 def _open_arc(
@@ -158,12 +152,6 @@ def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.nda
     return points[chosen]
 
 
-def is_enclosed(objects: Sequence[SceneObject], place: Float[np.ndarray, "3"]) -> bool:
-    """Whether no straight way leads from a place to the sky, but through glass."""
-    ways = np.random.default_rng(0).normal(size=(NUM_WAYS, 3))
-    return bool(np.isfinite(_distances(_opaque(objects), np.tile(place, (NUM_WAYS, 1)), ways)).all())
-
-
 def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
     opaque = [face_corners(item.mesh) for item in objects if not item.material.is_glass]
     return np.concatenate(opaque).astype(np.float64) if opaque else np.zeros((0, 3, 3))
@@ -177,20 +165,16 @@ def _distances(
     if not len(corners):
         return found
     a, b, c = np.moveaxis(corners, 1, 0)
-    edge_b, edge_c = b - a, c - a
     for index, (origin, direction) in enumerate(zip(origins, directions)):
-        across = np.cross(direction, edge_c)
-        determinant = np.einsum("fc,fc->f", edge_b, across)
+        from_a, across = origin - a, np.cross(direction, c - a)
+        turned = np.cross(from_a, b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = 1 / determinant
-            from_a = origin - a
-            u = np.einsum("fc,fc->f", from_a, across) * inverse
-            turned = np.cross(from_a, edge_b)
-            v = (turned @ direction) * inverse
-            distance = np.einsum("fc,fc->f", edge_c, turned) * inverse
+            scale = 1 / np.einsum("fc,fc->f", b - a, across)
+            u = np.einsum("fc,fc->f", from_a, across) * scale
+            v = (turned @ direction) * scale
+            distance = np.einsum("fc,fc->f", turned, c - a) * scale
             hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-        if hit.any():
-            found[index] = distance[hit].min()
+        found[index] = distance[hit].min(initial=np.inf)
     return found
 
 
@@ -203,8 +187,6 @@ DUST = 1e-9
 """Rounding error of a rotation, as a share of an edge's largest coordinate."""
 UPRIGHT = 0.9999
 """Cosine of the largest tilt of an environment map that is ignored."""
-IRRADIANCE = 2.5
-"""Irradiance of all lamps together at the middle of a scene that they alone light; viewers expose freely."""
 LEAST_GLOW = 0.5
 """Radiance from which a surface is a lamp; below, it is a surface that glows a little."""
 LEAST_SIDE = 0.02
@@ -215,17 +197,15 @@ def placed_light(
     light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
 ) -> RectangleLight:
     """A light of the file in our world."""
+    edges = linear @ np.stack([light.edge_u, light.edge_v], axis=-1)
+    # Without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m.
+    edge_u, edge_v = np.where(np.abs(edges) < DUST * np.abs(edges).max(axis=0), 0.0, edges).T
     return RectangleLight(
         corner=as_vector(linear @ light.corner + offset),
-        edge_u=as_vector(_without_dust(linear @ light.edge_u)),
-        edge_v=as_vector(_without_dust(linear @ light.edge_v)),
+        edge_u=as_vector(edge_u),
+        edge_v=as_vector(edge_v),
         radiance=light.radiance,
     )
-
-
-def _without_dust(edge: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """The edge without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m."""
-    return np.where(np.abs(edge) < DUST * np.abs(edge).max(), 0.0, edge)
 
 
 def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
@@ -272,26 +252,6 @@ def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
             )
         )
     return tuple(found)
-
-
-def exposed(
-    lights: tuple[RectangleLight, ...], objects: Sequence[SceneObject], remarks: Remarks
-) -> tuple[RectangleLight, ...]:
-    """The lights as a camera exposes them: where walls keep out the sky, they alone light the scene's middle."""
-    middle = subject_box(objects).mean(axis=0)
-    if not lights or not is_enclosed(objects, middle):
-        return lights
-    total = 0.0
-    for light in lights:
-        u, v = np.array(light.edge_u), np.array(light.edge_v)
-        way = middle - light.corner - (u + v) / 2
-        total += max(float(np.cross(u, v) @ way), 0.0) / float(np.linalg.norm(way)) ** 3 * sum(light.radiance) / 3
-    if total <= 0:
-        return lights
-    remarks.approximate(
-        "lamps", f"their strength, {total:.3g} at the scene's middle, is set to {IRRADIANCE:g}, as by an exposure"
-    )
-    return tuple(dataclasses.replace(light, radiance=_times(light.radiance, IRRADIANCE / total)) for light in lights)
 
 
 def _times(color: Color, factor: float) -> Color:
