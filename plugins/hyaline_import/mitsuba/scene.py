@@ -3,7 +3,6 @@
 Loading one would run native code from plugin folders beside the file, and read any file that it names.
 """
 
-import dataclasses
 import math
 import struct
 import zlib
@@ -93,7 +92,7 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
         return
     grey = replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0)
     bsdf = node.inner("BSDF")
-    found = FoundMaterial(material=grey, image_from_uv=np.eye(4)) if bsdf is None else read_bsdf(bsdf, remarks)
+    found = FoundMaterial(material=grey) if bsdf is None else read_bsdf(bsdf, remarks)
     interior = absorption_of(node.child("interior"))
     emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
     if max(interior) > 0 and found.material.transmission == 0:
@@ -147,14 +146,10 @@ def _camera(node: Node, remarks: Remarks) -> list[Camera]:
     elif node.plugin != "perspective":
         remarks.approximate(node.name, f"is a camera of kind {node.plugin}, which is left out")
         return []
-    film = node.inner("Film")
-
-    def of_film(key: str, default: float) -> float:
-        return default if film is None else film.number(key, default)
-
-    width, height = of_film("width", 768), of_film("height", 576)
-    left, top = of_film("crop_offset_x", 0), of_film("crop_offset_y", 0)
-    shown_width, shown_height = of_film("crop_width", width), of_film("crop_height", height)
+    film = node.inner("Film") or node  # A sensor has none of a film's numbers.
+    width, height = film.number("width", 768), film.number("height", 576)
+    left, top = film.number("crop_offset_x", 0), film.number("crop_offset_y", 0)
+    shown_width, shown_height = film.number("crop_width", width), film.number("crop_height", height)
     if not (shown_width >= 1 and shown_height >= 1):
         raise HyalineError(
             f"{node.where}: makes pictures of {shown_width:g} x {shown_height:g} pixels; expected at least 1 x 1"
@@ -216,9 +211,7 @@ def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
 
             # As Mitsuba computes missing ones: over every edge, weighted by the angles of a vertex's faces.
             normals = np.array(trimesh.Trimesh(positions, faces, process=False).vertex_normals)
-        found.append(
-            dataclasses.replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg)
-        )
+        found.append(replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg))
     return found
 
 
@@ -226,34 +219,28 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
+def _file(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    """The meshes of a file; Mitsuba's v points down in images, and files are taken as they are; ours points up."""
+    path = node.file("filename")
+    if node.plugin == "ply":
+        found = read_ply_file(path, remarks).objects
+    elif node.plugin == "obj":
+        found = read_obj(path, remarks, has_materials=False).objects
+    else:
+        found = (read_serialized(path, int(node.number("shape_index", 0))),)
+    flips = node.plugin == "serialized" or not node.flag("flip_tex_coords", default=node.plugin == "obj")
+    objects = []
+    for item in found:
+        uv = np.stack([item.uv[:, 0], 1 - item.uv[:, 1]], axis=-1) if item.uv is not None and flips else item.uv
+        objects.append(replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv))
+    return objects
+
+
 def _from_mesh(node: Node, mesh: Mesh, uv: np.ndarray | None = None) -> ForeignObject:
+    positions = mesh.vertices.astype(np.float64)
     return ForeignObject(
-        name=node.name, positions=mesh.vertices.astype(np.float64), faces=mesh.faces, normals=mesh.normals, uv=uv,
-        material=PLAIN,
-    )  # fmt: skip
-
-
-def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    # Mitsuba's v points down in images, and files are taken as they are; ours points up.
-    return [_named(node, item, flips=not node.flag("flip_tex_coords"))
-            for item in read_ply_file(node.file("filename"), remarks).objects]  # fmt: skip
-
-
-def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    objects = read_obj(node.file("filename"), remarks, has_materials=False).objects
-    return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
-
-
-def _serialized(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
-    index = node.number("shape_index", 0)
-    return [_named(node, read_serialized(node.file("filename"), int(index)), flips=True)]
-
-
-def _named(node: Node, item: ForeignObject, *, flips: bool) -> ForeignObject:
-    uv = item.uv
-    if uv is not None and flips:
-        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1)
-    return dataclasses.replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv)
+        name=node.name, positions=positions, faces=mesh.faces, normals=mesh.normals, uv=uv, material=PLAIN
+    )
 
 
 def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
@@ -263,7 +250,7 @@ def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
     item = _from_mesh(node, ball(1.0, subdivisions=5))
     remarks.note(node.name, f"is a sphere; made of {len(item.faces):,} triangles")
     center = node.point("center", (0.0, 0.0, 0.0))
-    return [dataclasses.replace(item, positions=radius * item.positions + center)]
+    return [replace(item, positions=radius * item.positions + center)]
 
 
 def _cube(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
@@ -279,8 +266,7 @@ def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: AR
 
 
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
-    "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle,
-    "serialized": _serialized,
+    "ply": _file, "obj": _file, "serialized": _file, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle,
 }  # fmt: skip
 
 
