@@ -5,15 +5,22 @@ import fnmatch
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+
+from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import file_name
 from datagen.disk.records import shown
+from datagen.machine.confined import allow_triangles, confined
+from datagen.scene.description import Scene
+from datagen.scene.import_choices import ImportChoices
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.scene.sources import SceneSource
 from datagen.terminal.command import MAX_SUGGESTED, choose, say, say_all
 from datagen.terminal.plugins import Group
+from hyaline_import.foreign import joined
+from hyaline_import.remarks import Remarks
 
 READERS: Group[Callable] = Group(
     name="hyaline.scene_readers",
@@ -102,17 +109,7 @@ def override(name: str, overrides: list[tuple[str, Material]]) -> Material | Non
     return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)
 
 
-if TYPE_CHECKING:
-    import numpy as np
-
-    from datagen.data.config import Resolution
-    from datagen.scene.description import Scene
-    from datagen.scene.import_choices import ImportChoices
-
-
 def _is_foreign(given: str) -> bool:
-    from hyaline_import.source import OTHER_ENDINGS, READERS, ending_of
-
     path = Path(given)
     ending = ending_of(path)
     if ending in ("", "json") or path.is_dir():
@@ -120,9 +117,8 @@ def _is_foreign(given: str) -> bool:
     return ending in READERS.names() or ending in OTHER_ENDINGS or path.is_file()
 
 
-def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Scene":
+def _find(given: str, resolution: Resolution, imports: ImportChoices) -> Scene:
     from hyaline_import.confined_import import imported_scene
-    from hyaline_import.source import check_ending
 
     check_ending(Path(given))
     say(f"scene {given}: importing it")
@@ -131,12 +127,7 @@ def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Sc
     return scene
 
 
-def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
-    import numpy as np
-
-    from datagen.machine.confined import confined
-    from hyaline_import.source import check_ending
-
+def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
         return found["vertices"], found["faces"], found.get("uv")
@@ -144,13 +135,6 @@ def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]"
 
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads all objects of a file as one mesh, in the process that `confined` starts."""
-    import numpy as np
-
-    from datagen.machine.confined import allow_triangles
-    from hyaline_import.foreign import joined
-    from hyaline_import.remarks import Remarks
-    from hyaline_import.source import READERS, ending_of
-
     whole = joined(READERS.find(ending_of(path))(path, Remarks()).objects)
     allow_triangles(len(whole.faces))
     arrays = {"vertices": whole.positions, "faces": whole.faces}

@@ -1,6 +1,7 @@
 """Another project's dataset as one of ours: read, split, write; goes on where it was stopped."""
 
 import hashlib
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -220,6 +221,8 @@ def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObje
 
 # Splits
 
+OURS = re.compile(r"(?:image_)?(train|interpolating|extrapolating)_(\d{4})")
+"""Names of pictures in what `datagen export` writes."""
 FAR_SHARE = 4
 """One in this many test views is for extrapolation."""
 
@@ -227,8 +230,11 @@ FAR_SHARE = 4
 def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView, ...]], list[str]]:
     """The views of each split, and one line for each decision.
 
-    The test views farthest from all training cameras become the split `extrapolating`.
+    Pictures that `datagen export` named get back their places. Otherwise the test views farthest from all training
+    cameras become the split `extrapolating`.
     """
+    if (named := _by_name(foreign)) is not None:
+        return named, []
     train, val, test = (foreign.views[role] for role in ROLES)
     lines = []
     if val and not test:
@@ -254,3 +260,13 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
     )
     near = tuple(view for place, view in enumerate(test) if place not in far)
     return {"train": train, "interpolating": near, "extrapolating": tuple(test[place] for place in sorted(far))}, lines
+
+
+def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | None:
+    """The views by the splits in their names; None unless every name has one of its own, and each split some views."""
+    views = [view for role in ROLES for view in foreign.views[role]]
+    places = {match.groups(): view for view in views if (match := OURS.fullmatch(view.picture.stem))}
+    found: dict[Split, tuple[ForeignView, ...]] = {
+        split: tuple(places[place] for place in sorted(places) if place[0] == split) for split in SPLITS
+    }
+    return found if all(found.values()) and len(places) == len(views) else None
