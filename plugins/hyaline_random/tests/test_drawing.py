@@ -23,8 +23,7 @@ from datagen.scene.soundness import check_scene
 from hyaline_random import drawing
 from hyaline_random.drawing import Drawn, check_inside, draw_scene, glass_shares
 from hyaline_random.names import FAMILIES, RandomName, parse_random
-from hyaline_random.nesting import filled_vessel
-from hyaline_random.panes import PANES
+from hyaline_random.nesting import PANES, filled_vessel
 from hyaline_random.things import Thing
 
 SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (2, 3, 4, 5)))
