@@ -15,6 +15,7 @@ from datagen.data.meshes import open_edges, volume_within, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import read_regular
 from datagen.machine.confined import allow_file
+from datagen.scene.description import RectangleLight
 from datagen.scene.materials import Material
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.values import Color
@@ -122,16 +123,6 @@ class ForeignObject:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ForeignLight:
-    """A rectangle that shines along the cross product of its edges, in the file's world."""
-
-    corner: Float[np.ndarray, "3"]
-    edge_u: Float[np.ndarray, "3"]
-    edge_v: Float[np.ndarray, "3"]
-    radiance: Color
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignMap:
     """Light from infinitely far as an equirectangular picture."""
 
@@ -153,7 +144,8 @@ class ForeignScene:
     """The axis that points up, by the format's rule or custom."""
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
-    lights: tuple[ForeignLight, ...] = ()
+    lights: tuple[RectangleLight, ...] = ()
+    """In the file's units and axes."""
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None if the file has none."""
     cameras: tuple[Camera, ...] = ()

@@ -49,7 +49,7 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.mapping import Mapper, lets_light_through
 from hyaline_import.overlaps import apart, nested, parted
-from hyaline_import.pictures import Cut, cut_of, veiled, with_cuts
+from hyaline_import.pictures import Cut, cut_of, cut_out, veiled
 from hyaline_import.remarks import Remark, Remarks
 from hyaline_import.source import (
     READERS,
@@ -84,8 +84,6 @@ MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
-MAX_TOLD = 40
-"""Lines that a command prints; import.json has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,8 +103,6 @@ class Imported:
             f"{places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}: {what}"
             for what, places in wheres.items()
         ]
-        if len(lines) > MAX_TOLD:
-            lines = [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
         glass = sum(item.material.is_glass for item in self.scene.objects)
         what = "none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
         what = f"{glass} of them glass" if glass else what
@@ -169,14 +165,18 @@ class Made:
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
         scene = dataclasses.replace(scene, objects=tuple(objects), baked={**baked, **scene.baked})
         scene = mend_scene(scene, without_uv=self.without_uv & {item.name for item in objects})
-        scene = with_cuts(scene, self.cuts)
-        there = tuple(item for item in scene.objects if is_there(item.mesh))
+        there = []
+        for item in scene.objects:
+            if cut := self.cuts.get(item.name):
+                mesh = cut_out(item.mesh, cut, where=f"scene {scene.name}: {item.name}")
+                item = dataclasses.replace(item, mesh=mesh)
+            if is_there(item.mesh):
+                there.append(item)
+            else:
+                world.remarks.note(item.name, "is cut away whole by its opacity; left out")
         if not there:
             raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
-        for item in scene.objects:
-            if not is_there(item.mesh):
-                world.remarks.note(item.name, "is cut away whole by its opacity; left out")
-        scene = dataclasses.replace(scene, objects=there)
+        scene = dataclasses.replace(scene, objects=tuple(there))
         check_scene(scene)
         return scene
 

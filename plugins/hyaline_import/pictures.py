@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,6 @@ from jaxtyping import Float, Float32, Int64, UInt8
 from datagen.data.images import linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import MIN_AREA, Mesh, face_areas, no_mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import Scene
 from datagen.scene.images import opened_image
 from datagen.scene.values import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
@@ -47,22 +45,6 @@ class Cut:
     cutoff: float
     corner_uv: CornerUv
     """uv of the faces' corners, v up."""
-
-
-def corner_uv_of(mesh: Mesh) -> CornerUv:
-    """uv of each corner of each face."""
-    return mesh.uv[mesh.faces]
-
-
-def with_cuts(scene: Scene, cuts: Mapping[str, Cut]) -> Scene:
-    """The scene with the objects of these names cut; an object without a remaining face has no mesh."""
-    objects = (
-        dataclasses.replace(item, mesh=cut_out(item.mesh, cuts[item.name], where=f"scene {scene.name}: {item.name}"))
-        if item.name in cuts
-        else item
-        for item in scene.objects
-    )
-    return dataclasses.replace(scene, objects=tuple(objects))
 
 
 def cut_out(mesh: Mesh, cut: Cut, *, where: str) -> Mesh:
@@ -189,7 +171,7 @@ def values_on(
     mesh: Mesh, values: Float[np.ndarray, "tex_h tex_w"]
 ) -> tuple[Float[np.ndarray, " point"], Float[np.ndarray, " point"]]:
     """An image's values at three points of each face, and the area that each represents."""
-    points = np.einsum("pk,fkc->fpc", INSIDE, corner_uv_of(mesh).astype(np.float64)).reshape(-1, 2)
+    points = np.einsum("pk,fkc->fpc", INSIDE, mesh.uv[mesh.faces].astype(np.float64)).reshape(-1, 2)
     height, width = values.shape
     column, row = (
         np.floor(place % 1 * size).astype(int) for place, size in ((points[:, 0], width), (-points[:, 1], height))
@@ -203,12 +185,12 @@ def linear_png(pixels: Float[np.ndarray, "tex_h tex_w 3"]) -> bytes:
     return png_bytes(to_8bit(srgb_from_linear(pixels)))
 
 
-def mean_color(pixels: Float32[np.ndarray, "tex_h tex_w 4"]) -> Color:
+@functools.lru_cache(maxsize=256)
+def mean_color(image: ForeignImage) -> Color:
     """The mean linear colour, weighted by alpha."""
-    weight = pixels[..., 3:].astype(np.float64)
-    total = float(weight.sum())
-    mean = (pixels[..., :3] * weight).sum(axis=(0, 1)) / total if total > 0 else pixels[..., :3].mean(axis=(0, 1))
-    red, green, blue = (min(max(float(value), 0.0), 1.0) for value in mean)
+    pixels = decoded(image).astype(np.float64)
+    weight = pixels[..., 3:] if pixels[..., 3].any() else np.ones_like(pixels[..., 3:])
+    red, green, blue = np.clip((pixels[..., :3] * weight).sum(axis=(0, 1)) / weight.sum(), 0, 1).tolist()
     return red, green, blue
 
 
@@ -247,7 +229,7 @@ def cut_of(
         remarks.approximate(where, "is cut out by an image, and has no uv; drawn whole")
         return None
     remarks.note(where, f"is cut out where its opacity is below {cutoff:.2g}")
-    return Cut(opacity=opacity, cutoff=cutoff, corner_uv=corner_uv_of(mesh))
+    return Cut(opacity=opacity, cutoff=cutoff, corner_uv=mesh.uv[mesh.faces])
 
 
 def _opacity(material: ForeignMaterial) -> Opacity:

@@ -37,9 +37,6 @@ READERS: Group[Callable] = Group(
 )
 """Functions (Path, Remarks) -> ForeignScene by the ending of a file (plugins/hyaline_import/foreign.py)."""
 
-OTHER_ENDINGS = ("blend", "fbx", "dae", "usd", "usda", "usdc", "usdz", "abc", "3ds", "3mf", "max", "c4d", "skp")
-"""Endings of other common scene files, which need a conversion first."""
-
 EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
 
 MAX_NAMED = 20
@@ -114,7 +111,7 @@ def _is_foreign(given: str) -> bool:
     ending = ending_of(path)
     if ending in ("", "json") or path.is_dir():
         return False
-    return ending in READERS.names() or ending in OTHER_ENDINGS or path.is_file()
+    return ending in READERS.names() or path.is_file()
 
 
 def _find(given: str, resolution: Resolution, imports: ImportChoices) -> Scene:

@@ -1,5 +1,6 @@
 """What a foreign scene lacks to be rendered, and its lamps: size in metres, ground, cameras all around, light."""
 
+import dataclasses
 import math
 from collections.abc import Sequence
 
@@ -14,7 +15,7 @@ from datagen.scene.modelling import sheet
 from datagen.scene.staging import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
 from datagen.scene.textures import SolidTexture
 from datagen.scene.values import Color, as_vector
-from hyaline_import.foreign import ForeignLight, ForeignMap
+from hyaline_import.foreign import ForeignMap
 from hyaline_import.remarks import Remarks
 
 USUAL_SIZE = (0.02, 5.0)
@@ -194,18 +195,14 @@ LEAST_SIDE = 0.02
 
 
 def placed_light(
-    light: ForeignLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
+    light: RectangleLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
 ) -> RectangleLight:
     """A light of the file in our world."""
     edges = linear @ np.stack([light.edge_u, light.edge_v], axis=-1)
     # Without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m.
     edge_u, edge_v = np.where(np.abs(edges) < DUST * np.abs(edges).max(axis=0), 0.0, edges).T
-    return RectangleLight(
-        corner=as_vector(linear @ light.corner + offset),
-        edge_u=as_vector(edge_u),
-        edge_v=as_vector(edge_v),
-        radiance=light.radiance,
-    )
+    corner = as_vector(linear @ light.corner + offset)
+    return dataclasses.replace(light, corner=corner, edge_u=as_vector(edge_u), edge_v=as_vector(edge_v))
 
 
 def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
@@ -240,20 +237,13 @@ def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
     areas = {side: float(np.prod(np.delete(size, side[0]))) for side in sides}
     sides = [side for side in sides if areas[side] > LEAST_SIDE * sum(areas.values())]
     scale = float(np.linalg.norm(across, axis=1).sum()) / sum(areas[side] for side in sides)
+    red, green, blue = (scale * c for c in radiance)
     found = []
     for axis, sign in sides:
         u, v = (size[other] * frame[other] for other in np.delete(np.arange(3), axis))
         if np.cross(u, v) @ frame[axis] * sign < 0:
             u, v = v, u
         corner = middle + sign * size[axis] / 2 * frame[axis] - (u + v) / 2
-        found.append(
-            RectangleLight(
-                corner=as_vector(corner), edge_u=as_vector(u), edge_v=as_vector(v), radiance=_times(radiance, scale)
-            )
-        )
+        u, v = as_vector(u), as_vector(v)
+        found.append(RectangleLight(corner=as_vector(corner), edge_u=u, edge_v=v, radiance=(red, green, blue)))
     return tuple(found)
-
-
-def _times(color: Color, factor: float) -> Color:
-    red, green, blue = (factor * c for c in color)
-    return red, green, blue

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 from PIL import ExifTags, Image, ImageCms, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
@@ -268,18 +268,16 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
 
 BACKGROUND = {"white": 255.0, "black": 0.0}
 EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
-PROFILED = {"1": "L", "L": "L", "LA": "L", "CMYK": "CMYK"}
-"""What a profile of grey or CMYK converts, by the mode of its picture."""
 
 
 def view_files(
     view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool
 ) -> dict[str, bytes]:
     """The files of a view, by ending."""
-    picture = on_background(opened(view.picture, (size.width, size.height)), view.picture, choices.background)
-    files = {".png": png_bytes(picture)}
-    if has_mask:
-        files[".mask.png"] = png_bytes(np.where(mask_of(view, size), 255, 0).astype(np.uint8))
+    wanted = size.width, size.height
+    files = {".png": png_bytes(on_background(opened(view.picture, wanted), view.picture, choices.background))}
+    if has_mask and view.mask is not None:
+        files[".mask.png"] = png_bytes(np.where(mask_pixels(opened(view.mask, wanted)), 255, 0).astype(np.uint8))
     return files
 
 
@@ -299,7 +297,7 @@ def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
     rgba = picture.convert("RGBA")
     if not (icc := picture.info.get("icc_profile")):
         return rgba
-    mode = "RGB" if icc[16:20] == b"RGB " else PROFILED.get(picture.mode, "RGB")  # The pixels that a profile is for.
+    mode = {b"GRAY": "L", b"CMYK": "CMYK"}.get(icc[16:20], "RGB")  # The pixels that the profile is for.
     pixels = rgba.convert("RGB") if mode == "RGB" else picture.convert(mode)
     try:
         profile = ImageCms.ImageCmsProfile(io.BytesIO(icc))
@@ -309,12 +307,6 @@ def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
     assert converted is not None, "None is for pictures that are changed in place"
     converted.putalpha(rgba.getchannel("A"))
     return converted
-
-
-def mask_of(view: ForeignView, size: Resolution) -> Bool[np.ndarray, "h w"]:
-    """Pixels that a view's mask shows."""
-    assert view.mask is not None
-    return mask_pixels(opened(view.mask, (size.width, size.height)))
 
 
 def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:

@@ -15,17 +15,16 @@ import numpy as np
 from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
 from datagen.scene.modelling import ball, sheet
-from datagen.scene.values import Color
+from datagen.scene.values import Color, as_vector
 from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
     PLAIN,
     Axis,
-    ForeignLight,
     ForeignMap,
     ForeignObject,
     ForeignScene,
@@ -53,7 +52,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     """The shapes, materials, lights and cameras of a scene file."""
     nodes = NodeList(path)
     objects: list[ForeignObject] = []
-    lights: list[ForeignLight] = []
+    lights: list[RectangleLight] = []
     cameras: list[Camera] = []
     sensors: list[Node] = []
     sky: Color | ForeignMap | None = None
@@ -85,7 +84,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     )
 
 
-def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLight], remarks: Remarks) -> None:
+def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleLight], remarks: Remarks) -> None:
     emitter = node.inner("Emitter")
     if emitter is not None and node.plugin == "rectangle" and emitter.plugin == "area":
         lights.append(_light(node, emitter))
@@ -112,15 +111,14 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
             raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
 
 
-def _light(node: Node, emitter: Node) -> ForeignLight:
+def _light(node: Node, emitter: Node) -> RectangleLight:
     """A rectangle that shines along its normal."""
     world = node.matrix("to_world")
     corner, edge_u, edge_v = world @ [-1, -1, 0, 1], world @ [2, 0, 0, 0], world @ [0, 2, 0, 0]
     if node.flag("flip_normals"):
         edge_u, edge_v = edge_v, edge_u
-    return ForeignLight(
-        corner=corner[:3], edge_u=edge_u[:3], edge_v=edge_v[:3], radiance=emitter.color("radiance", 1.0)
-    )  # fmt: skip
+    corner, edge_u, edge_v = (as_vector(vector[:3]) for vector in (corner, edge_u, edge_v))
+    return RectangleLight(corner=corner, edge_u=edge_u, edge_v=edge_v, radiance=emitter.color("radiance", 1.0))
 
 
 def _map(node: Node) -> ForeignMap:

@@ -188,7 +188,6 @@ WHOLE: dict[str, tuple[str, bytes | str]] = {
     "an STL of nan": ("a.stl", stl(1, 0) + b"\xff" * 50),
     "an STL that is cut off": ("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"),
     "an STL whose second solid is cut off": ("a.stl", "solid a\nendsolid a\nsolid b\nfacet normal 0 0 1\nouter loop\n"),
-    "30,000 solids": ("a.stl", ("solid a\n" + "vertex 0 0 0\n" * 3 + "endfacet\nendsolid\n") * 30_000),
     "a PLY of points": ("a.ply", PLY + b"end_header\n" + POINTS),
     "a PLY beyond its vertices": ("a.ply", LIST + POINTS + b"3 0 1 7\n"),
     "a PLY of nan": ("a.ply", LIST + b"0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n"),
@@ -375,9 +374,7 @@ def test_opacity_of_gltf_leaves_what_it_means(name: str, tmp_path: Path) -> None
 
 REFUSED_LEAVES: dict[str, tuple[dict, str]] = {
     "a cutoff of nan": ({"number": "NaN"}, "not a JSON file"),
-    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "not a JSON file"),
     "an image of 900 million pixels": ({"image": png_of(30_000, 30_000)}, "not an image that can be read"),
-    "an image of 81 million pixels": ({"image": png_of(9_000, 9_000)}, "expected at most 67,108,864 pixels"),
     "an image that is cut off": ({"image": HALF[:60]}, "not an image that can be read"),
     "uv that are no numbers": ({"uv": np.full_like(UV, np.nan)}, "not finite"),
     "uv of 1e30": ({"uv": 1e30 * UV}, r"needs uv in or near \[0, 1\]"),
