@@ -107,11 +107,7 @@ def override(name: str, overrides: list[tuple[str, Material]]) -> Material | Non
 
 
 def _is_foreign(given: str) -> bool:
-    path = Path(given)
-    ending = ending_of(path)
-    if ending in ("", "json") or path.is_dir():
-        return False
-    return ending in READERS.names() or path.is_file()
+    return ending_of(Path(given)) not in ("", "json") and not Path(given).is_dir()
 
 
 def _find(given: str, resolution: Resolution, imports: ImportChoices) -> Scene:
