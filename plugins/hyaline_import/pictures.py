@@ -34,6 +34,20 @@ SNAP = 1e-6
 """Share of a face, or of its sides, that counts as rounding."""
 WHOLE: Piece = (np.eye(3), np.array([[0, 1, 2]]))
 NOTHING: Piece = (np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+MAX_SIDE = 2048
+"""Texels a side that are kept."""
+INSIDE = (np.ones((3, 3)) + 3 * np.eye(3)) / 6
+"""Barycentric coordinates of the points of a face where an image is looked up."""
+INVISIBLE = 1 / 512
+"""Alpha below which a blended surface is invisible, since it rounds to 0 in 8 bits."""
+SOLID_BLEND = 0.9
+"""Alpha from which on a blended surface counts as opaque."""
+BLEND_CUTOFF = 0.5
+"""Opacity from which on a blended surface is drawn."""
+PARTLY = (0.1, 0.9)
+"""Opacity that is neither nothing nor all."""
+MOSTLY = 0.5
+"""Share of a surface from which on it is a pane if its image is partly opaque there."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,22 +142,6 @@ def _cut(corners: Float[np.ndarray, "3 2"], flat: Float[np.ndarray, "3 3"], arou
     a, b, c = np.moveaxis((shares @ flat).astype(np.float32)[triangles].astype(np.float64), 1, 0)
     triangles = triangles[0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1) > 10 * MIN_AREA]
     return shares, triangles if turn > 0 else triangles[:, ::-1]
-
-
-MAX_SIDE = 2048
-"""Texels a side that are kept."""
-INSIDE = (np.ones((3, 3)) + 3 * np.eye(3)) / 6
-"""Barycentric coordinates of the points of a face where an image is looked up."""
-INVISIBLE = 1 / 512
-"""Alpha below which a blended surface is invisible, since it rounds to 0 in 8 bits."""
-SOLID_BLEND = 0.9
-"""Alpha from which on a blended surface counts as opaque."""
-BLEND_CUTOFF = 0.5
-"""Opacity from which on a blended surface is drawn."""
-PARTLY = (0.1, 0.9)
-"""Opacity that is neither nothing nor all."""
-MOSTLY = 0.5
-"""Share of a surface from which on it is a pane if its image is partly opaque there."""
 
 
 def decoded(image: ForeignImage) -> Float32[np.ndarray, "tex_h tex_w 4"]:
