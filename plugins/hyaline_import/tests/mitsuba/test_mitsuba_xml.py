@@ -176,7 +176,7 @@ def test_a_spectrum_with_one_value_is_the_colour_that_mitsuba_makes_of_it(tmp_pa
 
 WRAPPED = (
     '<shape type="rectangle"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">'
-    '<string name="filename" value="a.png"/><string name="wrap_mode" value="{}"/>{}</texture></bsdf></shape>'
+    '<string name="filename" value="a.png"/>{}</texture></bsdf></shape>'
 )
 MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"/></transform>'
 
@@ -184,7 +184,7 @@ MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"
 def test_an_image_repeats_beyond_its_edges_as_mitsuba_has_it(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     Image.fromarray(pixels).save(tmp_path / "a.png")
-    (item,) = read(tmp_path, WRAPPED.format("repeat", MOVED)).objects
+    (item,) = read(tmp_path, WRAPPED.format(MOVED)).objects
     assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
     x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50)).astype(np.float32)
     # The uv of a flat shape are linear in the place.
@@ -194,16 +194,6 @@ def test_an_image_repeats_beyond_its_edges_as_mitsuba_has_it(tmp_path: Path) -> 
     loaded = mi.load_file(str(tmp_path / "a.xml"))
     si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
     np.testing.assert_allclose(ours, np.array(si.bsdf().eval_diffuse_reflectance(si)).T, atol=2e-3)
-
-
-def test_uv_beyond_an_image_that_does_not_repeat_are_told(tmp_path: Path) -> None:
-    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
-    remarks = Remarks()
-    read(tmp_path, WRAPPED.format("clamp", ""), remarks)
-    assert not remarks.lines
-    read(tmp_path, WRAPPED.format("clamp", MOVED), remarks)
-    (line,) = remarks.lines
-    assert line.is_approximation and "its uv reach beyond its image, which the file extends or mirrors" in line.what
 
 
 def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Path) -> None:
