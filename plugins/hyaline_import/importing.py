@@ -221,13 +221,23 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
     world = World(linear=linear, offset=offset, mapper=mapper, choices=choices)
     made = Made()
+    unmended: dict[str, HyalineError] = {}
     lights = [placed_light(light, linear, offset) for light in foreign.lights]
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
         shining = _lamps(name, part, world) if chosen is None else ()
         lights += shining
-        if not shining:
-            made.add(name, part, world, chosen)
+        try:
+            if not shining:
+                made.add(name, part, world, chosen)
+        except HyalineError as error:
+            if not choices.repair:
+                raise
+            unmended[name] = error
+    for name, error in unmended.items():
+        if not any(item.material.is_glass for item in made.objects):
+            raise error
+        remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
     objects = nested(apart(made.objects, remarks), remarks)
     rig = _cameras(foreign, objects, world)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)

@@ -126,6 +126,14 @@ def test_slivers_are_collapsed_so_that_closed_glass_stays_closed(bridged: bool, 
         assert isinstance(block.material, ThinDielectric)
 
 
+def test_repair_leaves_out_the_object_that_cannot_be_closed(tmp_path: Path) -> None:
+    bowl = without(BALL, np.flatnonzero(BALL.vertices[BALL.faces][..., 2].min(axis=1) <= -0.02).tolist())
+    builder = add(glass_of(BALL, name="ball"), "bowl", bowl, glass_entry(), translation=[0.3, 0, 0])
+    done = taken(builder.written(tmp_path), "--scale 1 --repair")
+    assert "bowl: left out, since it cannot be mended: 1 holes closed" in done.err
+    assert [item.name for item in done.scene.objects] == ["ball", "ground"]
+
+
 @pytest.mark.parametrize("repair", ["", "--repair"])
 def test_overlapping_parts_become_objects_and_keep_their_cavities(repair: str, tmp_path: Path) -> None:
     outer, inner = ball(0.1, subdivisions=3), ball(0.05, subdivisions=3)
