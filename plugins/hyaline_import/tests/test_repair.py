@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.foreign import taken
+from support.foreign import add, glass_entry, taken
 from support.gltf import BOX, glass_of
 
 from datagen.data.meshes import (
