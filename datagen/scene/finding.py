@@ -43,8 +43,8 @@ class ImportChoices:
     """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False
     """Close holes in glass meshes (open ones otherwise become thin panes); import.json records the volume before and
-    after. Glass that cannot be closed without changing its volume by more than 5 %, or whose surface crosses itself,
-    is left out, unless no other glass is in the file."""
+    after. Glass that cannot be closed without changing its volume by more than 5 % is left out, unless no other glass
+    is in the file."""
     merge: bool = False
     """Merge all surfaces of a material into one object: a scene has at most 255 objects."""
     crease: float | None = None

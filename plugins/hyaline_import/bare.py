@@ -8,7 +8,6 @@ import numpy as np
 from datagen.data.ply import MAX_PLY_BYTES, read_ply
 from datagen.disk.errors import HyalineError
 from hyaline_import.foreign import (
-    MAX_SURFACES,
     MAX_TRIANGLES,
     PLAIN,
     ForeignObject,
@@ -18,7 +17,7 @@ from hyaline_import.foreign import (
 from hyaline_import.remarks import Remarks
 
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE | re.IGNORECASE)
+_SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE)
 _VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
 
 
@@ -38,58 +37,40 @@ def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
         uv=mesh.uv if has_uv else None,
         material=PLAIN,
     )
-    return ForeignScene(objects=_checked([item], path), up="y")
+    return ForeignScene(objects=_checked(item, path), up="y")
 
 
 def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
-    """The triangles of an STL file; several solids of a file in text are objects of their own."""
+    """The triangles of an STL file as one surface, in millimetres."""
     data = read_foreign(path)
     count = int.from_bytes(data[80:84], "little")
     if len(data) >= 84 and len(data) == 84 + _TRIANGLE.itemsize * count:
-        solids = [(path.stem, np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64))]
+        positions = np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64).reshape(-1, 3)
     elif data.lstrip()[:5].lower() == b"solid":
-        solids = _solids(data, path)
+        positions = _positions(data.lower(), path)
     else:
         raise HyalineError(
             f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or not an STL file"
         )
-    objects = [
-        ForeignObject(
-            name=name,
-            positions=corners.reshape(-1, 3),
-            faces=np.arange(3 * len(corners)).reshape(-1, 3),
-            normals=None,
-            uv=None,
-            material=PLAIN,
-        )
-        for name, corners in solids
-    ]
-    return ForeignScene(objects=_checked(objects, path), up="z", metres=0.001)
+    faces = np.arange(len(positions)).reshape(-1, 3)
+    item = ForeignObject(name=path.stem, positions=positions, faces=faces, normals=None, uv=None, material=PLAIN)
+    return ForeignScene(objects=_checked(item, path), up="z", metres=0.001)
 
 
-def _solids(data: bytes, path: Path) -> list[tuple[str, np.ndarray]]:
-    """Names and triangles (face, corner, axis) of a file in text; one solid alone is called as the file is."""
-    found = []
-    for solid in _SOLID.split(data)[1:]:
-        line, _, rest = solid.partition(b"\n")
-        text = rest.lower()
-        words = _VERTEX.findall(text)
-        try:
-            values = np.array(words, np.float64)
-        except ValueError as error:
-            raise HyalineError(f"{path}: not an STL file that can be read ({error})") from None
-        if len(words) % 3 or text.count(b"endfacet") * 3 != len(words) or b"endsolid" not in text:
-            raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
-        if words:
-            found.append((line.decode(errors="replace").strip() or path.stem, values.reshape(-1, 3, 3)))
-    return found if len(found) != 1 else [(path.stem, corners) for _, corners in found]
+def _positions(text: bytes, path: Path) -> np.ndarray:
+    """The corners in a file of text, of all its solids."""
+    words = _VERTEX.findall(text)
+    if len(words) != 3 * text.count(b"endfacet") or text.count(b"endsolid") < len(_SOLID.findall(text)):
+        raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
+    try:
+        return np.array(words, np.float64).reshape(-1, 3)
+    except ValueError as error:
+        raise HyalineError(f"{path}: not an STL file that can be read ({error})") from None
 
 
-def _checked(objects: list[ForeignObject], path: Path) -> tuple[ForeignObject, ...]:
-    if len(objects) > MAX_SURFACES:
-        raise HyalineError(f"{path}: holds {len(objects):,} solids; expected at most {MAX_SURFACES:,}")
-    if not 0 < (count := sum(len(item.faces) for item in objects)) <= MAX_TRIANGLES:
-        raise HyalineError(f"{path}: holds {count:,} triangles; expected 1 to {MAX_TRIANGLES:,}")
-    if not all(np.isfinite(item.positions).all() for item in objects):
+def _checked(item: ForeignObject, path: Path) -> tuple[ForeignObject, ...]:
+    if not 0 < len(item.faces) <= MAX_TRIANGLES:
+        raise HyalineError(f"{path}: holds {len(item.faces):,} triangles; expected 1 to {MAX_TRIANGLES:,}")
+    if not np.isfinite(item.positions).all():
         raise HyalineError(f"{path}: holds numbers that are not finite; export it again")
-    return tuple(objects)
+    return (item,)

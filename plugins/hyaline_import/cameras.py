@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import TOLERANCE, Camera, Lens
 from datagen.data.config import MAX_VIEWS
@@ -18,7 +19,7 @@ from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import find_file
 from datagen.scene.description import CameraList
-from hyaline_import.foreign import lens_of, read_foreign, rotation_of
+from hyaline_import.foreign import lens_of, read_foreign
 from hyaline_import.remarks import Remarks
 
 NAMES = ("transforms.json", "transforms_train.json")
@@ -201,7 +202,7 @@ def _world_from_camera(pose: Float[np.ndarray, "7"], *, where: str) -> Float[np.
     length = float(np.linalg.norm(pose[:4]))
     if not (0.5 < length < 2 and np.abs(pose[4:]).max() < 1e12):
         raise HyalineError(f"{where}: has a rotation of length {length:g}; expected a quaternion of length 1")
-    rotation = rotation_of(np.roll(pose[:4] / length, -1))
+    rotation = Rotation.from_quat(np.roll(pose[:4], -1)).as_matrix()
     matrix = np.eye(4)
     # COLMAP's cameras look along +z with +y down; OpenGL's look along -z with +y up.
     matrix[:3, :3] = rotation.T * [1, -1, -1]

@@ -1,12 +1,41 @@
 """The commands `datagen import` and `datagen import-dataset`."""
 
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from datagen.data.paths import DATA_ROOT
+from datagen.disk.errors import HyalineError
 from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import next_command, say, say_all, tell
-from hyaline_import.datasets.choices import DatasetImportChoices
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetImportChoices:
+    """The flags of `datagen import-dataset`."""
+
+    mesh: tuple[Path, ...] = ()
+    """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...), where the folder has none;
+    may be repeated. Without meshes nothing can be peeled."""
+    material: tuple[str, ...] = ()
+    """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
+    them. Default: the material in the file, or else glass of the index --ior."""
+    ior: float = 1.5
+    """Index of refraction of glass."""
+    scale: float = 1.0
+    """Metres per unit of the cameras and the meshes."""
+    up: Literal["x", "y", "z"] = "z"
+    """The axis of the cameras' world that points up."""
+    background: Literal["white", "black"] = "white"
+    """Background for images with transparency."""
+
+    def __post_init__(self) -> None:
+        if not 1 < self.ior < 10:
+            raise HyalineError(f"--ior: is {self.ior:g}; expected more than 1, and less than 10")
+        if not 1e-9 < self.scale < 1e9:
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
+
 
 SCENES_ROOT = Path("scenes")
 """Default folder for imported scenes."""
@@ -35,7 +64,7 @@ def import_file(
     """
     from datagen.data.config import parse_resolution
     from hyaline_import.confined_import import check_free, imported_scene, write_imported
-    from hyaline_import.foreign_files import scene_name
+    from hyaline_import.source import scene_name
 
     root = out or SCENES_ROOT / scene_name(file)
     check_free(root, overwrite=overwrite)

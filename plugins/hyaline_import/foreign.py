@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,9 +15,9 @@ from datagen.data.meshes import open_edges, volume_within, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import read_regular
 from datagen.machine.processes import allow_file
+from datagen.scene.description import RectangleLight
 from datagen.scene.materials import Color, Material
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.substances import SUBSTANCES
 from hyaline_import.remarks import Remarks
 from hyaline_import.surfaces import mesh_of, seams_joined
 
@@ -33,8 +32,6 @@ MAX_SURFACES = 20_000
 """The most instances of surfaces in a file; a scene has at most 255 objects, after --merge."""
 MOST_POINTS = 1000
 """Points of a part that must lie inside another; the surfaces of closed parts do not cross."""
-PLAIN_WORDS = ("material", "mat", "shader")
-"""Words without meaning in names of materials."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,16 +122,6 @@ class ForeignObject:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ForeignLight:
-    """A rectangle that shines along the cross product of its edges, in the file's world."""
-
-    corner: Float[np.ndarray, "3"]
-    edge_u: Float[np.ndarray, "3"]
-    edge_v: Float[np.ndarray, "3"]
-    radiance: Color
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignMap:
     """Light from infinitely far as an equirectangular picture."""
 
@@ -156,7 +143,8 @@ class ForeignScene:
     """The axis that points up, by the format's rule or custom."""
     metres: float = 1.0
     """Metres a unit, by the format's rule; 1 where it has none."""
-    lights: tuple[ForeignLight, ...] = ()
+    lights: tuple[RectangleLight, ...] = ()
+    """In the file's units and axes."""
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None if the file has none."""
     cameras: tuple[Camera, ...] = ()
@@ -188,17 +176,6 @@ def lens_of(
     return lens
 
 
-def rotation_of(quaternion: Float[np.ndarray, "*n 4"]) -> Float[np.ndarray, "*n 3 3"]:
-    """The rotation of a quaternion (x, y, z, w) of length 1."""
-    x, y, z, w = np.moveaxis(quaternion, -1, 0)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:
     """linear p + offset; equal points stay equal to the last bit, as they may not in a matrix product."""
     x, y, z = points[:, 0], points[:, 1], points[:, 2]
@@ -214,16 +191,6 @@ def clipped_color(color: Iterable[float]) -> Color:
     """Three numbers in [0, 1]."""
     red, green, blue = map(clipped, color)
     return red, green, blue
-
-
-def substance_of(name: str) -> str | None:
-    """The substance that a material's name is, word for word, but for numbers and `material`: `Diamond.001` is diamond.
-
-    A longer name, such as `water bottle`, means something else.
-    """
-    words = [word for word in re.split(r"[^a-z0-9]+", name.lower()) if word and word not in PLAIN_WORDS]
-    named = "-".join(word for word in words if not word.isdecimal())
-    return named if named in SUBSTANCES and named != "air" else None
 
 
 def merged_by_material(parts: tuple[ForeignObject, ...], remarks: Remarks, *, where: str) -> tuple[ForeignObject, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution, unknown_license
-from datagen.data.meshes import Mesh, is_there, open_edges
+from datagen.data.meshes import Mesh, check_numbers, is_there, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import read_regular, sha256
@@ -34,7 +34,6 @@ from datagen.scene.rig import LIGHT
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
 from hyaline_import.cameras import listed_cameras, read_camera_file
-from hyaline_import.cutouts import Cut, with_cuts
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
@@ -47,7 +46,11 @@ from hyaline_import.foreign import (
     with_cavities,
     z_up_from,
 )
-from hyaline_import.foreign_files import (
+from hyaline_import.mapping import Mapper, lets_light_through
+from hyaline_import.overlaps import apart, nested, parted
+from hyaline_import.pictures import Cut, cut_of, cut_out, veiled
+from hyaline_import.remarks import Remark, Remarks
+from hyaline_import.source import (
     READERS,
     check_ending,
     check_overrides,
@@ -56,21 +59,30 @@ from hyaline_import.foreign_files import (
     parse_overrides,
     scene_name,
 )
-from hyaline_import.lights import LEAST_GLOW, exposed, glowing, placed_light, placed_map
-from hyaline_import.mapping import Mapper, lets_light_through
-from hyaline_import.mending import mend_surface, with_mended_surfaces
-from hyaline_import.overlaps import apart, nested, parted
-from hyaline_import.pictures import cut_of, veiled
-from hyaline_import.remarks import Remark, Remarks
-from hyaline_import.staging import even_sky, find_scale, has_ground, make_ground, make_rig
-from hyaline_import.surfaces import closed, edge_tilt_deg, made_sound, mesh_of, shape_of
+from hyaline_import.staging import (
+    LEAST_GLOW,
+    even_sky,
+    find_scale,
+    glowing,
+    has_ground,
+    make_ground,
+    make_rig,
+    placed_light,
+    placed_map,
+)
+from hyaline_import.surfaces import (
+    Shape,
+    closed,
+    edge_tilt_deg,
+    made_sound,
+    mend_surface,
+    mesh_of,
+)
 
 MIN_SIDE = 16
 """Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
-MAX_TOLD = 40
-"""Lines that a command prints; import.json has all of them."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +95,6 @@ class Imported:
 
     def told(self) -> list[str]:
         """The lines to report: approximations, notes, and the number of objects."""
-        glass = sum(item.material.is_glass for item in self.scene.objects)
         wheres: dict[str, list[str]] = {}
         for line in self.remarks:
             wheres.setdefault(line.what, []).append(line.where)
@@ -91,13 +102,9 @@ class Imported:
             f"{places[0]}{f' and {len(places) - 1} more' if len(places) > 1 else ''}: {what}"
             for what, places in wheres.items()
         ]
-        if len(lines) > MAX_TOLD:
-            lines = [*lines[:MAX_TOLD], f"... and {len(lines) - MAX_TOLD} lines more"]
-        what = (
-            f"{glass} of them glass"
-            if glass
-            else ("none of them glass; mark it with --material glass, or --material 'OBJECT=glass'")
-        )
+        glass = sum(item.material.is_glass for item in self.scene.objects)
+        what = "none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
+        what = f"{glass} of them glass" if glass else what
         return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}"]
 
 
@@ -134,9 +141,9 @@ class Made:
 
     def add(self, name: str, part: ForeignObject, world: World, chosen: Material | None) -> None:
         """Adds the objects of a surface: one, or one for each of its parts that overlap."""
-        item = scene_object(name, part, world, chosen)
-        self.objects.extend(parted(item, world.remarks, repairs=world.choices.repair))
-        has_uv = _has_uv(part)
+        has_uv = part.uv is not None and bool(part.uv.any())  # Exporters write zeros where a mesh has none.
+        item = scene_object(name, part, world, chosen, has_uv=has_uv)
+        self.objects.extend(parted(item, world.remarks))
         if not has_uv:
             self.without_uv.add(name)
         if isinstance(part.material, ForeignMaterial):
@@ -147,12 +154,28 @@ class Made:
 
     def finished(self, scene: Scene, world: World, *, where: str) -> Scene:
         """The scene of these objects with its images, mended, cut and checked."""
-        used = {image.path for item in scene.objects for image in item.material.images().values()}
+        objects = []
+        for item in scene.objects:
+            check_numbers(item.mesh, where=f"scene {scene.name}: object {item.name}")
+            is_solid = item.material.medium is not None
+            mesh = mend_surface(item.mesh, world.remarks, is_solid=is_solid, where=item.name)
+            objects.append(dataclasses.replace(item, mesh=mesh))
+        used = {image.path for item in objects for image in item.material.images().values()}
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
-        without_uv = self.without_uv & {item.name for item in scene.objects}
-        scene = with_mended_surfaces(dataclasses.replace(scene, baked={**baked, **scene.baked}))
-        scene = mend_scene(scene, without_uv=without_uv)
-        scene = _without_gone(with_cuts(scene, self.cuts), world.remarks, where=where)
+        scene = dataclasses.replace(scene, objects=tuple(objects), baked={**baked, **scene.baked})
+        scene = mend_scene(scene, without_uv=self.without_uv & {item.name for item in objects})
+        there = []
+        for item in scene.objects:
+            if cut := self.cuts.get(item.name):
+                mesh = cut_out(item.mesh, cut, where=f"scene {scene.name}: {item.name}")
+                item = dataclasses.replace(item, mesh=mesh)
+            if is_there(item.mesh):
+                there.append(item)
+            else:
+                world.remarks.note(item.name, "is cut away whole by its opacity; left out")
+        if not there:
+            raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
+        scene = dataclasses.replace(scene, objects=tuple(there))
         check_scene(scene)
         return scene
 
@@ -174,38 +197,46 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
-    if len(parts) > MAX_OBJECTS - 1 and not choices.merge:
-        raise HyalineError(
-            f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-            "pass --merge to make one of those of a material"
-        )
     if len(parts) > MAX_OBJECTS - 1:
+        if not choices.merge:
+            raise HyalineError(
+                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
+                "pass --merge to make one of those of a material"
+            )
         parts = merged_by_material(parts, remarks, where=path.name)
-    scale = _find_scale(parts, foreign, choices, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
+    low, high = _box(parts)
+    size = float((high - low).max())
+    if not 1e-30 < size < 1e30:
+        raise HyalineError(f"{path.name}: is {size:g} units large; expected a scene that has a size")
+    scale = choices.scale or foreign.metres
+    if choices.scale is None and not foreign.is_complete:
+        scale = find_scale(size, metres=foreign.metres, remarks=remarks, where=path.name)
     linear = scale * z_up_from(up)
-    world = World(
-        linear=linear,
-        offset=np.zeros(3) if foreign.is_complete else _offset(parts, linear),
-        mapper=Mapper(metres=scale, thin=choices.thin, remarks=remarks),
-        choices=choices,
-    )
+    # The scene's box is put on z = 0, over the origin.
+    low, high = np.sort(elementwise(np.stack([low, high]), linear, np.zeros(3)), axis=0)
+    offset = np.zeros(3) if foreign.is_complete else -np.array([*(low + high)[:2] / 2, low[2]])
+    mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
+    world = World(linear=linear, offset=offset, mapper=mapper, choices=choices)
     made = Made()
-    lamps: list[RectangleLight] = []
     unmended: dict[str, HyalineError] = {}
+    lights = [placed_light(light, linear, offset) for light in foreign.lights]
     for name, part in zip(names, parts, strict=True):
         chosen = override(name, overrides)
-        if chosen is None and (shining := _lamps(name, part, world)):
-            lamps += shining
-            continue
+        shining = _lamps(name, part, world) if chosen is None else ()
+        lights += shining
         try:
-            made.add(name, part, world, chosen)
+            if not shining:
+                made.add(name, part, world, chosen)
         except HyalineError as error:
             if not choices.repair:
                 raise
             unmended[name] = error
-    _leave_out(unmended, made.objects, remarks)
+    for name, error in unmended.items():
+        if not any(item.material.is_glass for item in made.objects):
+            raise error
+        remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
     objects = nested(apart(made.objects, remarks), remarks)
     rig = _cameras(foreign, objects, world)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
@@ -220,17 +251,17 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         baked[environment.path] = foreign.sky.data
     elif foreign.sky is not None:
         environment = even_sky(foreign.sky)
-    lights = (*(placed_light(light, linear, world.offset) for light in foreign.lights), *lamps)
     scene = Scene(
         name=scene_name(path),
         description=f"Imported from {path.name}"[:200],
         license=foreign.license or unknown_license(path.name),
         objects=tuple(objects),
         environment=environment,
-        lights=exposed(lights, objects, remarks),
+        lights=tuple(lights),
         cameras=rig,
         baked=baked,
     )
+    scene = made.finished(scene, world, where=path.name)
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
         "source": path.name,
@@ -238,28 +269,9 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         "scale": scale,
         "up": up,
         "materials": list(choices.material),
+        **remarks.to_json(),
     }
-    scene = made.finished(scene, world, where=path.name)
-    return Imported(scene=scene, record={**record, **remarks.to_json()}, remarks=tuple(remarks.lines))
-
-
-def _leave_out(unmended: Mapping[str, HyalineError], objects: list[SceneObject], remarks: Remarks) -> None:
-    """A line for each object that could not be mended; if no glass is left without them, its error."""
-    for name, error in unmended.items():
-        if not any(item.material.is_glass for item in objects):
-            raise error
-        remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
-
-
-def _without_gone(scene: Scene, remarks: Remarks, *, where: str) -> Scene:
-    """The scene without objects that their opacity removes entirely."""
-    there = tuple(item for item in scene.objects if is_there(item.mesh))
-    if not there:
-        raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
-    for item in scene.objects:
-        if not is_there(item.mesh):
-            remarks.note(item.name, "is cut away whole by its opacity; left out")
-    return dataclasses.replace(scene, objects=there)
+    return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
 
 
 def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) -> CameraRig | CameraList:
@@ -273,22 +285,24 @@ def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) ->
     return listed_cameras(given, world.linear, world.offset, remarks)
 
 
-def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None) -> SceneObject:
+def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool) -> SceneObject:
     """One object in metres, z up, with a material that suits its mesh."""
-    remarks, choices, has_uv = world.remarks, world.choices, _has_uv(part)
-    mesh, mended = mend_surface(made_sound(world.mesh(name, part), remarks, where=name), is_solid=True)
-    for line in mended:
-        remarks.note(name, line)
+    remarks, choices = world.remarks, world.choices
+    mesh = made_sound(world.mesh(name, part), remarks, where=name)
+    mesh = mend_surface(mesh, remarks, is_solid=True, where=name)
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; rendered grey and matt; set another with --material")
     if isinstance(material, ForeignMaterial):
         material = world.mapper.averaged(material, mesh, has_uv=has_uv, where=name)
-    if choices.repair and _is_solid(material):
+        is_solid = lets_light_through(material) and not material.is_thin
+    else:
+        is_solid = material.medium is not None
+    if choices.repair and is_solid:
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
-        material = veiled(material, mesh, has_uv=has_uv)
-        material = world.mapper.material(material, shape_of(mesh, has_uv=has_uv), where=name)
+        shape = Shape(is_closed=open_edges(mesh) == 0, has_uv=has_uv)
+        material = world.mapper.material(veiled(material, mesh, has_uv=has_uv), shape, where=name)
     if material.medium is not None and (count := open_edges(mesh)):
         if not world.thins_open:
             raise HyalineError(
@@ -319,40 +333,10 @@ def _lamps(name: str, part: ForeignObject, world: World) -> tuple[RectangleLight
     return glowing(world.mesh(name, part), emission)
 
 
-def _has_uv(part: ForeignObject) -> bool:
-    """Exporters write zeros where a mesh has none."""
-    return part.uv is not None and bool(part.uv.any())
-
-
-def _is_solid(material: Material | ForeignMaterial) -> bool:
-    """True for glass that fills its mesh, were that closed."""
-    if isinstance(material, ForeignMaterial):
-        return lets_light_through(material) and not material.is_thin
-    return material.medium is not None
-
-
-def _box(parts: tuple[ForeignObject, ...], linear: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "2 3"]:
-    """The corners of the box around all faces, after a turn."""
-    points = [elementwise(part.positions[np.unique(part.faces)], linear, np.zeros(3)) for part in parts]
+def _box(parts: tuple[ForeignObject, ...]) -> Float[np.ndarray, "2 3"]:
+    """The corners of the box around all faces."""
+    points = [part.positions[np.unique(part.faces)] for part in parts]
     return np.array([np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)])
-
-
-def _find_scale(
-    parts: tuple[ForeignObject, ...], foreign: ForeignScene, choices: ImportChoices, remarks: Remarks, *, where: str
-) -> float:
-    """Metres a unit."""
-    size = float(np.ptp(_box(parts, np.eye(3)), axis=0).max())
-    if not 1e-30 < size < 1e30:
-        raise HyalineError(f"{where}: is {size:g} units large; expected a scene that has a size")
-    if choices.scale is not None or foreign.is_complete:
-        return choices.scale or foreign.metres
-    return find_scale(size, metres=foreign.metres, remarks=remarks, where=where)
-
-
-def _offset(parts: tuple[ForeignObject, ...], linear: np.ndarray) -> np.ndarray:
-    """What puts the scene's box on z = 0, over the origin."""
-    low, high = _box(parts, linear)
-    return -np.array([(low[0] + high[0]) / 2, (low[1] + high[1]) / 2, low[2]])
 
 
 def unique_names(names: list[str]) -> list[str]:

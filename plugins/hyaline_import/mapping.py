@@ -62,7 +62,6 @@ class Mapper:
     remarks: Remarks
     images: dict[str, bytes] = field(default_factory=dict)
     _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
-    _means: dict[ForeignImage, Color] = field(default_factory=dict)
 
     def averaged(self, foreign: ForeignMaterial, mesh: Mesh, *, has_uv: bool, where: str) -> ForeignMaterial:
         """The material with each factor times the mean of its image over the surface: ours have one value each."""
@@ -78,8 +77,7 @@ class Mapper:
             # Rounded, so that objects that differ by nothing that one sees share their images.
             mean = round(float(np.average(seen, weights=areas)), 2)
             spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
-            given = {"metallic": foreign.metallic, "roughness": foreign.roughness, "transmission": foreign.transmission}
-            factor = given[use.factor]
+            factor: float = getattr(foreign, use.factor)
             factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
         told = " and ".join(f"{FACTOR_NAMES[name]} {value:.2f}" for name, value in factors.items())
         if spread > UNIFORM:
@@ -211,9 +209,7 @@ class Mapper:
             return foreign.base_color
         if is_told:
             self.remarks.approximate(where, "has an image where only one colour can be; drawn in its mean colour")
-        if foreign.image not in self._means:
-            self._means[foreign.image] = mean_color(decoded(foreign.image))
-        red, green, blue = (a * b for a, b in zip(foreign.base_color, self._means[foreign.image], strict=True))
+        red, green, blue = (a * b for a, b in zip(foreign.base_color, mean_color(foreign.image), strict=True))
         return red, green, blue
 
 

@@ -5,8 +5,6 @@ Source: the OBJ and MTL specifications of 1995, and MTL's physically based exten
 
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,7 +15,6 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import check_relative, find_file
 from datagen.scene.images import opened_image
 from datagen.scene.materials import Color
-from datagen.scene.substances import SUBSTANCES
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -31,7 +28,6 @@ from hyaline_import.foreign import (
     clipped,
     clipped_color,
     read_foreign,
-    substance_of,
 )
 from hyaline_import.remarks import Remarks
 
@@ -52,46 +48,25 @@ COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 NUMBER = re.compile(r"(?<=\s)[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=\s)")
 OPTIONS = re.compile(rf"(?:-[a-z]+\s+(?:(?:{NUMBER.pattern}|on|off|[rgbmlz])\s+)*)*")
 """The options before an image's name, with their values."""
-IGNORED = {
-    "map_bump": "a bump map",
-    "bump": "a bump map",
-    "norm": "a normal map",
-    "disp": "a displacement map",
-    "map_ks": "a map of highlights",
-    "map_ke": "a map of glow",
-    "map_ns": "a map of glossiness",
-    "map_ps": "a map of sheen",
-    "map_tr": "a map of transparency (map_Tr)",
-    "refl": "a map of reflections",
-}
+IGNORED = ("map_bump", "bump", "norm", "disp", "map_ks", "map_ke", "map_ns", "map_ps", "map_tr", "refl")
+"""Images that are left out."""
 COATS = {"pc": "a clear coat", "ps": "sheen"}
 """Weights of what is left out."""
 FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 Entry = dict[str, list[str]]
 """The words of a material of an MTL by their key."""
-Corner = tuple[int, int, int]
+Corner = tuple[int, ...]
 """Places of position, uv and normal in an OBJ; -1 for none."""
+Numbers = dict[str, list[tuple[float, ...]]]
 
 
-@dataclass
-class _Text:
-    """What was read of a file so far."""
-
-    numbers: dict[str, list[tuple[float, ...]]] = field(default_factory=lambda: {key: [] for key in WIDTHS})
-    """Positions, uv and normals."""
-    names: dict[str, str] = field(default_factory=lambda: {"o": "", "g": "", "usemtl": ""})
-    """The object, group and material of the next faces."""
-    faces: dict[tuple[str, str], list[tuple[Corner, Corner, Corner]]] = field(default_factory=dict)
-    """Polygons by the names of their object and of their material, as triangles around their first corners."""
-    fans: dict[tuple[str, str], list[int]] = field(default_factory=dict)
-    """The number of triangles of each of these polygons."""
-    materials: dict[str, ForeignMaterial] = field(default_factory=dict)
-    num_faces: int = 0
-
-
-def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMaterial] | None = None) -> ForeignScene:
-    """The surfaces of an OBJ file, with the materials of the MTL files that it names, or with these."""
-    text, has_colors = _Text(materials=dict(materials or {})), False
+def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names if these are wanted."""
+    numbers: Numbers = {key: [] for key in WIDTHS}
+    names = {"o": "", "g": "", "usemtl": ""}
+    surfaces: dict[tuple[str, str], list[list[Corner]]] = {}
+    materials: dict[str, ForeignMaterial] = {}
+    num_triangles, has_colors = 0, False
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
@@ -101,36 +76,47 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
         if key in WIDTHS:
             # The v of a texture may be left out.
             words = [*rest[:2], "0"] if key == "vt" else rest
-            text.numbers[key].append(floats(words, WIDTHS[key], where=where))
+            numbers[key].append(floats(words, WIDTHS[key], where=where))
             has_colors |= key == "v" and len(words) >= 6
         elif key == "f":
-            _add_face(text, rest, where=where)
-        elif key in text.names:
-            text.names[key] = " ".join(rest)
-        elif key == "mtllib" and materials is None:
-            _add_materials(text, path, rest, remarks, where=where)
+            if not 3 <= len(rest) <= MAX_CORNERS:
+                raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected 3 to {MAX_CORNERS}")
+            surface = surfaces.setdefault((names["o"] or names["g"], names["usemtl"]), [])
+            surface.append([_corner(numbers, word, where=where) for word in rest])
+            num_triangles += len(rest) - 2
+            if num_triangles > MAX_TRIANGLES or len(surfaces) > MAX_SURFACES:
+                raise HyalineError(
+                    f"{where}: expected at most {MAX_TRIANGLES:,} triangles in {MAX_SURFACES:,} surfaces"
+                )
+        elif key in names:
+            names[key] = " ".join(rest)
+        elif key == "mtllib" and has_materials:
+            materials |= _materials(path, rest, remarks, where=where)
         elif key in ("l", "p", "curv", "surf"):
             remarks.approximate(path.name, "has points, lines or curves, which are left out")
-    if not text.faces:
+    if not surfaces:
         raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
     if has_colors:
         remarks.approximate(path.name, "has colours at its vertices, which are left out")
-    if materials is None:
-        for material in dict.fromkeys(name for _, name in text.faces if name and name not in text.materials):
-            remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
-    return ForeignScene(objects=tuple(_objects(text, path)), up="y")
+    for material in dict.fromkeys(name for _, name in surfaces if has_materials and name and name not in materials):
+        remarks.approximate(path.name, f"names the material {shown(material)}, which is not there; drawn grey")
+    arrays = [np.array(listed, np.float64) for listed in numbers.values()]
+    objects = [
+        _object(name or material or path.stem, polygons, arrays, materials.get(material, PLAIN))
+        for (name, material), polygons in surfaces.items()
+    ]
+    return ForeignScene(objects=tuple(objects), up="y")
 
 
-def _add_materials(text: _Text, path: Path, words: list[str], remarks: Remarks, *, where: str) -> None:
-    """Adds the materials of one file, whose name may have spaces, or of several."""
+def _materials(path: Path, words: list[str], remarks: Remarks, *, where: str) -> dict[str, ForeignMaterial]:
+    """The materials of one file, whose name may have spaces, or of several."""
     names = [file_named(words)] if _find(path, file_named(words), where=where) else [file_named([w]) for w in words]
     found = [library for name in names if (library := _find(path, name, where=where)) is not None]
-    for library in found:
-        text.materials |= read_mtl(library, remarks)
     if len(found) < max(len(names), 1):
         remarks.approximate(
             path.name, f"names {shown(file_named(words))}, which is not in its folder; drawn without these materials"
         )
+    return {name: material for library in found for name, material in read_mtl(library, remarks).items()}
 
 
 def _find(path: Path, name: str, *, where: str) -> Path | None:
@@ -143,31 +129,12 @@ def _find(path: Path, name: str, *, where: str) -> Path | None:
     return found if found.exists() else None
 
 
-def _add_face(text: _Text, words: list[str], *, where: str) -> None:
-    """A polygon as triangles around its first corner; `unfolded` mends those of concave ones."""
-    place = text.names["o"] or text.names["g"], text.names["usemtl"]
-    if not 3 <= len(words) <= MAX_CORNERS:
-        raise HyalineError(f"{where}: is a face of {len(words)} corners; expected 3 to {MAX_CORNERS}")
-    corners = [_corner(text, word, where=where) for word in words]
-    if place not in text.faces and len(text.faces) >= MAX_SURFACES:
-        raise HyalineError(f"{where}: begins surface {MAX_SURFACES + 1:,}; expected at most {MAX_SURFACES:,}")
-    text.num_faces += len(corners) - 2
-    if text.num_faces > MAX_TRIANGLES:
-        raise HyalineError(f"{where}: is triangle {text.num_faces:,}; expected at most {MAX_TRIANGLES:,}")
-    triangles = pairwise(corners[1:])
-    text.faces.setdefault(place, []).extend((corners[0], second, third) for second, third in triangles)
-    text.fans.setdefault(place, []).append(len(corners) - 2)
-
-
-def _corner(text: _Text, word: str, *, where: str) -> Corner:
+def _corner(numbers: Numbers, word: str, *, where: str) -> Corner:
     parts = word.split("/")
     if len(parts) > 3 or not parts[0]:
         raise HyalineError(f"{where}: has the corner {shown(word)}; expected v, v/vt, v//vn or v/vt/vn")
     parts += [""] * (3 - len(parts))
-    place, uv, normal = (
-        _index(part, len(listed), where=where) for part, listed in zip(parts, text.numbers.values(), strict=True)
-    )
-    return place, uv, normal
+    return tuple(_index(part, len(listed), where=where) for part, listed in zip(parts, numbers.values()))
 
 
 def _index(word: str, count: int, *, where: str) -> int:
@@ -183,26 +150,22 @@ def _index(word: str, count: int, *, where: str) -> int:
     return index - 1 if index > 0 else count + index
 
 
-def _objects(text: _Text, path: Path) -> list[ForeignObject]:
-    objects = []
-    arrays = [np.array(listed, np.float64) for listed in text.numbers.values()]
-    for (name, material), faces in text.faces.items():
-        fans = np.array(text.fans[name, material])
-        corners = np.array(faces, np.int64).reshape(-1, 3)
-        used, index = np.unique(corners, axis=0, return_inverse=True)
-        has_uv, has_normals = (used[:, 1] >= 0).all(), (used[:, 2] >= 0).all()
-        positions = arrays[0][used[:, 0]]
-        objects.append(
-            ForeignObject(
-                name=name or material or path.stem,
-                positions=positions,
-                faces=unfolded(positions, index.reshape(-1, 3), fans),
-                normals=arrays[2][used[:, 2]] if has_normals else None,
-                uv=arrays[1][used[:, 1]] if has_uv else None,
-                material=text.materials.get(material, PLAIN),
-            )
-        )
-    return objects
+def _object(
+    name: str, polygons: list[list[Corner]], arrays: list[np.ndarray], material: ForeignMaterial
+) -> ForeignObject:
+    """Polygons as triangles around their first corners; `unfolded` mends those of concave ones."""
+    triangles = [(each[0], *pair) for each in polygons for pair in pairwise(each[1:])]
+    corners = np.array(triangles, np.int64).reshape(-1, 3)
+    used, index = np.unique(corners, axis=0, return_inverse=True)
+    positions = arrays[0][used[:, 0]]
+    return ForeignObject(
+        name=name,
+        positions=positions,
+        faces=unfolded(positions, index.reshape(-1, 3), np.array([len(each) - 2 for each in polygons])),
+        normals=arrays[2][used[:, 2]] if (used[:, 2] >= 0).all() else None,
+        uv=arrays[1][used[:, 1]] if (used[:, 1] >= 0).all() else None,
+        material=material,
+    )
 
 
 def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
@@ -226,21 +189,18 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     def number(key: str, default: float) -> float:
         return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
 
-    for key, what in IGNORED.items():
-        if key in entry:
-            remarks.approximate(name, f"has {what}, which is left out")
     for key, what in COATS.items():
         if number(key, 0.0) > 0:
             remarks.approximate(name, f"has {what}, which is left out")
-    model, named = int(number("illum", 2.0)), substance_of(name)
-    transparency, ior = number("tr", 0.0), number("ni", SUBSTANCES.get(named or "", USUAL_IOR))
+    model = int(number("illum", 2.0))
+    transparency, ior = number("tr", 0.0), number("ni", USUAL_IOR)
     # A lone Tr 1 says nothing: MeshLab and OpenMVS write it for opaque scans.
     dissolve = number("d", 1 - transparency if transparency < 1 else 1.0)
     has_picture = bool(entry.get("map_kd"))
     filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
     is_weight = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
     transmission = max(filtered) if is_weight else 0.0
-    is_hinted = transparency > 0 or "ni" in entry or "glass" in name.lower() or named is not None
+    is_hinted = transparency > 0 or "ni" in entry or "glass" in name.lower()
     if _is_glass(dissolve, model, is_hinted=is_hinted, is_denied=has_picture or ior <= 1.001):
         transmission = 1.0
     is_glass = transmission >= 0.5
@@ -248,12 +208,10 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     if transmission == 0 and any(told.values()) and not has_picture:
         keys = " and ".join(key for key, is_told in told.items() if is_told)
         remarks.note(name, f"{keys} alone does not make it glass; drawn opaque, and --material makes it glass")
-    if is_glass and named and "ni" not in entry:
-        remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {ior:g}")
     if is_glass and not 1.001 < ior < 10:
         remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
-    if is_glass and entry.get("map_d"):
-        remarks.approximate(name, "is glass with a map of opacity (map_d), which is left out")
+    for key in (key for key in (*IGNORED, *["map_d"] * is_glass) if key in entry):
+        remarks.approximate(name, f"has an image for {key}, which is left out")
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
     glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
     highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0

@@ -26,9 +26,9 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import MAX_PRIORITY, Dielectric
 from datagen.scene.media import MAX_NESTED
-from datagen.scene.modelling import merged
 from datagen.scene.soundness import MAX_TOUCHING, TOLERANCE, touching_faces, touching_share
 from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import part_of
 
 STEP = 2 * TOLERANCE
 """Metres by which a surface is moved where it coincides with another; twice as many each time until it is free."""
@@ -42,48 +42,27 @@ MAX_MITRE = 4.0
 """How far a point of a sharp edge moves at most, relative to its faces."""
 
 
-def parted(item: SceneObject, remarks: Remarks, *, repairs: bool = False) -> list[SceneObject]:
+def parted(item: SceneObject, remarks: Remarks) -> list[SceneObject]:
     """The object; where it is glass whose closed parts overlap, an object for each part.
 
-    Light ignores surfaces inside of a solid, so that overlapping objects of one glass render as their union.
-
-    Args:
-        repairs: leaves out parts whose surface crosses itself; otherwise, the check of the scene refuses them.
-
-    Raises:
-        HyalineError: nothing is left of it.
+    Light ignores surfaces inside of a solid, so that overlapping objects of one glass render as their union. If a
+    part's surface crosses itself, the check of the scene refuses the object.
     """
-    if item.material.medium is None or (fault := _fault(item.mesh, where=item.name)) is None:
+    if item.material.medium is None or _is_solid(item.mesh):
         return [item]
     bodies = _bodies(item.mesh)
-    sound = [body for body in bodies if _fault(body, where=item.name) is None]
-    if len(sound) < len(bodies) and not repairs:
+    if not 1 < len(bodies) <= MAX_NESTED or not all(map(_is_solid, bodies)):
         return [item]
-    if not sound:
-        raise HyalineError(fault)
-    if len(sound) < len(bodies):
-        crossed = [f"{index + 1}" for index, body in enumerate(bodies) if not any(body is each for each in sound)]
-        remarks.approximate(
-            item.name,
-            f"of its {len(bodies)} closed parts, {', '.join(crossed)} cannot be mended, since their surface crosses "
-            "itself; left out",
-        )
-        item = dataclasses.replace(item, mesh=merged(sound))
-        if _fault(item.mesh, where=item.name) is None:
-            return [item]
-    if not 1 < len(sound) <= MAX_NESTED:
-        return [item]
-    remarks.note(item.name, f"its {len(sound)} closed parts overlap; each became an object of its own")
-    return [dataclasses.replace(item, name=f"{item.name}_part{index}", mesh=body) for index, body in enumerate(sound)]
+    remarks.note(item.name, f"its {len(bodies)} closed parts overlap; each became an object of its own")
+    return [dataclasses.replace(item, name=f"{item.name}_part{index}", mesh=body) for index, body in enumerate(bodies)]
 
 
-def _fault(mesh: Mesh, *, where: str) -> str | None:
-    """Why a closed mesh bounds no solid; None if it does."""
+def _is_solid(mesh: Mesh) -> bool:
     try:
-        check_solid(mesh, where=where)
-    except HyalineError as error:
-        return str(error)
-    return None
+        check_solid(mesh, where="")
+    except HyalineError:
+        return False
+    return True
 
 
 def _bodies(mesh: Mesh) -> list[Mesh]:
@@ -99,7 +78,7 @@ def _bodies(mesh: Mesh) -> list[Mesh]:
             if volume > 0 and windings(parts[other], parts[index][:1, 0])[0] > 0
         ]
         body[index] = min(around, key=lambda other: volumes[other], default=index)
-    return [_without_others(mesh, body[part] == index) for index in np.unique(body)]
+    return [part_of(mesh, body[part] == index) for index in np.unique(body)]
 
 
 def apart(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
@@ -214,13 +193,3 @@ def _moved(mesh: Mesh, distance: Float[np.ndarray, " face"]) -> Mesh:
     longest = MAX_MITRE * np.abs(distance).max(initial=0.0)
     way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True) / longest, 1)
     return dataclasses.replace(mesh, vertices=(positions + way).astype(np.float32)[index.reshape(-1)])
-
-
-def _without_others(mesh: Mesh, is_kept: np.ndarray) -> Mesh:
-    used, faces = np.unique(mesh.faces[is_kept], return_inverse=True)
-    return Mesh(
-        vertices=mesh.vertices[used],
-        faces=faces.reshape(-1, 3).astype(np.int32),
-        normals=mesh.normals[used],
-        uv=mesh.uv[used],
-    )

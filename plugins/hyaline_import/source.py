@@ -1,32 +1,115 @@
-"""Files of other programs as a source of scenes: what `datagen build vase.glb` finds."""
+"""Files of other programs as a source of scenes: readers, and the choices for an import (`--material 'leg*=gold'`)."""
 
+import difflib
+import fnmatch
+import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from datagen.scene.finding import SceneSource
-from datagen.terminal.command import say, say_all
+import numpy as np
+from datagen.machine.confined import allow_triangles, confined
 
-if TYPE_CHECKING:
-    import numpy as np
+from datagen.data.config import Resolution
+from datagen.disk.errors import HyalineError, shown
+from datagen.disk.storage import file_name
+from datagen.scene.description import Scene
+from datagen.scene.finding import ImportChoices, SceneSource
+from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
+from datagen.terminal.command import MAX_SUGGESTED, choose, say, say_all
+from datagen.terminal.plugins import Group
+from hyaline_import.foreign import joined
+from hyaline_import.remarks import Remarks
 
-    from datagen.data.config import Resolution
-    from datagen.scene.description import Scene
-    from datagen.scene.finding import ImportChoices
+READERS: Group[Callable] = Group(
+    name="hyaline.scene_readers",
+    what="ending",
+    built_in={
+        "glb": "hyaline_import.gltf.scene:read_gltf",
+        "gltf": "hyaline_import.gltf.scene:read_gltf",
+        "obj": "hyaline_import.obj:read_obj",
+        "ply": "hyaline_import.bare:read_ply_file",
+        "stl": "hyaline_import.bare:read_stl",
+        "xml": "hyaline_import.mitsuba.scene:read_mitsuba",
+    },
+    guide="docs/adding-a-reader.md",
+)
+"""Functions (Path, Remarks) -> ForeignScene by the ending of a file (plugins/hyaline_import/foreign.py)."""
+
+EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
+
+MAX_NAMED = 20
+"""Objects that an error lists."""
+
+NAMED: dict[str, Material] = {
+    "glass": Dielectric(ior=1.5),
+    "green-glass": Dielectric(ior=1.52, absorption=(40.0, 8.0, 25.0)),
+    "blue-glass": Dielectric(ior=1.52, absorption=(45.0, 20.0, 5.0)),
+    "amber": Dielectric(ior=1.54, absorption=(3.0, 25.0, 90.0)),
+    "water": Dielectric(ior=1.333),
+    "diamond": Dielectric(ior=2.417),
+    "thin-glass": ThinDielectric(ior=1.5),
+    "plaster": Diffuse(color=(0.75, 0.74, 0.72)),
+    "plastic": Plastic(color=(0.55, 0.09, 0.07), roughness=0.1),
+    "mirror": Conductor(color=(0.95, 0.95, 0.95), roughness=0.0),
+    # Reflectance at normal incidence, as most renderers list it.
+    "gold": Conductor(color=(1.0, 0.78, 0.34), roughness=0.15),
+    "copper": Conductor(color=(0.96, 0.64, 0.54), roughness=0.15),
+}
+
+
+def ending_of(path: Path) -> str:
+    """The ending of a file in small letters, without its dot."""
+    return path.suffix.lower().removeprefix(".")
+
+
+def check_ending(path: Path) -> None:
+    """Refuses a file that no reader reads."""
+    if ending_of(path) not in READERS.names():
+        known = ", ".join(f".{name}" for name in READERS.names())
+        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+
+
+def scene_name(path: Path) -> str:
+    """The name of the scene that is made of a file."""
+    name = re.sub(r"[^A-Za-z0-9_+,-]", "_", file_name(path.stem))[:60]
+    return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
+
+
+def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
+    """Pairs of a pattern of object names and the material for them; later ones win."""
+    found = []
+    for text in given:
+        pattern, is_for_some, name = text.rpartition("=")
+        if is_for_some and not pattern:
+            raise HyalineError(f"--material: is {shown(text)}; expected NAME, or OBJECT=NAME")
+        found.append((pattern if is_for_some else "*", NAMED[choose("material", name, NAMED)]))
+    return found
+
+
+def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
+    """Rejects a pattern that matches no object, probably a typo."""
+    for pattern, _ in overrides:
+        if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
+            near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+            raise HyalineError(
+                f"--material: no object is called {shown(pattern)}; {hint}the objects are "
+                f"{', '.join(names[:MAX_NAMED])}{more}"
+            )
+
+
+def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
+    """The material chosen for an object, if any."""
+    return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)
 
 
 def _is_foreign(given: str) -> bool:
-    from hyaline_import.foreign_files import OTHER_ENDINGS, READERS, ending_of
-
-    path = Path(given)
-    ending = ending_of(path)
-    if ending in ("", "json") or path.is_dir():
-        return False
-    return ending in READERS.names() or ending in OTHER_ENDINGS or path.is_file()
+    return ending_of(Path(given)) not in ("", "json") and not Path(given).is_dir()
 
 
-def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Scene":
+def _find(given: str, resolution: Resolution, imports: ImportChoices) -> Scene:
     from hyaline_import.confined_import import imported_scene
-    from hyaline_import.foreign_files import check_ending
 
     check_ending(Path(given))
     say(f"scene {given}: importing it")
@@ -35,12 +118,7 @@ def _find(given: str, resolution: "Resolution", imports: "ImportChoices") -> "Sc
     return scene
 
 
-def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
-    import numpy as np
-
-    from datagen.machine.processes import confined
-    from hyaline_import.foreign_files import check_ending
-
+def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
         return found["vertices"], found["faces"], found.get("uv")
@@ -48,13 +126,6 @@ def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]"
 
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads all objects of a file as one mesh, in the process that `confined` starts."""
-    import numpy as np
-
-    from datagen.machine.processes import allow_triangles
-    from hyaline_import.foreign import joined
-    from hyaline_import.foreign_files import READERS, ending_of
-    from hyaline_import.remarks import Remarks
-
     whole = joined(READERS.find(ending_of(path))(path, Remarks()).objects)
     allow_triangles(len(whole.faces))
     arrays = {"vertices": whole.positions, "faces": whole.faces}

@@ -1,16 +1,19 @@
-"""What a foreign scene lacks to be rendered: its size in metres, a ground, and cameras all around."""
+"""What a foreign scene lacks to be rendered, and its lamps: size in metres, ground, cameras all around, light."""
 
+import dataclasses
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution
-from datagen.data.meshes import face_corners
-from datagen.scene.description import CameraRig, SceneObject, SoftEnvironment
-from datagen.scene.materials import Color, Diffuse, SolidTexture
+from datagen.data.meshes import Mesh, face_corners, open_edges
+from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
+from datagen.scene.materials import Color, Diffuse, SolidTexture, as_vector
 from datagen.scene.modelling import sheet
 from datagen.scene.rig import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
+from hyaline_import.foreign import ForeignMap
 from hyaline_import.remarks import Remarks
 
 USUAL_SIZE = (0.02, 5.0)
@@ -26,8 +29,6 @@ MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
 WATCHED_POINTS = 8
 """Points of the glass that cameras must see."""
-NUM_WAYS = 500
-"""Directions in which a place looks for the sky."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
 
@@ -78,6 +79,9 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
         f"added, {2 * half:.3g} m wide (pattern period {period:.3g} m, {TEXELS_A_PERIOD} texels at {resolution})",
     )
     height = float(low[2]) - gap
+    name = "ground"
+    while name in {item.name for item in objects}:
+        name += "_"
     mesh = sheet((middle[0] - half, middle[1] - half, height), (2 * half, 0, 0), (0, 2 * half, 0), cells=(8, 8))
     pattern = SolidTexture(
         pattern="checker",
@@ -85,7 +89,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
         scale=period,
         origin=(float(middle[0]) + period / 4, float(middle[1]) + period / 4, height),
     )
-    return SceneObject(name=_free_name("ground", objects), mesh=mesh, material=Diffuse(color=pattern))
+    return SceneObject(name=name, mesh=mesh, material=Diffuse(color=pattern))
 
 
 def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
@@ -95,12 +99,6 @@ def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     reach = float(np.linalg.norm(high - low)) / 2
     arc = _open_arc(objects, np.array(rig.target), reach, rig.radius, remarks)
     return rig_around(objects, azimuth_deg=arc)
-
-
-def _free_name(name: str, objects: Sequence[SceneObject]) -> str:
-    taken = {item.name for item in objects}
-    choices = (name, *(f"{name}_{index}" for index in range(len(taken) + 1)))
-    return next(choice for choice in choices if choice not in taken)
 
 
 def _open_arc(
@@ -153,12 +151,6 @@ def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.nda
     return points[chosen]
 
 
-def is_enclosed(objects: Sequence[SceneObject], place: Float[np.ndarray, "3"]) -> bool:
-    """Whether no straight way leads from a place to the sky, but through glass."""
-    ways = np.random.default_rng(0).normal(size=(NUM_WAYS, 3))
-    return bool(np.isfinite(_distances(_opaque(objects), np.tile(place, (NUM_WAYS, 1)), ways)).all())
-
-
 def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
     opaque = [face_corners(item.mesh) for item in objects if not item.material.is_glass]
     return np.concatenate(opaque).astype(np.float64) if opaque else np.zeros((0, 3, 3))
@@ -172,23 +164,84 @@ def _distances(
     if not len(corners):
         return found
     a, b, c = np.moveaxis(corners, 1, 0)
-    edge_b, edge_c = b - a, c - a
     for index, (origin, direction) in enumerate(zip(origins, directions)):
-        across = np.cross(direction, edge_c)
-        determinant = np.einsum("fc,fc->f", edge_b, across)
+        from_a, across = origin - a, np.cross(direction, c - a)
+        turned = np.cross(from_a, b - a)
         with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = 1 / determinant
-            from_a = origin - a
-            u = np.einsum("fc,fc->f", from_a, across) * inverse
-            turned = np.cross(from_a, edge_b)
-            v = (turned @ direction) * inverse
-            distance = np.einsum("fc,fc->f", edge_c, turned) * inverse
+            scale = 1 / np.einsum("fc,fc->f", b - a, across)
+            u = np.einsum("fc,fc->f", from_a, across) * scale
+            v = (turned @ direction) * scale
+            distance = np.einsum("fc,fc->f", turned, c - a) * scale
             hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-        if hit.any():
-            found[index] = distance[hit].min()
+        found[index] = distance[hit].min(initial=np.inf)
     return found
 
 
 def even_sky(radiance: Color) -> SoftEnvironment:
     """The same light from all around."""
     return SoftEnvironment(zenith=radiance, horizon=radiance, ground=radiance)
+
+
+DUST = 1e-9
+"""Rounding error of a rotation, as a share of an edge's largest coordinate."""
+UPRIGHT = 0.9999
+"""Cosine of the largest tilt of an environment map that is ignored."""
+LEAST_GLOW = 0.5
+"""Radiance from which a surface is a lamp; below, it is a surface that glows a little."""
+LEAST_SIDE = 0.02
+"""Share of a lamp's box below which a side is left out."""
+
+
+def placed_light(
+    light: RectangleLight, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]
+) -> RectangleLight:
+    """A light of the file in our world."""
+    edges = linear @ np.stack([light.edge_u, light.edge_v], axis=-1)
+    # Without rounding errors of a rotation: Mitsuba 3.9 returns NaN for an edge of 2e-16 m.
+    edge_u, edge_v = np.where(np.abs(edges) < DUST * np.abs(edges).max(axis=0), 0.0, edges).T
+    corner = as_vector(linear @ light.corner + offset)
+    return dataclasses.replace(light, corner=corner, edge_u=as_vector(edge_u), edge_v=as_vector(edge_v))
+
+
+def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remarks) -> EnvironmentMap:
+    """A map of the environment in our world; a tilted one is drawn upright."""
+    middle, up = (linear @ sky.middle, linear @ sky.up)
+    if up[2] < UPRIGHT * np.linalg.norm(up):
+        remarks.approximate("environment", "is tilted; drawn upright, turned about the vertical alone")
+    return EnvironmentMap(
+        path=f"textures/environment{sky.ending}",
+        scale=sky.scale,
+        rotation_deg=math.degrees(math.atan2(middle[1], middle[0])),
+    )
+
+
+# Surfaces that emit light
+
+
+def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
+    """Rectangles with the power of a surface that emits light: the sides of a box around a closed one, or one in the
+    middle of an open one, which shines to where its faces look."""
+    corners = face_corners(mesh).astype(np.float64)
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    points = mesh.vertices.astype(np.float64)
+    frames = (np.eye(3), np.linalg.eigh(across.T @ (across / np.linalg.norm(across, axis=1, keepdims=True)))[1].T)
+    frame = min(frames, key=lambda rows: float(np.prod(np.ptp(points @ rows.T, axis=0) + 1e-6)))
+    low, high = (points @ frame.T).min(axis=0), (points @ frame.T).max(axis=0)
+    middle, size = (low + high) / 2 @ frame, high - low
+    sides = [(axis, sign) for axis in range(3) for sign in (-1.0, 1.0)]
+    if open_edges(mesh):
+        axis = int(size.argmin())
+        sides, size[axis] = [(axis, float(np.sign(across.sum(axis=0) @ frame[axis]) or 1.0))], 0.0
+    areas = {side: float(np.prod(np.delete(size, side[0]))) for side in sides}
+    sides = [side for side in sides if areas[side] > LEAST_SIDE * sum(areas.values())]
+    scale = float(np.linalg.norm(across, axis=1).sum()) / sum(areas[side] for side in sides)
+    red, green, blue = (scale * c for c in radiance)
+    found = []
+    for axis, sign in sides:
+        u, v = (size[other] * frame[other] for other in np.delete(np.arange(3), axis))
+        if np.cross(u, v) @ frame[axis] * sign < 0:
+            u, v = v, u
+        corner = middle + sign * size[axis] / 2 * frame[axis] - (u + v) / 2
+        u, v = as_vector(u), as_vector(v)
+        found.append(RectangleLight(corner=as_vector(corner), edge_u=u, edge_v=v, radiance=(red, green, blue)))
+    return tuple(found)

@@ -1,19 +1,32 @@
-"""A foreign surface as a mesh of ours: in metres, joined along its seams, wound outward, with normals.
-
-Vertices that lie apart by rounding alone are moved onto each other; faces that look the wrong way are turned. On
-request, holes are closed and triangles are reduced.
-"""
+"""A foreign surface as a mesh of ours: in metres, joined along its seams, wound outward, mended, with normals."""
 
 import dataclasses
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
-from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, signed_volume, welded, windings
+from datagen.data.meshes import (
+    MIN_AREA,
+    Mesh,
+    component_of_faces,
+    face_areas,
+    face_corners,
+    open_edges,
+    signed_volume,
+    vertex_normals,
+    welded,
+    windings,
+)
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
-from datagen.scene.shading_normals import MAX_OPPOSING, with_new_normals
+from datagen.scene.shading_normals import (
+    MAX_OPPOSING,
+    is_without_normal,
+    opposing_share,
+    with_new_normals,
+)
 from hyaline_import.remarks import Remarks
 
 WELD = 1e-5
@@ -75,11 +88,6 @@ def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     return mesh
 
 
-def shape_of(mesh: Mesh, *, has_uv: bool) -> Shape:
-    """What a material has to know of a mesh."""
-    return Shape(is_closed=open_edges(mesh) == 0, has_uv=has_uv)
-
-
 def edge_tilt_deg(mesh: Mesh) -> float:
     """The largest angle between a normal and its face in degrees, if edges are shaded smoothly; else 0.
 
@@ -127,7 +135,7 @@ def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:
 def _wound_alike(mesh: Mesh) -> tuple[Mesh, int]:
     """The mesh with neighbours wound alike where an edge has two faces, and how many were turned."""
     from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import breadth_first_order, connected_components
+    from scipy.sparse.csgraph import connected_components
 
     _, faces = welded(mesh)
     start = faces.reshape(-1).astype(np.int64)
@@ -139,20 +147,15 @@ def _wound_alike(mesh: Mesh) -> tuple[Mesh, int]:
     one, other = order[pair], order[pair + 1]
     # Two faces that run along their edge in one direction look to different sides.
     differs = start[one] == start[other]
-    if not differs.any():
-        return mesh, 0
-    size = (len(faces),) * 2
-    links = coo_array((np.where(differs, 2, 1), (one // 3, other // 3)), shape=size).tocsr()
-    both = (links.maximum(links.T)).tocsr()
-    num_parts, part = connected_components(both, directed=False)
-    is_turned = np.zeros(len(faces), bool)
-    for root in np.unique(part, return_index=True)[1][:num_parts]:
-        reached, before = breadth_first_order(both, int(root), directed=False)
-        for face in reached[1:]:
-            is_turned[face] = is_turned[before[face]] ^ (both[before[face], face] == 2)
+    # Each face is there twice, as it is and turned, and linked to those of its neighbours that look as it does.
+    count = len(faces)
+    near = np.concatenate([one // 3, one // 3 + count])
+    far = np.concatenate([other // 3 + count * differs, other // 3 + count * ~differs])
+    graph = coo_array((np.ones(len(near), np.int8), (near, far)), shape=(2 * count,) * 2)
+    _, group = connected_components(graph, directed=False)
+    part, is_turned = np.minimum(group[:count], group[count:]), group[:count] > group[count:]
     # Of each part, the fewer faces are turned.
-    share = np.bincount(part, is_turned) / np.bincount(part)
-    is_turned ^= share[part] > 0.5
+    is_turned ^= (np.bincount(part, is_turned) > np.bincount(part) / 2)[part]
     return _turned(mesh, is_turned), int(is_turned.sum())
 
 
@@ -230,35 +233,130 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
 
 
 def _loops(faces: np.ndarray) -> list[np.ndarray]:
-    """The rims of holes as points in order, each once around."""
+    """The rims of holes as points in order, each once around; where rims touch in a point, each on its own."""
     start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
     edges = set(zip(start.tolist(), end.tolist(), strict=True))
     following: dict[int, list[int]] = {}
     for a, b in sorted(edges):
         if (b, a) not in edges:
             following.setdefault(a, []).append(b)
-    loops = []
+    loops, walk = [], []
     while following:
-        first = next(iter(following))
-        walk, places = [first], {first: 0}
-        while True:
-            choices = following.get(walk[-1])
-            if not choices:  # The rim ends: the count of open edges afterwards reports it.
-                following.pop(walk[-1], None)
-                break
-            point = choices.pop()
-            if not choices:
-                del following[walk[-1]]
-            if point in places:
-                # Where rims touch in a point, each is closed on its own.
-                at = places[point]
-                loops.append(np.array(walk[at:]))
-                for gone in walk[at + 1 :]:
-                    del places[gone]
-                walk = walk[: at + 1]
-                if len(walk) == 1:
-                    break
-                continue
-            places[point] = len(walk)
+        walk = walk or [next(iter(following))]
+        if not following.get(walk[-1]):  # A rim that ends stays open, which the count of open edges reports.
+            following.pop(walk.pop(), None)
+            continue
+        point = following[walk[-1]].pop()
+        if point in walk:
+            at = walk.index(point)
+            loops.append(np.array(walk[at:]))
+            walk = walk[: at + 1]
+        else:
             walk.append(point)
     return [loop for loop in loops if len(loop) > 2]
+
+
+# Mending, where that needs no decision
+
+SHORT_EDGE = 2e-7
+"""Length in metres below which an edge may be collapsed; a face without area has such an edge, or a smaller height."""
+
+
+def mend_surface(mesh: Mesh, remarks: Remarks, *, is_solid: bool, where: str) -> Mesh:
+    """A mesh without harmful faces and vertices, and with usable shading normals; a note for each change.
+
+    Args:
+        is_solid: whether its faces bound a solid: then only faces with the same orientation are duplicates.
+    """
+    if not open_edges(mesh) and (slivers := int(_without_area(mesh).sum())):
+        collapsed = _without_slivers(mesh)
+        if collapsed is not None:
+            mesh = collapsed
+            remarks.note(where, f"{slivers} of its faces have no area; they were collapsed")
+    for what, useless in (("have no area", _without_area), ("are there twice", partial(_twice, is_solid=is_solid))):
+        left_out = useless(mesh)
+        if left_out.any() and not left_out.all():
+            mesh = dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[~left_out]))
+            remarks.note(where, f"{int(left_out.sum())} of its faces {what}; they were left out")
+    if unused := len(mesh.vertices) - len(np.unique(mesh.faces)):
+        mesh = part_of(mesh, np.ones(len(mesh.faces), bool))
+        remarks.note(where, f"{unused} of its vertices belong to no face; they were left out")
+    return mesh if _without_area(mesh).any() else _mended_normals(mesh, remarks, where=where)
+
+
+def _mended_normals(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
+    """The mesh with usable shading normals; hard edges are guessed if all of them are computed again."""
+    bad = is_without_normal(mesh)
+    known = dataclasses.replace(mesh, normals=np.where(bad[:, None], 0, mesh.normals).astype(np.float32))
+    shares = {
+        "pointed to the back of their faces": opposing_share(known),
+        "were 0 or not finite": float(bad[mesh.faces].mean()),
+    }
+    for what, share in shares.items():
+        if share > MAX_OPPOSING:
+            remarks.note(where, f"{100 * share:.1f} % of its vertex normals {what}; normals were computed again")
+            return with_new_normals(mesh, crease_deg=CREASE_DEG)
+    if not bad.any():
+        return mesh
+    remarks.note(where, f"{bad.sum()} of its vertex normals were 0 or not finite; these were computed again")
+    normals = np.where(bad[:, None], vertex_normals(mesh.vertices, mesh.faces), mesh.normals)
+    return dataclasses.replace(mesh, normals=normals.astype(np.float32))
+
+
+def _without_area(mesh: Mesh) -> Bool[np.ndarray, " face"]:
+    # Faces with non-finite vertices have a NaN area: they are refused later, not removed.
+    return face_areas(mesh) < MIN_AREA
+
+
+def _without_slivers(mesh: Mesh) -> Mesh | None:
+    """The closed mesh with faces without area collapsed, so that it stays closed; None if that fails.
+
+    Removing them would open it: a sliver joins a long edge to the shorter edges on its other side.
+    """
+    import manifold3d
+
+    _, first, place = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
+    one, index = first[place.reshape(-1)], np.arange(len(mesh.vertices))
+    is_seam = one != index
+    # Constructing a manifold removes most slivers, and leaves flat areas as they are; its `simplify` removes all.
+    solid = manifold3d.Manifold(
+        manifold3d.Mesh(
+            vert_properties=np.ascontiguousarray(np.hstack([mesh.vertices, mesh.normals, mesh.uv]), np.float32),
+            tri_verts=np.ascontiguousarray(mesh.faces, np.uint32),
+            merge_from_vert=np.ascontiguousarray(index[is_seam], np.uint32),
+            merge_to_vert=np.ascontiguousarray(one[is_seam], np.uint32),
+            tolerance=SHORT_EDGE,
+        )
+    )
+    if solid.status() != manifold3d.Error.NoError or solid.is_empty():
+        return None
+    for each in (solid, solid.simplify(SHORT_EDGE)):
+        out = each.to_mesh()
+        positions, normals, uv, _ = np.split(np.asarray(out.vert_properties, np.float32), [3, 6, 8], axis=1)
+        vertices, normals, uv = map(np.ascontiguousarray, (positions, normals, uv))
+        found = Mesh(vertices=vertices, faces=np.asarray(out.tri_verts).astype(np.int32), normals=normals, uv=uv)
+        if not open_edges(found) and not _without_area(found).any():
+            return found
+    return None
+
+
+def _twice(mesh: Mesh, *, is_solid: bool) -> Bool[np.ndarray, " face"]:
+    """Faces with the same three positions as an earlier one."""
+    _, faces = welded(mesh)
+    turned = np.stack([np.roll(faces, -shift, axis=1) for shift in range(3)])
+    same = turned[faces.argmin(axis=1), np.arange(len(faces))] if is_solid else np.sort(faces, axis=1)
+    _, first = np.unique(same, axis=0, return_index=True)
+    twice = np.ones(len(faces), bool)
+    twice[first] = False
+    return twice
+
+
+def part_of(mesh: Mesh, is_kept: np.ndarray) -> Mesh:
+    """Some faces of a mesh, with the vertices that they use."""
+    used, faces = np.unique(mesh.faces[is_kept], return_inverse=True)
+    return Mesh(
+        vertices=mesh.vertices[used],
+        faces=faces.reshape(-1, 3).astype(np.int32),
+        normals=mesh.normals[used],
+        uv=mesh.uv[used],
+    )

@@ -7,8 +7,7 @@ import numpy as np
 
 from hyaline_random.backdrop import Support
 from hyaline_random.chance import between, pick, weigh
-from hyaline_random.nesting import empty_vessel, filled_vessel, onion, paperweight, solid
-from hyaline_random.panes import PANES, enclosed
+from hyaline_random.nesting import PANES, empty_vessel, enclosed, filled_vessel, onion, paperweight, solid
 from hyaline_random.solids import CONVEX, NOT_CONVEX
 from hyaline_random.things import THINGS, Thing, enlarged
 from hyaline_random.vessels import VESSELS

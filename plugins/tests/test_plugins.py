@@ -11,7 +11,7 @@ import pytest
 from datagen.terminal.plugins import Group
 from hyaline_export.formats import FORMATS
 from hyaline_import.datasets.import_dataset import READERS as DATASET_READERS
-from hyaline_import.foreign_files import READERS
+from hyaline_import.source import READERS
 from hyaline_random.names import FAMILIES
 
 PLUGINS = Path(__file__).parents[1]

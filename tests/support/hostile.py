@@ -31,7 +31,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Truth, radiance_bytes
 from datagen.scene.folder import load_scene, save_scene
 from eval.score.runs import open_run, read_prediction
-from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.datasets.import_dataset import plan_import
 from model.methods.paper.config import PaperConfig
 from model.run.predict import load_renderer, render_predictions

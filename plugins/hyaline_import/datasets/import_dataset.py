@@ -5,7 +5,6 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
@@ -23,24 +22,23 @@ from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric
 from datagen.terminal.command import track
 from datagen.terminal.plugins import Group
+from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.choices import DatasetImportChoices
-from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name
-from hyaline_import.datasets.pictures import view_files
+from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name, view_files
 from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
-from hyaline_import.foreign_files import (
-    EXPORT_ADVICE,
+from hyaline_import.importing import Made, World, unique_names
+from hyaline_import.mapping import Mapper
+from hyaline_import.overlaps import apart, nested
+from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS as FILES
+from hyaline_import.source import (
+    check_ending,
     check_overrides,
     ending_of,
     override,
     parse_overrides,
     scene_name,
 )
-from hyaline_import.foreign_files import READERS as FILES
-from hyaline_import.importing import Made, World, unique_names
-from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
-from hyaline_import.remarks import Remarks
 from hyaline_import.staging import even_sky
 
 READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
@@ -74,12 +72,13 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     """Reads all of a folder but for its pictures."""
     foreign = read_foreign_dataset(folder)
     views, lines = split_views(foreign)
-    linear = choices.scale * z_up_from(choices.up)
     size = foreign.lens.size
-    cameras: dict[Split, Cameras] = {
-        split: foreign.lens.cameras(np.stack([_placed(view.world_from_camera, linear) for view in views[split]]))
-        for split in SPLITS
-    }
+    turn = z_up_from(choices.up)
+    cameras: dict[Split, Cameras] = {}
+    for split in SPLITS:
+        poses = np.stack([view.world_from_camera for view in views[split]])
+        poses[:, :3, :3], poses[:, :3, 3] = turn @ poses[:, :3, :3], choices.scale * poses[:, :3, 3] @ turn.T
+        cameras[split] = foreign.lens.cameras(poses)
     name = scene_name(folder.resolve())
     given = tuple(ForeignSurface(name=surface_name(file), file=file) for file in choices.mesh)
     surfaces = (*foreign.surfaces, *given)
@@ -87,15 +86,13 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     if scene is not None:
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     config = imported_config(name, size, views)
-    used = [view for split in SPLITS for view in views[split]]
-    told = (*foreign.remarks, *lines, *about_scene)
     imported = Imported(
         layout=foreign.layout,
         source=folder.resolve().name,
         source_sha256=digest_of([*foreign.files, *choices.mesh], f"{choices.background} {choices.scale}"),
-        has_masks=all(view.mask is not None for view in used),
+        has_masks=all(view.mask is not None for split in SPLITS for view in views[split]),
         has_depth=False,
-        remarks=told,
+        remarks=(*foreign.remarks, *lines, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
@@ -108,15 +105,8 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
 
 def imported_config(name: str, size: Resolution, views: Mapping[Split, Sequence[ForeignView]]) -> DatasetConfig:
     """The configuration of a dataset of these views."""
-    few = {split: SplitConfig(views=len(views[split]), spp=None) for split in SPLITS}
-    return DatasetConfig(
-        scene=name,
-        preset=PRESET,
-        resolution=size,
-        train=few["train"],
-        interpolating=few["interpolating"],
-        extrapolating=few["extrapolating"],
-    )
+    train, near, far = (SplitConfig(views=len(views[split]), spp=None) for split in SPLITS)
+    return DatasetConfig(scene=name, preset=PRESET, resolution=size, train=train, interpolating=near, extrapolating=far)
 
 
 def read_foreign_dataset(root: Path) -> ForeignDataset:
@@ -152,14 +142,6 @@ def write_import(plan: Plan, root: Path, *, overwrite: bool) -> Dataset:
         for view in track(missing, label="import", total=total, done=total - len(missing)):
             commit_view(dataset, view.split, view.index, plan.files(view.split, view.index))
     return dataset
-
-
-def _placed(pose: np.ndarray, linear: np.ndarray) -> np.ndarray:
-    """A camera in our world: turned and moved, and not stretched."""
-    placed = pose.copy()
-    placed[:3, :3] = np.rint(linear / np.abs(linear).max()) @ pose[:3, :3]
-    placed[:3, 3] = linear @ pose[:3, 3]
-    return placed
 
 
 def digest_of(files: Sequence[Path], choices: str) -> str:
@@ -232,11 +214,8 @@ def unlit_scene(name: str, made: Made, world: World, cameras: dict[Split, Camera
 
 def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
     """The objects in the file of a mesh."""
-    ending, known = ending_of(surface.file), sorted(set(FILES.names()) - {"xml"})
-    if ending not in known:
-        endings = ", ".join(f".{name}" for name in known)
-        raise HyalineError(f"{surface.file}: is not a mesh by its ending; expected one of {endings}: {EXPORT_ADVICE}")
-    return FILES.find(ending)(surface.file, remarks).objects
+    check_ending(surface.file)
+    return FILES.find(ending_of(surface.file))(surface.file, remarks).objects
 
 
 # Splits
@@ -269,10 +248,8 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
     if (again := next((view.picture for view in test if view.picture in learned), None)) is not None:
         raise HyalineError(f"{again}: is listed to train on and to test; expected each picture once")
     if len(test) == 1:
-        return {"train": train, "interpolating": test, "extrapolating": test}, [
-            *lines,
-            "splits: the only test picture is in both test splits",
-        ]
+        lines.append("splits: the only test picture is in both test splits")
+        return {"train": train, "interpolating": test, "extrapolating": test}, lines
     places = np.stack([view.world_from_camera[:3, 3] for view in train])
     away = np.array([np.linalg.norm(places - view.world_from_camera[:3, 3], axis=1).min() for view in test])
     far = {int(place) for place in np.argsort(-away, kind="stable")[: max(1, len(test) // FAR_SHARE)]}
@@ -285,17 +262,10 @@ def split_views(foreign: ForeignDataset) -> tuple[dict[Split, tuple[ForeignView,
 
 
 def _by_name(foreign: ForeignDataset) -> dict[Split, tuple[ForeignView, ...]] | None:
-    """The views by the splits in their names; None unless every name has one, and each split some views."""
-    found: dict[Split, dict[int, ForeignView]] = {split: {} for split in SPLITS}
-    for view in (view for role in ROLES for view in foreign.views[role]):
-        match = OURS.fullmatch(view.picture.stem)
-        if match is None:
-            return None
-        views = found[cast(Split, match[1])]
-        if (other := views.setdefault(int(match[2]), view)) is not view:
-            raise HyalineError(
-                f"{other.picture} and {view.picture}: both are view {match[2]} of {match[1]} by their names"
-            )
-    if not all(found.values()):
-        return None
-    return {split: tuple(views[number] for number in sorted(views)) for split, views in found.items()}
+    """The views by the splits in their names; None unless every name has one of its own, and each split some views."""
+    views = [view for role in ROLES for view in foreign.views[role]]
+    places = {match.groups(): view for view in views if (match := OURS.fullmatch(view.picture.stem))}
+    found: dict[Split, tuple[ForeignView, ...]] = {
+        split: tuple(places[place] for place in sorted(places) if place[0] == split) for split in SPLITS
+    }
+    return found if all(found.values()) and len(places) == len(views) else None

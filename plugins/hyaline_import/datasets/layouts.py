@@ -10,6 +10,7 @@ Each may have meshes/, if somebody adds them.
 Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
 """
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,14 +19,16 @@ from pathlib import Path
 from typing import Literal, TypeVar, get_args
 
 import numpy as np
-from jaxtyping import Float
-from PIL import ExifTags, Image, UnidentifiedImageError
+from jaxtyping import Float, UInt8
+from PIL import ExifTags, Image, ImageCms, UnidentifiedImageError
 
 from datagen.data.cameras import Lens
 from datagen.data.config import Resolution, license_line
+from datagen.data.images import mask_pixels, png_bytes
 from datagen.data.transforms import Frame, Transforms, read_transforms, refuse_other_lens, relative_name
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import check_regular, find_file, open_regular
+from hyaline_import.commands import DatasetImportChoices
 
 Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -260,3 +263,55 @@ def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[Foreign
     if any(has_masks) and not all(has_masks):
         lines.append(f"masks: {has_masks.count(False)} of {len(has_masks)} pictures have none; all were left out")
     return tuple(lines)
+
+
+BACKGROUND = {"white": 255.0, "black": 0.0}
+EIGHT_BITS = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "CMYK", "YCbCr")
+
+
+def view_files(
+    view: ForeignView, size: Resolution, choices: DatasetImportChoices, *, has_mask: bool
+) -> dict[str, bytes]:
+    """The files of a view, by ending."""
+    wanted = size.width, size.height
+    files = {".png": png_bytes(on_background(opened(view.picture, wanted), view.picture, choices.background))}
+    if has_mask and view.mask is not None:
+        files[".mask.png"] = png_bytes(np.where(mask_pixels(opened(view.mask, wanted)), 255, 0).astype(np.uint8))
+    return files
+
+
+def on_background(
+    picture: Image.Image, path: Path, background: Literal["white", "black"]
+) -> UInt8[np.ndarray, "h w 3"]:
+    """An 8-bit picture over its background, in sRGB whatever its profile; mixed in sRGB as NeRF's tools do it."""
+    if picture.mode not in EIGHT_BITS:
+        raise HyalineError(f"{path}: has pixels of kind {picture.mode}; expected 8 bits a channel, sRGB")
+    rgba = np.asarray(_in_srgb(picture, path))
+    alpha = rgba[..., 3:].astype(np.float64) / 255
+    return np.rint(rgba[..., :3] * alpha + BACKGROUND[background] * (1 - alpha)).astype(np.uint8)
+
+
+def _in_srgb(picture: Image.Image, path: Path) -> Image.Image:
+    """RGBA in sRGB; a picture may have another profile, such as the Display P3 of phones."""
+    rgba = picture.convert("RGBA")
+    if not (icc := picture.info.get("icc_profile")):
+        return rgba
+    mode = {b"GRAY": "L", b"CMYK": "CMYK"}.get(icc[16:20], "RGB")  # The pixels that the profile is for.
+    pixels = rgba.convert("RGB") if mode == "RGB" else picture.convert(mode)
+    try:
+        profile = ImageCms.ImageCmsProfile(io.BytesIO(icc))
+        converted = ImageCms.profileToProfile(pixels, profile, ImageCms.createProfile("sRGB"), outputMode="RGB")
+    except (OSError, ImageCms.PyCMSError) as error:
+        raise HyalineError(f"{path}: has a colour profile that cannot be used ({error}); convert it to sRGB") from None
+    assert converted is not None, "None is for pictures that are changed in place"
+    converted.putalpha(rgba.getchannel("A"))
+    return converted
+
+
+def opened(path: Path, size: tuple[int, int] | None = None) -> Image.Image:
+    """The picture of a file; nothing is decoded of one that has not the width and height it should have."""
+    with header(path) as picture:
+        if size is not None and picture.size != size:
+            raise HyalineError(f"{path}: is {picture.width} x {picture.height} pixels; expected {size[0]} x {size[1]}")
+        picture.load()
+        return picture

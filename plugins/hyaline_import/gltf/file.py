@@ -1,26 +1,239 @@
-"""A glTF or GLB file: its JSON, the bytes that it points to, inside the file or beside it, and the arrays in them.
+"""A glTF or GLB file: the parts of its JSON that are read, the bytes that it points to, and the arrays in them.
 
-Source: glTF 2.0 sections 3.6 and 4.
+Source: glTF 2.0 sections 3.6, 4 and 5, and the READMEs of the extensions in KhronosGroup/glTF.
 """
 
 import base64
 import binascii
+import re
 import struct
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 from urllib.parse import unquote
 
 import numpy as np
+from msgspec import Meta, Struct, ValidationError, convert
 
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.records import parse_json
 from datagen.disk.storage import find_file
 from hyaline_import.foreign import read_foreign
-from hyaline_import.gltf.records import LISTS, Accessor, Entry, Gltf, read
+
+# ruff: noqa: D101  (the names are the format's own)
+
+
+Index = Annotated[int, Meta(ge=0, le=1 << 40)]
+Count = Annotated[int, Meta(ge=1, le=1 << 40)]
+Positive = Annotated[float, Meta(gt=0)]
+Channel = Annotated[int, Meta(ge=0, le=31)]
+Color = tuple[float, float, float]
+Quaternion = tuple[float, float, float, float]
+WHITE = (1.0, 1.0, 1.0)
+T = TypeVar("T")
+
+
+def read(kind: type[T], data: object, *, where: str) -> T:
+    """The record that JSON describes.
+
+    Raises:
+        HyalineError: a value is missing or of the wrong type, named by its place.
+    """
+    try:
+        return convert(data, kind, strict=False)  # Exporters write 3.0 for a count of 3.
+    except ValidationError as error:
+        what, _, place = str(error).partition(" - at `$")
+        inside = re.sub(r"^\.|`$", "", place)
+        raise HyalineError(f"{where}{f': {inside}' if inside else ''}: {what}; export the file again") from None
+
+
+class Entry(Struct, rename="camel", kw_only=True):
+    """An object of the file that may have extensions."""
+
+    extensions: dict[str, Any] = {}
+    where: str = ""
+    """Its place in the file, for errors."""
+
+    def extension(self, name: str) -> "Extension":
+        """What an extension says; its defaults where it is missing."""
+        return read(Extension, self.extensions.get(name, {}), where=f"{self.where}.extensions.{name}")
+
+
+class Asset(Entry):
+    version: str
+    copyright: Any = None
+    extras: Any = None
+
+
+class Accessor(Entry):
+    component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    count: Count
+    type: str
+    buffer_view: Index | None = None
+    """None for an array of zeros."""
+    byte_offset: Index = 0
+    normalized: bool = False
+    sparse: Any = None
+
+
+class BufferView(Entry):
+    buffer: Index
+    byte_length: Count
+    byte_offset: Index = 0
+    byte_stride: Annotated[int, Meta(ge=0, le=252)] = 0
+
+
+class Buffer(Entry):
+    byte_length: Index
+    uri: str | None = None
+
+
+class Image(Entry):
+    uri: str | None = None
+    buffer_view: Index | None = None
+
+
+class Sampler(Entry):
+    wrap_s: int = 10497
+    wrap_t: int = 10497
+
+
+class Texture(Entry):
+    source: Index | None = None
+    sampler: Index | None = None
+
+
+class Use(Entry):
+    """A texture as a material uses it."""
+
+    index: Index
+    tex_coord: Channel = 0
+
+
+class Metallic(Struct, rename="camel", frozen=True):
+    base_color_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
+    base_color_texture: Use | None = None
+    metallic_factor: float | None = None
+    """1 if it is missing."""
+    roughness_factor: float = 1.0
+    metallic_roughness_texture: Use | None = None
+
+
+class Material(Entry):
+    name: str = ""
+    pbr_metallic_roughness: Metallic = Metallic()
+    normal_texture: Any = None
+    occlusion_texture: Any = None
+    emissive_texture: Any = None
+    emissive_factor: Color = (0.0, 0.0, 0.0)
+    alpha_mode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
+    alpha_cutoff: float = 0.5
+    extras: Any = None
+
+
+class Extras(Struct):
+    """What a user may add to a material."""
+
+    priority: Annotated[int, Meta(ge=-9, le=9)] = 0
+
+
+class Extension(Struct, rename="camel"):
+    """What the extensions say, each some of it, with their defaults."""
+
+    # KHR_texture_transform
+    offset: tuple[float, float] = (0.0, 0.0)
+    scale: tuple[float, float] = (1.0, 1.0)
+    rotation: float = 0.0
+    tex_coord: Channel | None = None
+    # EXT_texture_webp
+    source: Index | None = None
+    # KHR_materials_pbrSpecularGlossiness
+    diffuse_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
+    diffuse_texture: Use | None = None
+    specular_factor: Color = WHITE
+    glossiness_factor: float = 1.0
+    specular_glossiness_texture: Use | None = None
+    # KHR_materials_transmission, _volume
+    transmission_factor: float = 0.0
+    transmission_texture: Use | None = None
+    thickness_factor: float = 0.0
+    attenuation_color: Color = WHITE
+    attenuation_distance: Positive | None = None
+    # KHR_materials_ior (0 mirrors everything), _dispersion, _emissive_strength
+    ior: float = 1.5
+    dispersion: float = 0.0
+    emissive_strength: float = 1.0
+
+
+class Primitive(Entry):
+    attributes: dict[str, Index]
+    indices: Index | None = None
+    material: Index | None = None
+    mode: Annotated[int, Meta(ge=0, le=6)] = 4
+    targets: Any = None
+
+
+class Mesh(Entry):
+    primitives: Annotated[list[Primitive], Meta(min_length=1)]
+    name: str = ""
+
+
+class Node(Entry):
+    name: str = ""
+    mesh: Index | None = None
+    camera: Index | None = None
+    skin: Any = None
+    children: list[Index] = []
+    matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
+    rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    translation: Color = (0.0, 0.0, 0.0)
+    scale: Color = WHITE
+
+
+class Perspective(Struct, rename="camel"):
+    yfov: Annotated[float, Meta(gt=0, lt=3.14159)]
+    aspect_ratio: Annotated[float, Meta(gt=0, lt=1000)] = 1.0
+
+
+class Camera(Entry):
+    type: str = "perspective"
+    name: str = ""
+    perspective: Perspective | None = None
+
+
+class Scene(Entry):
+    nodes: list[Index] = []
+
+
+class Gltf(Entry):
+    """A whole file."""
+
+    asset: Asset
+    extensions_used: list[str] = []
+    extensions_required: list[str] = []
+    scene: Index = 0
+    accessors: list[Accessor] = []
+    animations: Any = None
+    buffer_views: list[BufferView] = []
+    buffers: list[Buffer] = []
+    cameras: list[Camera] = []
+    images: list[Image] = []
+    materials: list[Material] = []
+    meshes: list[Mesh] = []
+    nodes: list[Node] = []
+    samplers: list[Sampler] = []
+    scenes: list[Scene] = []
+    textures: list[Texture] = []
+    extras: Any = None
+
+
+LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
+         "scenes", "textures")  # fmt: skip
+"""The lists of `Gltf` whose entries know their places."""
+
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 MAX_VALUES = 1 << 27
 """Numbers in one array."""
 MAX_JSON_BYTES = 1 << 28
@@ -105,10 +318,6 @@ class GltfFile:
             self._buffers[index] = data[: buffer.byte_length]
         return self._buffers[index]
 
-    def count(self, index: int, *, where: str) -> int:
-        """How many elements an accessor promises."""
-        return self.item(self.root.accessors, index, where=where).count
-
     def array(self, index: int, kind: str, *, where: str) -> np.ndarray:
         """The elements of an accessor: (n, width) of floats, normalised if it asks for it; or (n,) indices."""
         accessor = self.item(self.root.accessors, index, where=where)
@@ -119,19 +328,12 @@ class GltfFile:
         return self._arrays[index]
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
+        if accessor.sparse is not None:
+            raise HyalineError(f"{accessor.where}: is sparse, which is not read; export the file without sparse arrays")
         if accessor.count * width > MAX_VALUES:
             raise HyalineError(f"{accessor.where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
-        place = accessor.buffer_view, accessor.byte_offset
-        raw = self._rows(*place, (accessor.count, width), dtype, where=accessor.where)
-        if (sparse := accessor.sparse) is not None:
-            places, values = sparse.indices, sparse.values
-            kind = np.dtype(COMPONENTS[places.component_type])
-            rows = self._rows(places.buffer_view, places.byte_offset, (sparse.count, 1), kind, where=accessor.where)
-            if rows.max() >= len(raw):
-                raise HyalineError(f"{accessor.where}: changes element {rows.max()} of {len(raw)}; export it again")
-            raw, shape = raw.copy(), (sparse.count, width)
-            raw[rows[:, 0]] = self._rows(values.buffer_view, values.byte_offset, shape, dtype, where=accessor.where)
+        raw = self._rows(accessor, width, dtype)
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
@@ -143,22 +345,19 @@ class GltfFile:
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
 
-    def _rows(
-        self, view: int | None, offset: int, shape: tuple[int, int], dtype: np.dtype, *, where: str
-    ) -> np.ndarray:
+    def _rows(self, accessor: Accessor, width: int, dtype: np.dtype) -> np.ndarray:
         """Rows of numbers in a buffer view; zeros where an array has none."""
-        if view is None:
+        shape, size, where = (accessor.count, width), width * dtype.itemsize, accessor.where
+        if accessor.buffer_view is None:
             return np.zeros(shape, dtype)
-        content, stride = self.buffer_view(view, where=where)
-        count, width = shape
-        size = width * dtype.itemsize
+        content, stride = self.buffer_view(accessor.buffer_view, where=where)
         stride = stride or size  # Each row begins that many bytes after the last one.
-        end = offset + (count - 1) * stride + size
+        end = accessor.byte_offset + (accessor.count - 1) * stride + size
         if stride < size or end > len(content):
             raise HyalineError(
                 f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
             )
-        return np.ndarray(shape, dtype, content, offset, (stride, dtype.itemsize))
+        return np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:

@@ -4,7 +4,7 @@ Source: glTF 2.0 section 3.9 and the READMEs of the extensions in KhronosGroup/g
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -12,7 +12,6 @@ from jaxtyping import Float, Int
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.materials import Color
-from datagen.scene.substances import SUBSTANCES
 from hyaline_import.foreign import (
     PLAIN,
     Factor,
@@ -21,9 +20,8 @@ from hyaline_import.foreign import (
     ForeignMaterial,
     clipped,
     clipped_color,
-    substance_of,
 )
-from hyaline_import.gltf import records
+from hyaline_import.gltf import file as records
 from hyaline_import.gltf.file import GltfFile
 from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks
@@ -97,7 +95,11 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
-    _remark_on(entry, name, remarks)
+    left_out = [what for extension, what in IGNORED.items() if extension in entry.extensions]
+    left_out += ["a normal map"] * (entry.normal_texture is not None)
+    left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
+    for what in left_out:
+        remarks.approximate(name, f"has {what}, which is left out")
     transmission = entry.extension(TRANSMISSION)
     if transmission.transmission_texture is not None:
         others.append(("transmission", transmission.transmission_texture, 0))
@@ -106,19 +108,12 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         found, own_use = _texture(file, other, name, remarks)
         if found is not None:
             use = use or own_use
-            is_glossiness = is_gloss and factor == "roughness"
-            lies_as_color = own_use == use
-            factor_images.append(
-                FactorImage(
-                    factor=factor, image=found, channel=channel, lies_as_color=lies_as_color,
-                    is_glossiness=is_glossiness,
-                )
-            )  # fmt: skip
+            kind = FactorImage(factor=factor, image=found, channel=channel, lies_as_color=own_use == use)
+            factor_images.append(replace(kind, is_glossiness=is_gloss and factor == "roughness"))
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
     volume = entry.extension(VOLUME)
-    dispersion = entry.extension("KHR_materials_dispersion").dispersion
     extras = entry.extras if isinstance(entry.extras, dict) else {}
     material = ForeignMaterial(
         name=name,
@@ -135,7 +130,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         is_volume=volume.thickness_factor > 0,
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
-        dispersion=max(dispersion, 0.0),
+        dispersion=max(entry.extension("KHR_materials_dispersion").dispersion, 0.0),
         priority=records.read(records.Extras, extras, where=f"{entry.where}.extras").priority,
         emission=_emission(entry, name, remarks),
     )
@@ -143,13 +138,8 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
 
 
 def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
-    is_glass, is_given = TRANSMISSION in entry.extensions, "KHR_materials_ior" in entry.extensions
-    if "KHR_materials_unlit" in entry.extensions and not is_glass:
+    if "KHR_materials_unlit" in entry.extensions and TRANSMISSION not in entry.extensions:
         return 1.0
-    named = substance_of(name) if is_glass else None
-    if not is_given and named is not None:
-        remarks.note(name, f"the file gives no index of refraction; by its name it is {named}, {SUBSTANCES[named]:g}")
-        return SUBSTANCES[named]
     ior = entry.extension("KHR_materials_ior").ior
     if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
         remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
@@ -157,17 +147,6 @@ def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
     if not 1 <= ior < 10:
         raise HyalineError(f"{entry.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
     return ior
-
-
-def _remark_on(entry: records.Material, name: str, remarks: Remarks) -> None:
-    """A line for each property of a material that is not drawn."""
-    left_out = [what for extension, what in IGNORED.items() if extension in entry.extensions]
-    left_out += ["a normal map"] * (entry.normal_texture is not None)
-    left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
-    for what in left_out:
-        remarks.approximate(name, f"has {what}, which is left out")
-    if entry.extension(VOLUME).thickness_texture is not None:
-        remarks.note(name, "has an image of thickness, which path tracers do not need: light crosses the mesh itself")
 
 
 def _emission(entry: records.Material, name: str, remarks: Remarks) -> Color:

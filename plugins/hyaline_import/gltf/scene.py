@@ -1,14 +1,19 @@
-"""glTF and GLB files: every surface that a viewer would show, in the file's world."""
+"""glTF and GLB files: every surface that a viewer would show, where the file's tree of nodes puts it.
+
+Source: glTF 2.0 sections 3.5 to 3.10.
+"""
 
 import dataclasses
+import math
 import re
-from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
+from scipy.spatial.transform import Rotation
 
-from datagen.data.cameras import Camera
+from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.config import license_line
 from datagen.disk.errors import HyalineError, shown
 from hyaline_import.foreign import (
@@ -18,51 +23,119 @@ from hyaline_import.foreign import (
     ForeignObject,
     ForeignScene,
     elementwise,
+    lens_of,
 )
-from hyaline_import.gltf.file import READ_EXTENSIONS, GltfFile
+from hyaline_import.gltf import file as records
+from hyaline_import.gltf.file import READ_EXTENSIONS, GltfFile, Node, Primitive
 from hyaline_import.gltf.materials import TextureUse, read_material, wrapped
-from hyaline_import.gltf.nodes import Instance, bend, instances, morph, skin_matrices
-from hyaline_import.gltf.records import Gltf, Primitive
 from hyaline_import.remarks import Remarks
 
+LAMPS = "KHR_lights_punctual"
+MAX_NODES = 20_000
+MAX_COORDINATE = 1e18
+MIN_SCALE = 1e-10
+"""Scale below which there is nothing to see."""
+FILM = 1000.0
+"""Height in pixels that describes a camera's pictures: glTF has none."""
 TRIANGLES = 4
 """Mode of a primitive whose corners make triangles, three by three."""
 Materials = dict[int | None, tuple[ForeignMaterial, TextureUse | None]]
-Attributes = dict[str, np.ndarray]
 
 
 def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     """The surfaces of a glTF or GLB file."""
     file = GltfFile(path)
-    cameras: list[Camera] = []
-    worlds: dict[int, np.ndarray] = {}
-    placed = list(instances(file, cameras, worlds, remarks))
+    placed = list(_placed_nodes(file))
     for extension in sorted({*file.root.extensions_used} - READ_EXTENSIONS):
         remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
     if file.root.animations is not None:
         remarks.note(path.name, "has animations, which are not read; drawn as the nodes pose it")
-    uses = Counter(instance.mesh for instance in placed)
-    _check_size(file, uses)
+    _check_size(file, [node for node, _ in placed])
+    cameras: list[Camera] = []
     materials: Materials = {}
-    surfaces: dict[tuple, list[ForeignObject]] = {}
+    surfaces: dict[int, list[ForeignObject]] = {}
     objects = []
-    for instance in placed:
-        shape = instance.mesh, instance.weights, instance.node.skin
-        if shape not in surfaces:
-            bones = None if instance.node.skin is None else skin_matrices(file, instance.node.skin, worlds)
-            surfaces[shape] = list(_surfaces(file, instance, bones, materials, remarks))
-        parts = surfaces[shape]
-        name = instance.node.name or file.root.meshes[instance.mesh].name
+    for node, world in placed:
+        if node.camera is not None:
+            cameras += _camera(file.item(file.root.cameras, node.camera, where=node.where), world, remarks)
+        if LAMPS in node.extensions:
+            remarks.approximate(_name(node), "is a lamp without a size, which is left out")
+        if node.mesh is None:
+            continue
+        # Scaled to 0 along two axes or more. Source: glTF 2.0 section 3.5.3.
+        if np.linalg.svd(world[:3, :3], compute_uv=False)[1] < MIN_SCALE:
+            remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
+            continue
+        if node.skin is not None:
+            remarks.approximate(_name(node), "is bent by a skin, which is not read; drawn unbent, apply it to export")
+        if node.mesh not in surfaces:
+            surfaces[node.mesh] = list(_surfaces(file, node.mesh, materials, remarks))
+        parts = surfaces[node.mesh]
         for index, part in enumerate(parts):
-            own = name or part.name or "object"
-            own = f"{own}_{index}" if len(parts) > 1 else own
-            objects.append(_placed(part, own, instance.world_from_mesh))
+            own = node.name or file.root.meshes[node.mesh].name or part.name or "object"
+            objects.append(_placed(part, f"{own}_{index}" if len(parts) > 1 else own, world))
     if not objects:
         raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
     return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras), license=_license_of(file.root))
 
 
-def _license_of(root: Gltf) -> str | None:
+def _placed_nodes(file: GltfFile) -> Iterator[tuple[Node, Float[np.ndarray, "4 4"]]]:
+    """Every node of the file's scene and its world_from_node; parents come before children."""
+    root = file.root
+    if len(root.nodes) > MAX_NODES:
+        raise HyalineError(f"{file.path}: has {len(root.nodes):,} nodes; expected at most {MAX_NODES:,}")
+    if root.scenes:
+        roots = file.item(root.scenes, root.scene, where=f"{file.path}: scene").nodes
+    else:
+        below = {child for node in root.nodes for child in node.children}
+        roots = [index for index in range(len(root.nodes)) if index not in below]
+    waiting = [(index, np.eye(4)) for index in reversed(roots)]
+    seen: set[int] = set()
+    while waiting:
+        index, world_from_parent = waiting.pop()
+        node = file.item(root.nodes, index, where=f"{file.path}: nodes")
+        if index in seen:
+            raise HyalineError(f"{node.where}: is part of a cycle or has two parents; export the file again")
+        seen.add(index)
+        world_from_node = world_from_parent @ _local(node)
+        if not np.abs(world_from_node).max() < MAX_COORDINATE:
+            raise HyalineError(f"{node.where}: is larger than can be; export the file again")
+        yield node, world_from_node
+        waiting += [(child, world_from_node) for child in reversed(node.children)]
+
+
+def _local(node: Node) -> Float[np.ndarray, "4 4"]:
+    """Scale, then turn by a quaternion (x, y, z, w), then move."""
+    if node.matrix is not None:
+        return np.array(node.matrix).reshape(4, 4).T
+    if np.linalg.norm(node.rotation) < 1e-9:
+        raise HyalineError(f"{node.where}: has a rotation of length 0; export the file again")
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat(node.rotation).as_matrix() * node.scale
+    matrix[:3, 3] = node.translation
+    return matrix
+
+
+def _name(entry: Node | records.Camera) -> str:
+    return entry.name or entry.where.rsplit(" ", 1)[-1]
+
+
+def _camera(camera: records.Camera, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Camera]:
+    """A camera in the world; none if it is orthographic. glTF's cameras are OpenGL's."""
+    if (lens := camera.perspective) is None:
+        remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
+        return []
+    matrix = np.eye(4)
+    axes = matrix[:3, :3] = world[:3, :3] / np.maximum(np.linalg.norm(world[:3, :3], axis=0), MIN_SCALE)
+    matrix[:3, 3] = world[:3, 3]
+    if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
+        remarks.approximate(_name(camera), "is a camera that its node skews, mirrors or flattens, which is left out")
+        return []
+    focal = 0.5 * FILM / math.tan(lens.yfov / 2)
+    return [lens_of(focal, lens.aspect_ratio * FILM, FILM, where=camera.where).camera(matrix)]
+
+
+def _license_of(root: records.Gltf) -> str | None:
     """The rights in the metadata, as glTF and Sketchfab write them; bad metadata is ignored."""
     said = []
     for extras in (root.asset.extras, root.extras):
@@ -71,17 +144,19 @@ def _license_of(root: Gltf) -> str | None:
     return license_line(*said, root.asset.copyright)
 
 
-def _check_size(file: GltfFile, uses: Counter[int]) -> None:
+def _check_size(file: GltfFile, placed: list[Node]) -> None:
     """Refuses a scene that is too large before any of it is decoded."""
     triangles = surfaces = 0
-    for index, times in uses.items():
-        mesh = file.item(file.root.meshes, index, where=f"{file.path}: nodes")
+    for node in placed:
+        if node.mesh is None:
+            continue
+        mesh = file.item(file.root.meshes, node.mesh, where=node.where)
         for primitive in mesh.primitives:
             if "POSITION" not in primitive.attributes:
                 raise HyalineError(f"{mesh.where}: has a primitive without POSITION; export the file again")
             corners = primitive.attributes["POSITION"] if primitive.indices is None else primitive.indices
-            triangles += times * file.count(corners, where=mesh.where) // 3
-            surfaces += times
+            triangles += file.item(file.root.accessors, corners, where=mesh.where).count // 3
+            surfaces += 1
     if triangles > MAX_TRIANGLES or surfaces > MAX_SURFACES:
         raise HyalineError(
             f"{file.path}: has {triangles:,} triangles in {surfaces:,} surfaces; "
@@ -89,25 +164,24 @@ def _check_size(file: GltfFile, uses: Counter[int]) -> None:
         )
 
 
-def _surfaces(
-    file: GltfFile, instance: Instance, bones: np.ndarray | None, materials: Materials, remarks: Remarks
-) -> Iterator[ForeignObject]:
-    """The triangles of a mesh, one surface a primitive, where the mesh itself is; with a skin, where its bones are."""
-    described = file.root.meshes[instance.mesh]
+def _surfaces(file: GltfFile, mesh: int, materials: Materials, remarks: Remarks) -> Iterator[ForeignObject]:
+    """The triangles of a mesh, one surface a primitive, where the mesh itself is."""
+    described = file.root.meshes[mesh]
     for primitive in described.primitives:
         where = described.name or described.where
+        left_out = {
+            "points, lines, strips or fans": primitive.mode != TRIANGLES,
+            "colours at its vertices": "COLOR_0" in primitive.attributes,
+            "morph targets": bool(primitive.targets),
+        }
+        for what in (what for what, is_there in left_out.items() if is_there):
+            remarks.approximate(where, f"has {what}, which are left out")
         if primitive.mode != TRIANGLES:
-            remarks.approximate(where, "has points, lines, strips or fans, which are left out")
             continue
-        if "COLOR_0" in primitive.attributes:
-            remarks.approximate(where, "has colours at its vertices, which are left out")
         if primitive.material not in materials:
             materials[primitive.material] = read_material(file, primitive.material, remarks)
         material, use = materials[primitive.material]
         attributes, corners = _attributes(file, primitive, where=described.where)
-        morph(file, attributes, primitive.targets, instance.weights, where=described.where)
-        if bones is not None:
-            bend(attributes, bones, where=described.where)
         faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
         if not len(faces):
             continue
@@ -125,16 +199,15 @@ def _surfaces(
         )
 
 
-def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[Attributes, np.ndarray]:
+def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Positions, normals and uv of a primitive's vertices, and the vertices of its corners in order."""
     wanted = {name: "VEC3" for name in ("POSITION", "NORMAL") if name in primitive.attributes}
     wanted |= {name: "VEC2" for name in primitive.attributes if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
-    wanted |= {name: "VEC4" for name in primitive.attributes if re.fullmatch(r"(JOINTS|WEIGHTS)_\d", name)}
     found = {name: file.array(primitive.attributes[name], kind, where=where) for name, kind in wanted.items()}
-    corners = np.arange(len(found["POSITION"]))
+    count = len(found["POSITION"])
+    corners = np.arange(count)
     if primitive.indices is not None:
         corners = file.array(primitive.indices, "SCALAR", where=where)
-    count = len(found["POSITION"])
     if any(len(values) != count for values in found.values()):
         raise HyalineError(f"{where}: its attributes differ in length; export the file again")
     if corners.ndim != 1 or corners.dtype.kind != "i":
@@ -150,13 +223,9 @@ def _placed(part: ForeignObject, name: str, world: np.ndarray) -> ForeignObject:
     determinant = float(np.linalg.det(linear))
     if abs(determinant) < 1e-30:
         raise HyalineError(f"{name}: its node flattens it to nothing; expected a scale other than 0")
-    normals = None
-    if part.normals is not None:
-        normals = elementwise(part.normals, np.linalg.inv(linear).T, np.zeros(3))
-    return dataclasses.replace(
-        part,
-        name=name,
-        positions=elementwise(part.positions, linear, world[:3, 3]),
-        faces=part.faces[:, ::-1] if determinant < 0 else part.faces,
-        normals=normals,
-    )
+    normals = part.normals
+    if normals is not None:
+        normals = elementwise(normals, np.linalg.inv(linear).T, np.zeros(3))
+    positions = elementwise(part.positions, linear, world[:3, 3])
+    faces = part.faces[:, ::-1] if determinant < 0 else part.faces
+    return dataclasses.replace(part, name=name, positions=positions, faces=faces, normals=normals)

@@ -1,7 +1,7 @@
 """BSDFs of a Mitsuba scene, in the terms of foreign materials."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -9,7 +9,6 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.mitsuba.nodes import Node
-from hyaline_import.pictures import stored
 from hyaline_import.remarks import Remarks
 
 IORS = {
@@ -42,7 +41,7 @@ class FoundMaterial:
     """A material, and how its image lies: (4, 4), from uv of the mesh to uv of the image."""
 
     material: ForeignMaterial
-    image_from_uv: np.ndarray
+    image_from_uv: np.ndarray = field(default_factory=lambda: np.eye(4))
     repeats: bool = True
     """Else the image's edges are extended, or every other repeat is mirrored."""
 
@@ -62,10 +61,6 @@ def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
     return READERS[node.plugin](node, remarks)
 
 
-def _plain(material: ForeignMaterial) -> FoundMaterial:
-    return FoundMaterial(material=material, image_from_uv=np.eye(4))
-
-
 def _ior(node: Node, key: str, default: str) -> float:
     if key not in node or isinstance(node.props[key], str):
         name = node.text(key, default)
@@ -76,28 +71,13 @@ def _ior(node: Node, key: str, default: str) -> float:
 
 
 def _ratio(node: Node, inside: str = "bk7") -> float:
-    ratio = _ior(node, "int_ior", inside) / max(_ior(node, "ext_ior", "air"), 1e-9)
-    if ratio < 1:
+    int_ior, ext_ior = _ior(node, "int_ior", inside), _ior(node, "ext_ior", "air")
+    if not 1 <= int_ior / max(ext_ior, 1e-9) < 10:
         raise HyalineError(
-            f"{node.where}: is an interface to a denser medium (int_ior {_ior(node, 'int_ior', inside):g}, ext_ior "
-            f"{_ior(node, 'ext_ior', 'air'):g}); make each medium a closed mesh with ext_ior 1, the inner one in the "
-            "outer one: it fills the space that they share"
+            f"{node.where}: has int_ior {int_ior:g} and ext_ior {ext_ior:g}; expected a ratio of 1 to 10: make each "
+            "medium a closed mesh with ext_ior 1, the inner one in the outer one, where it fills the space"
         )
-    if not ratio < 10:
-        raise HyalineError(f"{node.where}: its indices of refraction have the ratio {ratio:.4g}; expected 1 to 10")
-    return ratio
-
-
-def _alpha(node: Node, default: float, remarks: Remarks) -> float:
-    if "alpha_u" in node or "alpha_v" in node:
-        return math.sqrt(max(node.number("alpha_u", default) * node.number("alpha_v", default), 0.0))
-    if (texture := node.child("alpha")) is None:
-        return node.number("alpha", default)
-    if texture.plugin != "bitmap":
-        raise HyalineError(f"{texture.where}: is roughness of a kind that is not read; known is bitmap")
-    mean = float(stored(_bitmap(texture, node.name)[0])[..., :3].mean()) / 255
-    remarks.approximate(node.name, f"its roughness varies over the surface; drawn with the mean: alpha {mean:.2f}")
-    return mean
+    return int_ior / ext_ior
 
 
 def _facets(node: Node, remarks: Remarks) -> float:
@@ -106,7 +86,10 @@ def _facets(node: Node, remarks: Remarks) -> float:
         remarks.approximate(node.name, f"has facets of the distribution {name}; drawn with GGX of the same alpha")
     if "alpha_u" in node:
         remarks.approximate(node.name, "has a grain (alpha_u, alpha_v); drawn without one")
-    return math.sqrt(clipped(_alpha(node, 0.1, remarks)))
+        return clipped(node.number("alpha_u", 0.1) * node.number("alpha_v", 0.1)) ** 0.25
+    if node.child("alpha") is not None:
+        raise HyalineError(f"{node.where}: has an image of roughness; expected a number as its alpha")
+    return math.sqrt(clipped(node.number("alpha", 0.1)))
 
 
 def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
@@ -116,23 +99,23 @@ def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:
 
 
 def _glass(node: Node, remarks: Remarks) -> FoundMaterial:
+    key, is_thin, color = "specular_transmittance", node.plugin == "thindielectric", (1.0, 1.0, 1.0)
     _remark_on_scale(node, "specular_reflectance", remarks)
-    key, is_thin = "specular_transmittance", node.plugin == "thindielectric"
-    has_image = node.child(key) is not None
-    if has_image:
+    if node.child(key) is None:
+        color = clipped_color(node.color(key, 1.0))
+    else:
         _remark_on_scale(node, key, remarks)
-    red, green, blue = (1.0, 1.0, 1.0) if has_image else clipped_color(node.color(key, 1.0))
     material = ForeignMaterial(
         name=node.name,
         # What passes both surfaces of a solid is its colour.
-        base_color=(red, green, blue) if is_thin else (red**2, green**2, blue**2),
+        base_color=color if is_thin else clipped_color(c**2 for c in color),
         transmission=1.0,
         ior=_ratio(node),
         is_volume=not is_thin,
         is_thin=is_thin,
         roughness=_facets(node, remarks) if node.plugin == "roughdielectric" else 0.0,
     )
-    return _plain(material)
+    return FoundMaterial(material=material)
 
 
 def _diffuse(node: Node, remarks: Remarks) -> FoundMaterial:
@@ -150,28 +133,22 @@ def _plastic(node: Node, remarks: Remarks) -> FoundMaterial:
 
 
 def _conductor(node: Node, remarks: Remarks) -> FoundMaterial:
+    name = node.text("material", "none")
+    if name not in METALS:
+        raise HyalineError(f"{node.where}: is the metal {shown(name)}; expected one of {', '.join(METALS)}")
+    color = METALS[name]
     if "eta" in node:
-        eta, k = node.color("eta", 0.0), node.color("k", 1.0)
         # Fresnel's reflectance of a metal at normal incidence.
-        red, green, blue = (((n - 1) ** 2 + x * x) / ((n + 1) ** 2 + x * x) for n, x in zip(eta, k, strict=True))
-        color, name = (red, green, blue), "eta and k"
-    else:
-        name = node.text("material", "none")
-        if name not in METALS:
-            raise HyalineError(f"{node.where}: is the metal {shown(name)}; expected one of {', '.join(METALS)}")
-        color = METALS[name]
-    if name != "none":
+        eta, k = np.array(node.color("eta", 0.0)), np.array(node.color("k", 1.0))
+        color = (((eta - 1) ** 2 + k**2) / ((eta + 1) ** 2 + k**2)).tolist()
+    if "eta" in node or name != "none":
         remarks.approximate(node.name, "is a metal; drawn with its reflectance at normal incidence at all angles")
-    scale = node.color("specular_reflectance", 1.0) if node.child("specular_reflectance") is None else (1.0, 1.0, 1.0)
-    red, green, blue = (a * b for a, b in zip(color, scale, strict=True))
-    roughness = _facets(node, remarks) if node.plugin == "roughconductor" else 0.0
-    metal = ForeignMaterial(
-        name=node.name, base_color=clipped_color((red, green, blue)), metallic=1.0, roughness=roughness
-    )
-    if node.child("specular_reflectance") is None:
-        return _plain(metal)
-    found = _colored(metal, node, "specular_reflectance", 1.0, remarks)
-    return replace(found, material=replace(found.material, base_color=metal.base_color))
+    key, roughness = "specular_reflectance", _facets(node, remarks) if node.plugin == "roughconductor" else 0.0
+    metal = ForeignMaterial(name=node.name, base_color=clipped_color(color), metallic=1.0, roughness=roughness)
+    found = _colored(metal, node, key, 1.0, remarks)
+    if node.child(key) is None:
+        color = (a * b for a, b in zip(color, found.material.base_color, strict=True))
+    return replace(found, material=replace(found.material, base_color=clipped_color(color)))
 
 
 def _principled(node: Node, remarks: Remarks) -> FoundMaterial:
@@ -215,17 +192,14 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     """The material with a colour, or the image of a texture."""
     texture = node.child(key)
     if texture is None:
-        return _plain(replace(material, base_color=clipped_color(node.color(key, default))))
+        return FoundMaterial(material=replace(material, base_color=clipped_color(node.color(key, default))))
     if texture.plugin != "bitmap":
         raise HyalineError(f"{texture.where}: is of a kind that is not read; known is bitmap")
     if texture.flag("raw"):
         remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
-    image, repeats = _bitmap(texture, node.name)
-    material = replace(material, image=image)
-    return FoundMaterial(material=material, image_from_uv=texture.matrix("to_uv"), repeats=repeats)
-
-
-def _bitmap(texture: Node, name: str) -> tuple[ForeignImage, bool]:
-    """The image of a texture, and whether it repeats."""
-    repeats = texture.text("wrap_mode", "repeat") == "repeat"
-    return ForeignImage(name=name, data=read_foreign(texture.file("filename"))), repeats
+    image = ForeignImage(name=node.name, data=read_foreign(texture.file("filename")))
+    return FoundMaterial(
+        material=replace(material, image=image),
+        image_from_uv=texture.matrix("to_uv"),
+        repeats=texture.text("wrap_mode", "repeat") == "repeat",
+    )

@@ -110,14 +110,6 @@ class Node:
         found = [self.child(key) for key in self.props]
         return [node for node in found if node is not None]
 
-    def named(self, kind: str) -> "dict[str, Node]":
-        """Its objects of a kind by the names that the file gives them here, or by their own."""
-        found: dict[str, Node] = {}
-        for key in self.props:
-            if (node := self.child(key)) is not None and node.kind == kind:
-                found.setdefault(node.name if key.startswith("_arg_") else key, node)
-        return found
-
     def inner(self, kind: str) -> "Node | None":
         """The first of its objects of a kind, such as BSDF."""
         return next((node for node in self.children() if node.kind == kind), None)

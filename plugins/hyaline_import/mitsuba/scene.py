@@ -3,7 +3,6 @@
 Loading one would run native code from plugin folders beside the file, and read any file that it names.
 """
 
-import dataclasses
 import math
 import struct
 import zlib
@@ -16,9 +15,9 @@ import numpy as np
 from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import MAP_ENDINGS
+from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
-from datagen.scene.materials import Color
+from datagen.scene.materials import Color, as_vector
 from datagen.scene.modelling import ball, sheet
 from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
@@ -26,9 +25,7 @@ from hyaline_import.foreign import (
     MAX_TRIANGLES,
     PLAIN,
     Axis,
-    ForeignLight,
     ForeignMap,
-    ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
@@ -55,7 +52,7 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     """The shapes, materials, lights and cameras of a scene file."""
     nodes = NodeList(path)
     objects: list[ForeignObject] = []
-    lights: list[ForeignLight] = []
+    lights: list[RectangleLight] = []
     cameras: list[Camera] = []
     sensors: list[Node] = []
     sky: Color | ForeignMap | None = None
@@ -87,20 +84,19 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
     )
 
 
-def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLight], remarks: Remarks) -> None:
+def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleLight], remarks: Remarks) -> None:
     emitter = node.inner("Emitter")
     if emitter is not None and node.plugin == "rectangle" and emitter.plugin == "area":
         lights.append(_light(node, emitter))
         return
     grey = replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0)
-    by_name = {name: read_bsdf(bsdf, remarks) for name, bsdf in node.named("BSDF").items()}
-    first = next(iter(by_name.values()), FoundMaterial(material=grey, image_from_uv=np.eye(4)))
+    bsdf = node.inner("BSDF")
+    found = FoundMaterial(material=grey) if bsdf is None else read_bsdf(bsdf, remarks)
     interior = absorption_of(node.child("interior"))
     emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
-    if max(interior) > 0 and all(found.material.transmission == 0 for found in by_name.values()):
+    if max(interior) > 0 and found.material.transmission == 0:
         raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
     for item in read_shape(node, remarks):
-        found = by_name.get(item.material.name, first) if isinstance(item.material, ForeignMaterial) else first
         absorption = interior if found.material.transmission > 0 else (0.0, 0.0, 0.0)
         material = replace(found.material, absorption=absorption, emission=emission)
         uv = item.uv
@@ -115,15 +111,14 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[ForeignLig
             raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
 
 
-def _light(node: Node, emitter: Node) -> ForeignLight:
+def _light(node: Node, emitter: Node) -> RectangleLight:
     """A rectangle that shines along its normal."""
     world = node.matrix("to_world")
     corner, edge_u, edge_v = world @ [-1, -1, 0, 1], world @ [2, 0, 0, 0], world @ [0, 2, 0, 0]
     if node.flag("flip_normals"):
         edge_u, edge_v = edge_v, edge_u
-    return ForeignLight(
-        corner=corner[:3], edge_u=edge_u[:3], edge_v=edge_v[:3], radiance=emitter.color("radiance", 1.0)
-    )  # fmt: skip
+    corner, edge_u, edge_v = (as_vector(vector[:3]) for vector in (corner, edge_u, edge_v))
+    return RectangleLight(corner=corner, edge_u=edge_u, edge_v=edge_v, radiance=emitter.color("radiance", 1.0))
 
 
 def _map(node: Node) -> ForeignMap:
@@ -149,14 +144,10 @@ def _camera(node: Node, remarks: Remarks) -> list[Camera]:
     elif node.plugin != "perspective":
         remarks.approximate(node.name, f"is a camera of kind {node.plugin}, which is left out")
         return []
-    film = node.inner("Film")
-
-    def of_film(key: str, default: float) -> float:
-        return default if film is None else film.number(key, default)
-
-    width, height = of_film("width", 768), of_film("height", 576)
-    left, top = of_film("crop_offset_x", 0), of_film("crop_offset_y", 0)
-    shown_width, shown_height = of_film("crop_width", width), of_film("crop_height", height)
+    film = node.inner("Film") or node  # A sensor has none of a film's numbers.
+    width, height = film.number("width", 768), film.number("height", 576)
+    left, top = film.number("crop_offset_x", 0), film.number("crop_offset_y", 0)
+    shown_width, shown_height = film.number("crop_width", width), film.number("crop_height", height)
     if not (shown_width >= 1 and shown_height >= 1):
         raise HyalineError(
             f"{node.where}: makes pictures of {shown_width:g} x {shown_height:g} pixels; expected at least 1 x 1"
@@ -218,9 +209,7 @@ def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
 
             # As Mitsuba computes missing ones: over every edge, weighted by the angles of a vertex's faces.
             normals = np.array(trimesh.Trimesh(positions, faces, process=False).vertex_normals)
-        found.append(
-            dataclasses.replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg)
-        )
+        found.append(replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg))
     return found
 
 
@@ -228,36 +217,28 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
+def _file(node: Node, remarks: Remarks) -> list[ForeignObject]:
+    """The meshes of a file; Mitsuba's v points down in images, and files are taken as they are; ours points up."""
+    path = node.file("filename")
+    if node.plugin == "ply":
+        found = read_ply_file(path, remarks).objects
+    elif node.plugin == "obj":
+        found = read_obj(path, remarks, has_materials=False).objects
+    else:
+        found = (read_serialized(path, int(node.number("shape_index", 0))),)
+    flips = node.plugin == "serialized" or not node.flag("flip_tex_coords", default=node.plugin == "obj")
+    objects = []
+    for item in found:
+        uv = np.stack([item.uv[:, 0], 1 - item.uv[:, 1]], axis=-1) if item.uv is not None and flips else item.uv
+        objects.append(replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv))
+    return objects
+
+
 def _from_mesh(node: Node, mesh: Mesh, uv: np.ndarray | None = None) -> ForeignObject:
+    positions = mesh.vertices.astype(np.float64)
     return ForeignObject(
-        name=node.name, positions=mesh.vertices.astype(np.float64), faces=mesh.faces, normals=mesh.normals, uv=uv,
-        material=PLAIN,
-    )  # fmt: skip
-
-
-def _ply(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    # Mitsuba's v points down in images, and files are taken as they are; ours points up.
-    return [_named(node, item, flips=not node.flag("flip_tex_coords"))
-            for item in read_ply_file(node.file("filename"), remarks).objects]  # fmt: skip
-
-
-def _obj(node: Node, remarks: Remarks) -> list[ForeignObject]:
-    # Of several BSDFs, each is that of the material of its name. Source: the plugin obj of Mitsuba 0.6.
-    materials = {name: replace(PLAIN, name=name) for name in node.named("BSDF")}
-    objects = read_obj(node.file("filename"), remarks, materials=materials).objects
-    return [_named(node, item, flips=not node.flag("flip_tex_coords", default=True)) for item in objects]
-
-
-def _serialized(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
-    index = node.number("shape_index", 0)
-    return [_named(node, read_serialized(node.file("filename"), int(index)), flips=True)]
-
-
-def _named(node: Node, item: ForeignObject, *, flips: bool) -> ForeignObject:
-    uv = item.uv
-    if uv is not None and flips:
-        uv = np.stack([uv[:, 0], 1 - uv[:, 1]], axis=-1)
-    return dataclasses.replace(item, name=item.name if node.name == node.plugin else node.name, uv=uv)
+        name=node.name, positions=positions, faces=mesh.faces, normals=mesh.normals, uv=uv, material=PLAIN
+    )
 
 
 def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
@@ -267,7 +248,7 @@ def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
     item = _from_mesh(node, ball(1.0, subdivisions=5))
     remarks.note(node.name, f"is a sphere; made of {len(item.faces):,} triangles")
     center = node.point("center", (0.0, 0.0, 0.0))
-    return [dataclasses.replace(item, positions=radius * item.positions + center)]
+    return [replace(item, positions=radius * item.positions + center)]
 
 
 def _cube(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
@@ -283,8 +264,7 @@ def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: AR
 
 
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
-    "ply": _ply, "obj": _obj, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle,
-    "serialized": _serialized,
+    "ply": _file, "obj": _file, "serialized": _file, "sphere": _sphere, "cube": _cube, "rectangle": _rectangle,
 }  # fmt: skip
 
 

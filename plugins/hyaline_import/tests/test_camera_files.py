@@ -101,15 +101,6 @@ def test_distorted_lenses_are_drawn_straight_and_said_to_be(tmp_path: Path) -> N
     assert (camera.width, camera.height) == (100, 80)
 
 
-@pytest.mark.parametrize(("model", "is_said"), [("EQUIRECTANGULAR", True), ("FISHEYE624", True), ("opencv", False)])
-def test_panoramas_and_fisheyes_are_said_to_be_drawn_as_pinholes(tmp_path: Path, model: str, is_said: bool) -> None:
-    frame = {"transform_matrix": np.eye(4).tolist(), "camera_model": model}
-    (tmp_path / "transforms.json").write_text(json.dumps({"fl_x": 50, "w": 64, "h": 48, "frames": [frame]}))
-    remarks = Remarks()
-    read_camera_file(tmp_path / "transforms.json", remarks)
-    assert [line.what for line in remarks.lines] == ["have a distorted lens; drawn as pinholes"] * is_said
-
-
 def test_the_lens_of_a_transforms_file_keeps_its_principal_point_and_shape(tmp_path: Path) -> None:
     (tmp_path / "box.ply").write_bytes(write_ply(BOX))
     frames = [{"transform_matrix": look_at((2.0, place, 1.5), (0.0, 0.0, 0.0)).tolist()} for place in range(4)]

@@ -17,9 +17,8 @@ from datagen.scene.description import SceneObject
 from datagen.scene.images import linear_pixels
 from datagen.scene.materials import Diffuse
 from datagen.scene.modelling import sheet
-from hyaline_import.cutouts import Cut, corner_uv_of, cut_out
 from hyaline_import.foreign import ForeignImage
-from hyaline_import.pictures import decoded
+from hyaline_import.pictures import Cut, cut_out, decoded
 
 use_mitsuba()
 
@@ -52,7 +51,7 @@ def card(height: float = 0.0, *, cells: int = 3, scale: float = 1.0) -> Mesh:
 
 
 def cut(mesh: Mesh, opacity: np.ndarray, cutoff: float = 0.5) -> Mesh:
-    return cut_out(mesh, Cut(opacity=opacity, cutoff=cutoff, corner_uv=corner_uv_of(mesh)), where="leaf")
+    return cut_out(mesh, Cut(opacity=opacity, cutoff=cutoff, corner_uv=mesh.uv[mesh.faces]), where="leaf")
 
 
 @pytest.mark.parametrize("image", ["leaf", "noise", "wide"])

@@ -25,9 +25,9 @@ from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene
 from datagen.scene.finding import ImportChoices
-from hyaline_import.foreign_files import READERS
 from hyaline_import.importing import Imported, import_scene
 from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS
 
 HUGE = 2**36
 Change = Callable[[dict], object]
@@ -76,28 +76,12 @@ PRIMITIVE, MATERIAL = "meshes.0.primitives.0", "materials.0"
 SPARSE = {"count": 1, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}}
 
 
-def skin(**entry: object) -> Change:
-    """Hangs the first mesh on a skin."""
-
-    def change(content: dict) -> None:
-        content["skins"] = [entry]
-        content["nodes"][0]["skin"] = 0
-
-    return change
-
-
 CHANGES: dict[str, Change] = {
     "no asset": lambda content: content.pop("asset"),
     "a count of 2**36": put("accessors.0.count", HUGE),
     "one element too many": lambda content: content["accessors"][1].update(count=len(BOX.vertices) + 1),
     "a huge accessor without bytes": put("accessors.1", {"componentType": 5126, "count": HUGE, "type": "VEC3"}),
     "a sparse accessor": put("accessors.0.sparse", SPARSE),
-    "a joint that is no node": skin(joints=[99]),
-    "joints that are not bound": skin(joints=[0], inverseBindMatrices=0),
-    "a mesh without weights on a skin": skin(joints=[0]),
-    "a morph target that is not there": put(
-        "meshes.0", {"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 99}]}], "weights": [1.0]}
-    ),
     "an offset behind the view": put("accessors.1.byteOffset", 10**6),
     "indices that are floats": put("accessors.3.componentType", 5126),
     "a view that is not there": put("accessors.1.bufferView", 99),
@@ -204,7 +188,6 @@ WHOLE: dict[str, tuple[str, bytes | str]] = {
     "an STL of nan": ("a.stl", stl(1, 0) + b"\xff" * 50),
     "an STL that is cut off": ("a.stl", "solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\n"),
     "an STL whose second solid is cut off": ("a.stl", "solid a\nendsolid a\nsolid b\nfacet normal 0 0 1\nouter loop\n"),
-    "30,000 solids": ("a.stl", ("solid a\n" + "vertex 0 0 0\n" * 3 + "endfacet\nendsolid\n") * 30_000),
     "a PLY of points": ("a.ply", PLY + b"end_header\n" + POINTS),
     "a PLY beyond its vertices": ("a.ply", LIST + POINTS + b"3 0 1 7\n"),
     "a PLY of nan": ("a.ply", LIST + b"0 0 nan\n1 0 0\n0 1 0\n3 0 1 2\n"),
@@ -391,9 +374,7 @@ def test_opacity_of_gltf_leaves_what_it_means(name: str, tmp_path: Path) -> None
 
 REFUSED_LEAVES: dict[str, tuple[dict, str]] = {
     "a cutoff of nan": ({"number": "NaN"}, "not a JSON file"),
-    "a cutoff of 5,000 digits": ({"number": "9" * 5000}, "not a JSON file"),
     "an image of 900 million pixels": ({"image": png_of(30_000, 30_000)}, "not an image that can be read"),
-    "an image of 81 million pixels": ({"image": png_of(9_000, 9_000)}, "expected at most 67,108,864 pixels"),
     "an image that is cut off": ({"image": HALF[:60]}, "not an image that can be read"),
     "uv that are no numbers": ({"uv": np.full_like(UV, np.nan)}, "not finite"),
     "uv of 1e30": ({"uv": 1e30 * UV}, r"needs uv in or near \[0, 1\]"),

@@ -8,7 +8,8 @@ import pytest
 from datagen.data.meshes import Mesh, check_closed
 from datagen.scene.modelling import ball
 from datagen.scene.shading_normals import opposing_share
-from hyaline_import.mending import mend_surface
+from hyaline_import.remarks import Remarks
+from hyaline_import.surfaces import mend_surface
 
 BALL = ball(0.3, subdivisions=2)
 A, B, C = BALL.faces[0].tolist()
@@ -43,12 +44,12 @@ def with_normals(count: int, factor: float) -> Mesh:
     ],
 )
 def test_a_surface_is_mended_and_a_line_says_what_was_wrong(mesh: Mesh, is_solid: bool, remark: str) -> None:
-    found, remarks = mend_surface(mesh, is_solid=is_solid)
-    assert len(remarks) == 1 and remarks[0].startswith(remark)
+    remarks = Remarks()
+    found = mend_surface(mesh, remarks, is_solid=is_solid, where="thing")
+    assert len(remarks.lines) == 1 and remarks.lines[0].what.startswith(remark)
     check_closed(found, where="thing")
     assert len(found.faces) == len(BALL.faces)
     assert opposing_share(found) == 0
     outward = found.vertices / np.linalg.norm(found.vertices, axis=-1, keepdims=True)
     assert np.einsum("vc,vc->v", outward, found.normals).min() > 0.98
-    again, remarks = mend_surface(found, is_solid=is_solid)
-    assert again is found and remarks == []
+    assert mend_surface(found, remarks, is_solid=is_solid, where="thing") is found and len(remarks.lines) == 1

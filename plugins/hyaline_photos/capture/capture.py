@@ -20,14 +20,13 @@ from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
-from hyaline_import.datasets.layouts import ForeignDataset
-from hyaline_import.datasets.pictures import on_background, opened
+from hyaline_import.datasets.layouts import ForeignDataset, on_background, opened
 from hyaline_import.foreign import z_up_from
-from hyaline_import.foreign_files import scene_name
 from hyaline_import.importing import Made, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
+from hyaline_import.source import scene_name
 from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens

@@ -17,8 +17,7 @@ from datagen.data.images import mask_pixels
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import commit
 from datagen.terminal.command import say
-from hyaline_import.datasets.layouts import picture_size
-from hyaline_import.datasets.pictures import opened
+from hyaline_import.datasets.layouts import opened, picture_size
 from hyaline_photos.capture.folder import FOUND, POINTS, Folder, Masks, Shot, name_of
 
 EXTRA = "pip install 'hyaline-glass[capture]'"

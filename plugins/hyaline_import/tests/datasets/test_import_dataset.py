@@ -32,9 +32,9 @@ from datagen.scene.folder import load_scene
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.rig import make_cameras
 from hyaline_export.formats import export_dataset
-from hyaline_import.datasets.choices import DatasetImportChoices
+from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.datasets.import_dataset import plan_import, write_import
-from hyaline_import.datasets.pictures import on_background, opened
+from hyaline_import.datasets.layouts import on_background, opened
 
 SIDE = 8
 

@@ -99,7 +99,7 @@ def test_a_scene_of_mitsuba_before_2_is_what_mitsuba_makes_of_it(tmp_path: Path)
 
 def test_an_interface_to_a_denser_medium_says_how_to_model_it(tmp_path: Path) -> None:
     water = '<bsdf type="dielectric"><float name="int_ior" value="1.33"/><float name="ext_ior" value="1.5"/></bsdf>'
-    with pytest.raises(HyalineError, match=r"int_ior 1.33, ext_ior 1.5\); make each medium a closed mesh"):
+    with pytest.raises(HyalineError, match=r"int_ior 1.33 and ext_ior 1.5; expected .* make each medium a closed mesh"):
         material_of(tmp_path, water)
 
 
@@ -173,36 +173,9 @@ def test_a_spectrum_with_one_value_is_the_colour_that_mitsuba_makes_of_it(tmp_pa
     np.testing.assert_allclose(colors, np.full((2, 3), 0.3), rtol=1e-6)
 
 
-def test_an_obj_of_several_materials_takes_the_bsdf_of_each_name(tmp_path: Path) -> None:
-    triangle = "v {0} 0 0\nv {0} 1 0\nv {0} 0 1\nusemtl {1}\nf -3 -2 -1\n"
-    names = ("wood", "clear", "brass", "unknown")
-    obj = "".join(triangle.format(place, name) for place, name in enumerate(names))
-    (tmp_path / "things.obj").write_text(f"mtllib lost.mtl\n{obj}")
-    bsdfs = '<bsdf type="dielectric" name="clear"/><ref id="matt" name="wood"/><bsdf type="conductor" id="brass"/>'
-    shape = f'<shape type="obj"><string name="filename" value="things.obj"/>{bsdfs}</shape>'
-    remarks = Remarks()
-    scene = read(tmp_path, f'<bsdf type="diffuse" id="matt"/>{shape}', remarks)
-    materials = [item.material for item in scene.objects]
-    assert all(isinstance(material, ForeignMaterial) for material in materials)
-    kinds = [
-        (material.transmission, material.metallic) for material in materials if isinstance(material, ForeignMaterial)
-    ]
-    assert kinds == [(0, 0), (1, 0), (0, 1), (1, 0)]  # A material without a BSDF of its own takes the first.
-    assert not any("is not there" in line.what for line in remarks.lines)
-
-
-def test_glass_whose_roughness_is_an_image_has_its_mean(tmp_path: Path) -> None:
-    Image.fromarray(np.array([[51, 153]], np.uint8)).save(tmp_path / "alpha.png")
-    image = '<texture type="bitmap" name="alpha"><string name="filename" value="alpha.png"/></texture>'
-    remarks = Remarks()
-    material = material_of(tmp_path, f'<bsdf type="roughdielectric">{image}</bsdf>', remarks)
-    assert material.roughness == pytest.approx(math.sqrt(0.4))
-    assert any("drawn with the mean: alpha 0.40" in line.what for line in remarks.lines)
-
-
 WRAPPED = (
     '<shape type="rectangle"><bsdf type="diffuse"><texture name="reflectance" type="bitmap">'
-    '<string name="filename" value="a.png"/><string name="wrap_mode" value="{}"/>{}</texture></bsdf></shape>'
+    '<string name="filename" value="a.png"/>{}</texture></bsdf></shape>'
 )
 MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"/></transform>'
 
@@ -210,7 +183,7 @@ MOVED = '<transform name="to_uv"><scale x="3" y="2"/><translate x="-0.7" y="0.4"
 def test_an_image_repeats_beyond_its_edges_as_mitsuba_has_it(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), np.uint8)
     Image.fromarray(pixels).save(tmp_path / "a.png")
-    (item,) = read(tmp_path, WRAPPED.format("repeat", MOVED)).objects
+    (item,) = read(tmp_path, WRAPPED.format(MOVED)).objects
     assert isinstance(item.material, ForeignMaterial) and item.material.image is not None and item.uv is not None
     x, y = np.random.default_rng(1).uniform(-1, 1, (2, 50)).astype(np.float32)
     # The uv of a flat shape are linear in the place.
@@ -220,16 +193,6 @@ def test_an_image_repeats_beyond_its_edges_as_mitsuba_has_it(tmp_path: Path) -> 
     loaded = mi.load_file(str(tmp_path / "a.xml"))
     si = loaded.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
     np.testing.assert_allclose(ours, np.array(si.bsdf().eval_diffuse_reflectance(si)).T, atol=2e-3)
-
-
-def test_uv_beyond_an_image_that_does_not_repeat_are_told(tmp_path: Path) -> None:
-    Image.new("RGB", (4, 4)).save(tmp_path / "a.png")
-    remarks = Remarks()
-    read(tmp_path, WRAPPED.format("clamp", ""), remarks)
-    assert not remarks.lines
-    read(tmp_path, WRAPPED.format("clamp", MOVED), remarks)
-    (line,) = remarks.lines
-    assert line.is_approximation and "its uv reach beyond its image, which the file extends or mirrors" in line.what
 
 
 def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Path) -> None:
