@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from datagen.data.paths import DATA_ROOT, FITTED, find_dataset
-from datagen.disk.errors import UsageError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import next_command, say_all, tell
 from model.settings import RUNS, SEED
 
@@ -30,11 +30,11 @@ class CaptureChoices:
 
     def __post_init__(self) -> None:
         if not 8 <= self.longest <= MAX_LONGEST:
-            raise UsageError(f"--longest: is {self.longest}; expected 8 to {MAX_LONGEST:,} pixels")
+            raise HyalineError(f"--longest: is {self.longest}; expected 8 to {MAX_LONGEST:,} pixels")
         if self.scale is not None and not 1e-9 < self.scale < 1e9:
-            raise UsageError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
         if self.scale is not None and self.diameter is not None:
-            raise UsageError("--diameter: gives the scale, as --scale does; leave one of them out")
+            raise HyalineError("--diameter: gives the scale, as --scale does; leave one of them out")
         if self.diameter is not None:
             self.known_diameter()
 
@@ -44,7 +44,7 @@ class CaptureChoices:
 
         match = re.fullmatch(rf"({OBJECT_NAME})=(\d*\.?\d+)", self.diameter or "")
         if match is None or not 0 < float(match[2]) < 100:
-            raise UsageError(f"--diameter: is {self.diameter!r}; expected an object and metres, such as tumbler=0.08")
+            raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and metres, such as tumbler=0.08")
         return match[1], float(match[2])
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Transforms, relative_name
+from datagen.data.transforms import Frame, Transforms, relative_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.names import check_regular, find_file
 from datagen.disk.records import shown
@@ -195,6 +195,7 @@ def name_of(root: Path, picture: Path) -> str:
 
 def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     first = found["train"]
+    frames: list[tuple[Role, Transforms, Frame]]
     frames = [(role, file, frame) for role, file in found.items() for frame in file.frames]
     pictures = [find_named(root, frame, "file_path") for _, _, frame in frames]
     sizes = {path: picture_size(path) for path in pictures}

@@ -181,7 +181,14 @@ def _fitted(box: Box, rays: NearRays, softness: float, support: float | None) ->
         return by_distance[:, None] * (moved - before[:, None]) / TINY
 
     found = optimize.least_squares(
-        residuals, np.clip(start, low, high), slopes, (low, high), "dogbox", ftol=ENOUGH, x_scale="jac", max_nfev=STEPS
+        residuals,
+        np.clip(start, low, high),
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        method="dogbox",
+        ftol=ENOUGH,
+        x_scale="jac",
+        max_nfev=STEPS,
     )
     return shaped(found.x)
 

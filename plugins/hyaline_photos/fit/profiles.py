@@ -63,6 +63,10 @@ class _Profile:
     """Squared radii, in square metres."""
 
 
+Passes = tuple[NearRays, Float64[np.ndarray, " ray"], Float64[np.ndarray, " ray"], Float64[np.ndarray, " ray"]]
+"""The rays that pass where radii are fitted, where and how far, and the widths over which they turn."""
+
+
 class _Places(NamedTuple):
     """Places along rays, beside a surface."""
 
@@ -122,11 +126,8 @@ def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " he
     jumps = np.diff(bends, axis=0)[is_free[:-3] & is_free[3:]] / size**2
     moves = np.append(is_free, [True, True])
 
-    Passes = tuple[NearRays, np.ndarray, np.ndarray, np.ndarray]
-
     def judge(profile: _Profile) -> tuple[float, Passes]:
-        """The misfit, the rays that pass where radii are fitted, where and how far, and the widths over which they
-        turn."""
+        """The misfit, and how rays pass."""
         t = _closest(rays, profile)
         places = _at(rays, t, profile)
         kept = (is_free[places.below] & is_free[places.below + 1])[:, 0]
