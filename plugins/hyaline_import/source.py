@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from datagen.machine.confined import allow_triangles, confined
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import file_name
+from datagen.machine.processes import allow_triangles, confined
 from datagen.scene.description import Scene
 from datagen.scene.finding import ImportChoices, SceneSource
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric

@@ -1,15 +1,76 @@
-"""The commands `datagen capture` and `model fit`."""
+"""The commands `datagen capture` and `model fit`, and their flags."""
 
 import re
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from datagen.data.paths import DATA_ROOT, FITTED, find_dataset
-from datagen.disk.errors import UsageError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import next_command, say_all, tell
-from hyaline_photos.capture.choices import CaptureChoices
-from model.settings import RUNS
+from model.settings import RUNS, SEED
+
+MAX_LONGEST = 4096
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureChoices:
+    """The flags of `datagen capture`."""
+
+    longest: int = 256
+    """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light."""
+    scale: float | None = None
+    """Metres per unit of the cameras. Default: 1 with a transforms file; otherwise a unit that puts them 1 m away."""
+    diameter: str | None = None
+    """True diameter in metres of one glass object at its widest place, such as tumbler=0.08, to find the scale."""
+    up: Literal["auto", "x", "y", "z"] = "auto"
+    """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
+    largest surface below the cameras."""
+
+    def __post_init__(self) -> None:
+        if not 8 <= self.longest <= MAX_LONGEST:
+            raise HyalineError(f"--longest: is {self.longest}; expected 8 to {MAX_LONGEST:,} pixels")
+        if self.scale is not None and not 1e-9 < self.scale < 1e9:
+            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
+        if self.scale is not None and self.diameter is not None:
+            raise HyalineError("--diameter: gives the scale, as --scale does; leave one of them out")
+        if self.diameter is not None:
+            self.known_diameter()
+
+    def known_diameter(self) -> tuple[str, float]:
+        """The object of `diameter`, and its metres."""
+        from datagen.scene.description import OBJECT_NAME  # Not before: help needs no NumPy.
+
+        match = re.fullmatch(rf"({OBJECT_NAME})=(\d*\.?\d+)", self.diameter or "")
+        if match is None or not 0 < float(match[2]) < 100:
+            raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and metres, such as tumbler=0.08")
+        return match[1], float(match[2])
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitChoices:
+    """The flags of `model fit` that determine its result."""
+
+    unknown: tuple[str, ...] = ()
+    """An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes."""
+    mask_errors: int | None = None
+    """Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many neighbouring
+    rays miss it as well. Default: 2 for imported or captured masks, otherwise 0."""
+    steps: int = 800
+    """Training steps for the room's textures."""
+    skip: tuple[Literal["grid", "search", "again"], ...] = ()
+    """Skip a stage: grid (then all glass is solid), search, or again. May be repeated."""
+    room: Literal["known", "matt"] = "known"
+    """Materials of everything but glass: known, or assumed to be diffuse (matt)."""
+    seed: int = 0
+    """Seed of all random numbers."""
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or (self.mask_errors or 0) < 0:
+            raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
+        if not SEED[0] <= self.seed <= SEED[1]:
+            raise UsageError(f"--seed: is {self.seed}; expected {SEED[0]} to {SEED[1]}")
 
 
 def capture(
@@ -46,15 +107,10 @@ def fit(
     dataset: str | None = None,
     /,
     *,
-    unknown: tuple[str, ...] = (),
-    mask_errors: int | None = None,
     name: str = FITTED,
     out: Path | None = None,
-    steps: int = 800,
-    skip: tuple[Literal["grid", "search", "again"], ...] = (),
-    room: Literal["known", "matt"] = "known",
-    seed: int = 0,
     overwrite: bool = False,
+    choices: FitChoices = FitChoices(),  # noqa: B008
 ) -> None:
     """Find shapes and materials of glass from training pictures and masks; write them as a geometry.
 
@@ -63,27 +119,16 @@ def fit(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        unknown: An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes.
-        mask_errors: Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many
-            neighbouring rays miss it as well. Default: 2 for imported or captured masks, otherwise 0.
         name: The geometry's name: fitted, or fitted-SOMETHING.
         out: Folder for the results of each stage, with pictures. Default: runs/SCENE/fit, or fit-SOMETHING.
-        steps: Training steps for the room's textures.
-        skip: Skip a stage: grid (then all glass is solid), search, or again. May be repeated.
-        room: Materials of everything but glass: known, or assumed to be diffuse (matt).
-        seed: Seed of all random numbers.
         overwrite: Start over. By default, finished stages are kept.
     """
     from datagen.data.dataset import open_dataset
-    from hyaline_photos.fit.fit import FitChoices
     from hyaline_photos.fit.fit import fit as fit_glass
 
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
-    if mask_errors is None:
-        mask_errors = 0 if opened.imported is None else 2
-    choices = FitChoices(unknown=unknown, mask_errors=mask_errors, steps=steps, skip=skip, room=room, seed=seed)
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

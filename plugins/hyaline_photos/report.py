@@ -20,42 +20,28 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
 from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
-from hyaline_photos.fit.lathe import perpendicular
-from hyaline_photos.shape_errors import ShapeErrors, shape_errors
+from hyaline_photos.fit.shapes import perpendicular
+from hyaline_photos.shape_errors import shape_errors
 
 CAPTURE = "capture"
 """Layout of datasets of photographs, whose scene has stand-ins for glass."""
 BESIDE_AXIS = 1e-4
 """Metres from the axis where the floor is measured: on it, edges meet."""
 CHANNELS = ("absorption_red", "absorption_green", "absorption_blue")
-LENGTHS = ("wall", "floor", "foot", "level")
-"""Numbers in metres; tables show millimetres."""
 COVERED = 0.9
 """Share of the intervals that should hold the truth."""
-
-Numbers = dict[str, dict[str, float] | None]
-"""`value`, `low` and `high` by name: ior, wall, floor, ..."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitObject:
-    """One object of a fit.json; what does not apply to it is None."""
+    """One object of a fit.json, as far as a report reads it."""
 
     name: str
     kind: str
     axis: dict[str, tuple[float, float, float]] | None = None
     """`point` and `direction` of the axis of a round one."""
-    numbers: Numbers
-
-
-@dataclass(frozen=True, kw_only=True)
-class Measured:
-    """How an object of a fit compares with the truth."""
-
-    errors: ShapeErrors | None
-    """None where the truth is unknown."""
-    true: dict[str, float]
-    """Numbers of the true object by their names in `FitObject.numbers`."""
+    numbers: dict[str, dict[str, float] | None]
+    """`value`, `low` and `high` by name: ior, wall, floor, ...; None: does not apply."""
 
 
 def find_fits(
@@ -88,32 +74,31 @@ def _read_fit(folder: Path, content: dict[str, Json], dataset: Dataset) -> tuple
         listed: Json = [{key: each[key] for key in each if key in names} for each in listed if isinstance(each, dict)]
     objects = from_json(tuple[FitObject, ...], listed, where=f"{where}: objects")
     stored: dict[str, Json] = {
-        item.name: {"kind": item.kind, "numbers": to_json(item.numbers), "measured": to_json(measured)}
+        item.name: {"kind": item.kind, "numbers": to_json(item.numbers), "measured": measured}
         for item, measured in zip(objects, measure(dataset, geometry, objects), strict=True)
     }
     note = f"Runs on what was found: `--geometry {geometry}`."
     page = PartPage(
         title=folder.name,
         note=note if knows_truth(dataset) else f"{note} The true glass is unknown.",
-        grids=(numbers_grid(stored), *scene_grids(dataset.name, {folder.name: stored})),
+        grids=tuple(scene_grids(dataset.name, {folder.name: stored})),
         pictures={path.stem: functools.partial(read_png, path) for path in sorted(folder.glob("*.png"))},
     )
     return stored, page
 
 
-def measure(dataset: Dataset, geometry: str, objects: Sequence[FitObject]) -> list[Measured]:
-    """How each object of a fit compares with the truth."""
+def measure(dataset: Dataset, geometry: str, objects: Sequence[FitObject]) -> list[Json]:
+    """How each object of a fit compares with the truth: the errors of its mesh, and the true object's numbers."""
     if not knows_truth(dataset):
-        return [Measured(errors=None, true={}) for _ in objects]
+        return [{"errors": None, "true": {}} for _ in objects]
     truths = _meshes(dataset, TRUTH)
     meshes = _meshes(dataset, geometry) if geometry in list_geometries(dataset) else {}
     materials = {item.name: item.material for item in open_scene(dataset).objects}
-    measured = []
+    measured: list[Json] = []
     for item in objects:
-        truth, mesh, true = truths.get(item.name), meshes.get(item.name), {}
+        truth, mesh, true = truths.get(item.name), meshes.get(item.name), dict[str, float]()
         errors = None if truth is None or mesh is None else shape_errors(mesh, truth)
-        if item.name in materials:
-            material = materials[item.name]
+        if (material := materials.get(item.name)) is not None:
             true = {"ior": material.surface().ior, "roughness": material.surface().roughness}
             if (medium := material.medium) is not None:
                 true |= dict(zip(CHANNELS, medium.absorption, strict=True))
@@ -121,7 +106,7 @@ def measure(dataset: Dataset, geometry: str, objects: Sequence[FitObject]) -> li
             true["wall"] = errors.true_thickness
         if truth is not None and item.axis is not None:
             true |= true_floor(truth, np.array(item.axis["point"]), np.array(item.axis["direction"]))
-        measured.append(Measured(errors=errors, true=true))
+        measured.append({"errors": to_json(errors), "true": to_json(true)})
     return measured
 
 
@@ -154,49 +139,25 @@ def true_floor(truth: Mesh, point: np.ndarray, up: np.ndarray) -> dict[str, floa
 # Tables, all of them from results.json
 
 
-def numbers_grid(objects: Stored) -> Grid:
-    """Every number that was found, with its interval and the true one."""
-    rows = []
-    for name, item in objects.items():
-        for key, number in item["numbers"].items():
-            if number is not None:
-                true = {"true": item["measured"]["true"].get(key)} | number
-                value, low, high, truth = (_in_unit(key, true.get(each)) for each in ("value", "low", "high", "true"))
-                title = f"{key} (mm)" if key in LENGTHS else key.replace("_", " ")
-                rows.append((name, item["kind"], title, value, f"{low} to {high}", truth))
-    texts, numbers = ("object", "kind", "number"), ("found", "between", "true")
-    return Grid(
-        title="What was found",
-        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in numbers)),
-        rows=tuple(rows),
-        notes=("True walls: the median thickness, measured from outside along the normal.",),
-    )
-
-
-def _in_unit(key: str, value: float | None) -> str:
-    if value is not None and key in LENGTHS:
-        return format_number(1000 * value, 2)
-    return format_number(value, 3)
+def _grid(title: str, texts: Sequence[str], numbers: Sequence[str], rows: list[tuple[str, ...]], note: str) -> Grid:
+    """A table whose first columns are texts."""
+    columns = [*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in numbers)]
+    return Grid(title=title, columns=tuple(columns), rows=tuple(rows), notes=(note,))
 
 
 def scene_grids(scene: str, fits: Stored) -> list[Grid]:
     """What `model fit` found of each object, beside the truth in brackets."""
-    texts = ("fit", "object", "kind")
     columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
-    grid = Grid(
-        title=f"{scene}: glass found from masks and pictures",
-        columns=(*(Column(group=text, is_number=False) for text in texts), *(Column(group=text) for text in columns)),
-        rows=tuple(
-            (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
-            for fit, objects in fits.items()
-            for name, item in objects.items()
-        ),
-        notes=(
-            "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
-            "the mean of both directions. Normals: median error. Wall: median thickness.",
-        ),
+    rows = [
+        (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
+        for fit, objects in fits.items()
+        for name, item in objects.items()
+    ]
+    note = (
+        "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
+        "the mean of both directions. Normals: median error. Wall: median thickness."
     )
-    return [grid]
+    return [_grid(f"{scene}: glass found from masks and pictures", ("fit", "object", "kind"), columns, rows, note)]
 
 
 def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:
@@ -238,24 +199,17 @@ def coverage_grids(scenes: dict[str, Stored]) -> list[Grid]:
         return []
     keys = list(dict.fromkeys(key for of_scene in misses.values() for key in of_scene))
     pooled = {key: [each for of_scene in misses.values() for each in of_scene.get(key, [])] for key in keys}
-    rows = [(scene, *(_held(of_scene.get(key, [])) for key in keys)) for scene, of_scene in misses.items()]
-    rows.append(("all", *(_held(pooled[key]) for key in keys)))
+    rows = [
+        (scene, *(_held(found.get(key, [])) for key in keys)) for scene, found in [*misses.items(), ("all", pooled)]
+    ]
     wider = [float(np.quantile(pooled[key], COVERED, method="higher")) for key in keys]
     rows.append((f"factor for {100 * COVERED:.0f} %", *(format_number(each, 1) for each in wider)))
-    return [
-        Grid(
-            title="intervals of fits that contain the true value",
-            columns=(
-                Column(group="dataset", is_number=False),
-                *(Column(group={"ior": "index"}.get(key, key)) for key in keys),
-            ),
-            rows=tuple(rows),
-            notes=(
-                "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
-                f"{100 * COVERED:.0f} % of all to contain the true value.",
-            ),
-        )
-    ]
+    note = (
+        "Absorption: each colour channel by itself. Factor: by how much intervals would have to be wider for "
+        f"{100 * COVERED:.0f} % of all to contain the true value."
+    )
+    titles = ["index" if key == "ior" else key for key in keys]
+    return [_grid("intervals of fits that contain the true value", ("dataset",), titles, rows, note)]
 
 
 def _miss(found: Stored, true: float) -> float:

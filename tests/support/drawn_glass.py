@@ -5,9 +5,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hyaline_photos.fit.lathe import Axis, evenly
 from hyaline_photos.fit.search import penalty
-from hyaline_photos.fit.shapes import OUTSIDE, Revolution
+from hyaline_photos.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 
 PIXELS = 400
 IS_EVEN = np.arange(PIXELS) % 2 == 0

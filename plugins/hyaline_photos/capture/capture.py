@@ -1,7 +1,7 @@
 """Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -11,6 +11,7 @@ from jaxtyping import Float, UInt8
 from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
 from datagen.data.images import mask_pixels, png_bytes
+from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.machine.processes import allow_triangles
 from datagen.scene.description import SceneObject
@@ -20,22 +21,22 @@ from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import say
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
-from hyaline_import.datasets.layouts import ForeignDataset, on_background, opened
+from hyaline_import.datasets.layouts import ForeignView, on_background, opened
 from hyaline_import.foreign import z_up_from
 from hyaline_import.importing import Made, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.choices import CaptureChoices
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.outlines import Outline, find_outlines
-from hyaline_photos.capture.panes import Pane, find_panes
+from hyaline_photos.capture.outlines import Outline, find_outlines, find_panes
 from hyaline_photos.capture.planes import LEAST_POINTS, find_up
-from hyaline_photos.capture.room import Part, fit_room
-from hyaline_photos.capture.stereo import DepthMaps, find_depths
+from hyaline_photos.capture.room import fit_room
+from hyaline_photos.capture.stereo import find_depths
 from hyaline_photos.capture.structure import find_cameras, find_points
+from hyaline_photos.commands import CaptureChoices
+from hyaline_photos.fit.shapes import perpendicular
 
 IOR = 1.5
 """Of the glass, until `model fit` finds it."""
@@ -59,7 +60,7 @@ class World:
         """Points in our world."""
         return self.scale * points @ self.rotation.T + self.offset
 
-    def cameras(self, shots: list[Shot], lens: Lens) -> Cameras:
+    def cameras(self, shots: Sequence[ForeignView], lens: Lens) -> Cameras:
         """The cameras of shots in our world, with the dataset's lens."""
         poses = np.stack([shot.world_from_camera for shot in shots])
         poses[:, :3, :3] = self.rotation @ poses[:, :3, :3]
@@ -73,43 +74,47 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
     ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
     about_masks = _check_masks(folder, list(ids.values()))
-    folder, world, outlines, about_world = _place_with_points(
-        folder, lens, [ids[shot.picture] for shot in folder.shots], choices
-    )
+    world, outlines, about_world = _place(folder, lens, ids, choices)
+    if not len(folder.points):  # Not before: placing is quicker, and may show that something is wrong.
+        find_points(folder)
+        folder = read_capture(folder.root, find_cameras)
+        if not folder.has_unit:  # Points say what is up.
+            world, outlines, about_world = _place(folder, lens, ids, choices)
     shots = folder.shots
-    every = world.cameras(shots, lens)
-    found = find_panes(outlines, [ids[shot.picture] for shot in shots], every)
-    panes = [pane for pane in found if pane.thickness > 0]  # Masks that are too wide may leave it none.
+    every, seen = world.cameras(shots, lens), [ids[shot.picture] for shot in shots]
+    panes = find_panes(outlines, seen, every)
     flat = {pane.name: pane.outline() for pane in panes}
     outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
-    views, about_splits = split_views(_as_foreign(folder))
-    cameras: dict[Split, Cameras] = {
-        split: world.cameras(cast(list[Shot], list(views[split])), lens) for split in SPLITS
-    }
-    points = world.points(folder.points)
-    enough = len(points) >= LEAST_POINTS
-    maps = _find_depths(shots, lens, every, points, ids, folder.objects, panes) if enough else None
+    views, about_splits = split_views(folder)
+    cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
+    points, maps = world.points(folder.points), None
+    if len(points) >= LEAST_POINTS:
+        say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
+        through = [0, *(1 + folder.objects.index(name) for name in flat)]
+        is_glass = [~np.isin(picture, through) for picture in seen]
+        maps = find_depths([_picture(shot, lens) for shot in shots], is_glass, every, points)
     room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
     about_world = [*about_world, room.remark]
-    if room.support is not None:
-        outlines = tuple(outline.standing_on(room.support) for outline in outlines)
-    about_world += [_size_of(outline, is_pane=outline.name in flat) for outline in outlines]
+    if (support := room.support) is not None:
+        outlines = tuple(outline.standing_on(support) for outline in outlines)
+    for outline in outlines:
+        sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
+        kind = "a pane, which depth maps look through; " if outline.name in flat else ""
+        about_world.append(f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
     scene, about_scene = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    about = (f"cameras: {folder.cameras}", *folder.remarks, *about_lens, *about_masks, *about_splits)
     imported = Imported(
-        layout="capture",
+        layout=folder.layout,
         source=root.resolve().name,
-        source_sha256=digest_of(_files(folder), str(choices)),
+        source_sha256=digest_of(folder.files, str(choices)),
         has_masks=True,
         has_depth=False,
         has_objects=True,
-        remarks=(
-            *(f"cameras: {folder.cameras}", *folder.remarks, *about_lens, *about_masks, *about_splits),
-            *(*about_world, *about_scene),
-        ),
+        remarks=(*about, *about_world, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
@@ -131,42 +136,8 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     )
 
 
-def _as_foreign(folder: Folder) -> ForeignDataset:
-    """The folder, as far as its splits go."""
-    return ForeignDataset(
-        root=folder.root,
-        layout="capture",
-        lens=folder.shots[0].lens.pinhole,
-        views={**folder.views},
-        surfaces=(),
-        remarks=(),
-    )
-
-
-def _files(folder: Folder) -> list[Path]:
-    """Every file whose content becomes a part of the dataset."""
-    parts = [path for shot in folder.shots for path in (shot.picture, *shot.masks)]
-    return [*parts, *([folder.points_file] if folder.points_file else [])]
-
-
 def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
     return redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)
-
-
-def _find_depths(
-    shots: list[Shot],
-    lens: Lens,
-    cameras: Cameras,
-    points: Float[np.ndarray, "point 3"],
-    ids: dict[Path, UInt8[np.ndarray, "h w"]],
-    objects: Sequence[str],
-    panes: Sequence[Pane],
-) -> DepthMaps:
-    """Depth maps of everything that is not glass, also of what is seen through panes."""
-    say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
-    flat = [1 + objects.index(pane.name) for pane in panes]
-    is_glass = [(ids[shot.picture] > 0) & ~np.isin(ids[shot.picture], flat) for shot in shots]
-    return find_depths([_picture(shot, lens) for shot in shots], is_glass, cameras, points)
 
 
 # Masks
@@ -211,21 +182,8 @@ def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[st
 # The world
 
 
-def _place_with_points(
-    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
-) -> tuple[Folder, World, tuple[Outline, ...], list[str]]:
-    """Places everything; looks for points if there are none, after all that is quicker and may be wrong."""
-    placed = _place(folder, lens, ids, choices)
-    if not len(folder.points):
-        find_points(folder)
-        folder = read_capture(folder.root, find_cameras)
-        if not folder.has_unit:  # Points say what is up.
-            placed = _place(folder, lens, ids, choices)
-    return folder, *placed
-
-
 def _place(
-    folder: Folder, lens: Lens, ids: list[UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+    folder: Folder, lens: Lens, ids: Mapping[Path, UInt8[np.ndarray, "h w"]], choices: CaptureChoices
 ) -> tuple[World, tuple[Outline, ...], list[str]]:
     """Turns, scales and moves the cameras' world; the outlines of the glass in ours."""
     shots = folder.shots
@@ -233,9 +191,9 @@ def _place(
         rotation = z_up_from("z" if choices.up == "auto" else choices.up)
     else:
         up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
-        rotation = _turning_up(up)
-    turned = World(rotation=rotation)
-    outlines = find_outlines(folder.objects, ids, turned.cameras(shots, lens), where=f"{folder.root}: masks")
+        rotation = np.stack([*-perpendicular(up), up])
+    turned, seen = World(rotation=rotation), [ids[shot.picture] for shot in shots]
+    outlines = find_outlines(folder.objects, seen, turned.cameras(shots, lens), where=f"{folder.root}: masks")
     middle = np.mean([outline.center for outline in outlines], axis=0)
     bottom = min(outline.center[2] - outline.radii[2] for outline in outlines)
     lines = []
@@ -260,29 +218,7 @@ def _place(
     # A transforms file's world keeps its origin; otherwise it is below the glass.
     offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
     world = World(rotation=rotation, scale=scale, offset=offset)
-    placed = tuple(
-        dataclasses.replace(
-            outline,
-            center=tuple((scale * np.array(outline.center) + offset).tolist()),
-            radii=tuple((scale * np.array(outline.radii)).tolist()),
-        )
-        for outline in outlines
-    )
-    return world, placed, lines
-
-
-def _size_of(outline: Outline, *, is_pane: bool) -> str:
-    sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
-    kind = "a pane, which depth maps look through; " if is_pane else ""
-    return f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid, until `model fit` finds its shape"
-
-
-def _turning_up(up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """A rotation that turns a direction upwards."""
-    aside = np.eye(3)[np.abs(up).argmin()]
-    x = np.cross(aside, up)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(up, x), up])
+    return world, tuple(outline.moved(scale, offset) for outline in outlines), lines
 
 
 # The scene
@@ -292,7 +228,7 @@ def _save_scene(
     folder: Path,
     name: str,
     outlines: tuple[Outline, ...],
-    parts: tuple[Part, ...],
+    parts: dict[str, Mesh],
     cameras: dict[Split, Cameras],
 ) -> None:
     remarks = Remarks()
@@ -304,11 +240,13 @@ def _save_scene(
         )
         for outline in outlines
     ]
-    opaque = [SceneObject(name=part.name, mesh=part.mesh, material=Diffuse(color=GREY)) for part in parts]
+    taken, matt = {item.name for item in glass}, Diffuse(color=GREY)
+    opaque = [
+        SceneObject(name=f"room_{part}" if part in taken else part, mesh=mesh, material=matt)
+        for part, mesh in parts.items()
+    ]
     allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
-    taken = {item.name for item in glass}
-    others = [f"room_{item.name}" if item.name in taken else item.name for item in opaque]
-    names = unique_names([*(item.name for item in glass), *others])
+    names = unique_names([item.name for item in (*glass, *opaque)])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
     mapper = Mapper(metres=1.0, thin="open", remarks=remarks)
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())

@@ -8,22 +8,25 @@
 Masks that a transforms file names (mask_file_path, as in RefRef) are of one object, `glass`.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Transforms, relative_name
+from datagen.data.transforms import Frame, Transforms, relative_name
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import check_regular, find_file
 from datagen.scene.description import MAX_OBJECTS
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
 from hyaline_import.datasets.layouts import (
     ROLES,
+    ForeignDataset,
     ForeignView,
     Role,
     about_unlisted,
@@ -37,6 +40,8 @@ from hyaline_import.importing import unique_names
 from hyaline_photos.capture.lenses import TakenLens, lens_of_colmap, lens_of_frame
 
 PICTURES, MASKS, FOUND = "images", "masks", "colmap"
+LAYOUT = "capture"
+"""Name of the layout in a dataset's record of its import."""
 ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
 OTHER_ENDINGS = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp")
 """Pictures of kinds that are not read."""
@@ -56,27 +61,29 @@ class Shot(ForeignView):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Folder:
+class Folder(ForeignDataset):
     """Everything that the folder of a capture names."""
 
-    root: Path
-    views: dict[Role, tuple[Shot, ...]]
     objects: tuple[str, ...]
     """Names of the objects of glass, in the order of a shot's masks."""
     points: Float[np.ndarray, "point 3"]
     """Points on opaque surfaces in the cameras' world; possibly empty."""
+    points_file: Path | None
     has_unit: bool
     """True if the cameras' world is upright and in metres, as in a transforms file."""
     cameras: str
     """Where the cameras come from."""
-    points_file: Path | None = None
-    license: str | None = None
-    remarks: tuple[str, ...] = field(default=())
 
     @property
     def shots(self) -> list[Shot]:
         """All views."""
-        return [shot for role in ROLES for shot in self.views[role]]
+        return [cast(Shot, shot) for role in ROLES for shot in self.views[role]]
+
+    @property
+    def files(self) -> list[Path]:
+        """Every file whose content becomes a part of the dataset."""
+        parts = [path for shot in self.shots for path in (shot.picture, *shot.masks)]
+        return [*parts, *([self.points_file] if self.points_file else [])]
 
 
 def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"], None]) -> Folder:
@@ -90,7 +97,7 @@ def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"],
     if files := transforms_in(root):
         return _with_transforms(root, files)
     pictures = find_pictures(root)
-    masks = Masks(root, pictures)
+    masks = find_masks(root, pictures)
     if not has_colmap(root):
         find_cameras(root, pictures, masks)
     return _with_colmap(root, pictures, masks)
@@ -101,20 +108,17 @@ def find_pictures(root: Path) -> list[Path]:
     found = _listed(root, ENDINGS)
     if not 3 <= len(found) <= MAX_VIEWS:
         others = f" beside {kinds}" if (kinds := _other_kinds(root)) else ""
-        expected = f"expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files"
-        raise HyalineError(f"{_folder_of(root)}: has {len(found)} pictures{others}; {expected}")
+        expected = f"expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files in it or in {PICTURES}/"
+        raise HyalineError(f"{root}: has {len(found)} pictures{others}; {expected}")
     for path in found:
         check_regular(path, root, where=str(root))
         picture_size(path)  # Refuses turned pictures before COLMAP spends minutes on them.
     return found
 
 
-def _folder_of(root: Path) -> Path:
-    return root / PICTURES if (root / PICTURES).is_dir() else root
-
-
 def _listed(root: Path, endings: tuple[str, ...]) -> list[Path]:
-    return [path for path in _pictures_below(_folder_of(root), endings) if path.relative_to(root).parts[0] != MASKS]
+    folder = root / PICTURES if (root / PICTURES).is_dir() else root
+    return [path for path in _pictures_below(folder, endings) if path.relative_to(root).parts[0] != MASKS]
 
 
 def _other_kinds(root: Path) -> str:
@@ -130,55 +134,53 @@ def _pictures_below(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Pa
     return sorted(path for path in found if not any(part[0] == "." for part in path.relative_to(folder).parts))
 
 
+@dataclass(frozen=True, kw_only=True)
 class Masks:
-    """The masks of each object, by the pictures that they belong to."""
+    """The names of the objects, and for each picture the masks of all of them."""
 
-    def __init__(self, root: Path, pictures: Sequence[Path]) -> None:
-        folder = root / MASKS
-        folders = sorted(path for path in folder.glob("[!.]*") if path.is_dir()) if folder.is_dir() else []
-        if not 1 <= len(folders) < MAX_OBJECTS:
+    objects: tuple[str, ...]
+    of: dict[Path, tuple[Path, ...]]
+
+
+def find_masks(root: Path, pictures: Sequence[Path]) -> Masks:
+    """The mask of each picture and object, by the picture's path below images/ or by its name alone, with or without
+    its ending."""
+    folder = root / MASKS
+    folders = sorted(path for path in folder.glob("[!.]*") if path.is_dir()) if folder.is_dir() else []
+    if not 1 <= len(folders) < MAX_OBJECTS:
+        raise HyalineError(
+            f"{folder}: has {len(folders)} folders; expected one for each object of glass with a PNG for each "
+            "picture, white where the object is seen"
+        )
+    names = [Path(name_of(root, path)).with_suffix("").as_posix() for path in pictures]
+    if again := [name for name, count in Counter(names).items() if count > 1]:
+        raise HyalineError(
+            f"{root}: two pictures are called {shown(again[0])}; expected names that differ before the dot"
+        )
+    stems = Counter(path.stem for path in pictures)
+    found: list[list[Path]] = [[] for _ in pictures]
+    for one in folders:
+        listed: dict[str, Path] = {}
+        for path in _pictures_below(one):
+            name = path.relative_to(one).with_suffix("").as_posix()
+            if (other := listed.setdefault(name, path)) != path:
+                raise HyalineError(f"{other} and {path}: two masks of one picture; expected one")
+        lacking = []
+        for masks, name, picture in zip(found, names, pictures, strict=True):
+            known = [name, name_of(root, picture), *([picture.stem] if stems[picture.stem] == 1 else [])]
+            path = next((listed[each] for each in known if each in listed), None)
+            if path is None:
+                lacking.append(f"{name}.png")
+            else:
+                check_regular(path, root, where=str(root))
+                masks.append(path)
+        if lacking:
             raise HyalineError(
-                f"{folder}: has {len(folders)} folders; expected one for each object of glass with a PNG for each "
-                "picture, white where the object is seen"
+                f"{one}: has no mask for {len(lacking)} of {len(pictures)} pictures ({', '.join(lacking[:NAMED])}); "
+                "expected one for each, black where the object is not seen"
             )
-        self.objects = tuple(unique_names([path.name for path in folders]))
-        self._of = dict(zip(pictures, zip(*(_masks_of(one, root, pictures) for one in folders)), strict=True))
-
-    def of(self, picture: Path) -> tuple[Path, ...]:
-        """The masks of a picture."""
-        return self._of[picture]
-
-
-def _masks_of(folder: Path, root: Path, pictures: Sequence[Path]) -> list[Path]:
-    """The mask of each picture, found by its path below images/ or by its name alone, with or without its ending."""
-    listed: dict[str, Path] = {}
-    for path in _pictures_below(folder):
-        name = path.relative_to(folder).with_suffix("").as_posix()
-        if (other := listed.setdefault(name, path)) != path:
-            raise HyalineError(f"{other} and {path}: two masks of one picture; expected one")
-    whole = [name_of(root, path) for path in pictures]
-    names = [Path(name).with_suffix("").as_posix() for name in whole]
-    stems = [path.stem for path in pictures]
-    if len(set(names)) < len(names):
-        again = next(name for name in names if names.count(name) > 1)
-        raise HyalineError(f"{root}: two pictures are called {shown(again)}; expected names that differ before the dot")
-    found = [
-        listed.get(name) or listed.get(with_ending) or (listed.get(stem) if stems.count(stem) == 1 else None)
-        for name, with_ending, stem in zip(names, whole, stems, strict=True)
-    ]
-    if not any(found):
-        raise HyalineError(
-            f"{folder}: its masks are of none of the pictures; expected the pictures' names, such as {names[0]}.png"
-        )
-    lacking = [f"{name}.png" for name, path in zip(names, found, strict=True) if path is None]
-    if lacking:
-        raise HyalineError(
-            f"{folder}: has no mask for {len(lacking)} of {len(pictures)} pictures ({', '.join(lacking[:NAMED])}); "
-            "expected one for each, black where the object is not seen"
-        )
-    for path in found:
-        check_regular(path, root, where=str(root))  # type: ignore[arg-type]
-    return [path for path in found if path is not None]
+    objects = tuple(unique_names([path.name for path in folders]))
+    return Masks(objects=objects, of=dict(zip(pictures, map(tuple, found), strict=True)))
 
 
 def name_of(root: Path, picture: Path) -> str:
@@ -192,57 +194,48 @@ def name_of(root: Path, picture: Path) -> str:
 
 def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     first = found["train"]
-    pictures = {role: [find_named(root, frame, "file_path") for frame in file.frames] for role, file in found.items()}
-    every = list(dict.fromkeys(path for paths in pictures.values() for path in paths))
-    sizes = {path: picture_size(path) for path in every}
-    remarks = []
-    if (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir()):
-        masks = Masks(root, every)
-        objects, masks_of = masks.objects, lambda _, picture: masks.of(picture)
-    elif all("mask_file_path" in frame for file in found.values() for frame in file.frames):
-        objects, masks_of = (ONE_OBJECT,), lambda frame, _: (find_named(root, frame, "mask_file_path"),)
+    frames: list[tuple[Role, Transforms, Frame]]
+    frames = [(role, file, frame) for role, file in found.items() for frame in file.frames]
+    pictures = [find_named(root, frame, "file_path") for _, _, frame in frames]
+    sizes = {path: picture_size(path) for path in pictures}
+    remarks, has_folders = [], (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir())
+    if not has_folders and all("mask_file_path" in frame.data for _, _, frame in frames):
+        objects, masks = (ONE_OBJECT,), [(find_named(root, frame, "mask_file_path"),) for _, _, frame in frames]
         remarks.append(f"masks: {MASKS}/ is not there; the files' masks are those of one object, {ONE_OBJECT}")
     else:
-        Masks(root, [])
-        raise AssertionError("without folders of masks, this is an error")
+        given = find_masks(root, list(sizes))
+        objects, masks = given.objects, [given.of[picture] for picture in pictures]
     views: dict[Role, list[Shot]] = {role: [] for role in ROLES}
-    for role, file in found.items():
-        for frame, picture in zip(file.frames, pictures[role], strict=True):
-            views[role].append(
-                Shot(
-                    picture=picture,
-                    mask=None,
-                    world_from_camera=file.pose(frame),
-                    lens=lens_of_frame(file, frame, sizes[picture]),
-                    masks=masks_of(frame, picture),
-                )
-            )
+    for (role, file, frame), picture, own in zip(frames, pictures, masks, strict=True):
+        lens = lens_of_frame(file, frame, sizes[picture])
+        views[role].append(Shot(picture=picture, mask=None, world_from_camera=file.pose(frame), lens=lens, masks=own))
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
     if len(found) == 1:
         listed = split_listed(first, listed["train"])
         remarks += about_unlisted(first, listed)
-    points_file = _points_file(root, first)
+    points, points_file = _points(root, first.content.get("ply_file_path"))
     return Folder(
         root=root,
-        views=listed,
+        layout=LAYOUT,
+        lens=views["train"][0].lens.pinhole,
+        views={**listed},
+        surfaces=(),
         objects=objects,
-        points=_points_in(points_file),
+        points=points,
+        points_file=points_file,
         has_unit=True,
         cameras=", ".join(Path(file.where).name for file in found.values()),
-        points_file=points_file,
         license=license_line(first.content.get("license")),
         remarks=tuple(remarks),
     )
 
 
-def _points_file(root: Path, file: Transforms | None = None) -> Path | None:
-    if file is not None and isinstance(named := file.content.get("ply_file_path"), str):
-        return find_file(root, relative_name(named), where=f"{file.where}.ply_file_path")
-    return next((find_file(root, name, where=str(root)) for name in POINTS if (root / name).is_file()), None)
-
-
-def _points_in(file: Path | None) -> Float[np.ndarray, "point 3"]:
-    return np.zeros((0, 3)) if file is None else read_ply_points(file)
+def _points(root: Path, named: object = None) -> tuple[Float[np.ndarray, "point 3"], Path | None]:
+    """The points of a file of this name, or of a usual one, and where they are; none without such a file."""
+    usual = (name for name in POINTS if (root / name).is_file())
+    name = relative_name(named) if isinstance(named, str) else next(usual, None)
+    file = None if name is None else find_file(root, name, where=f"{root}: points")
+    return (np.zeros((0, 3)) if file is None else read_ply_points(file)), file
 
 
 def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
@@ -255,7 +248,7 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             continue
         row, pose, where = listed[name]
         lens = lens_of_colmap(row, picture_size(picture), where=where)
-        shots.append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=masks.of(picture)))
+        shots.append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=masks.of[picture]))
     if len(shots) < 3:
         raise HyalineError(
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
@@ -269,15 +262,19 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
             f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})"
         )
-    points = colmap_points(root)
-    points_file = None if len(points) else _points_file(root)
+    points, points_file = colmap_points(root), None
+    if not len(points):
+        points, points_file = _points(root)
     return Folder(
         root=root,
-        views=split_evenly(shots),
+        layout=LAYOUT,
+        lens=shots[0].lens.pinhole,
+        views={**split_evenly(shots)},
+        surfaces=(),
         objects=masks.objects,
-        points=points if points_file is None else _points_in(points_file),
+        points=points,
+        points_file=points_file,
         has_unit=False,
         cameras="COLMAP",
-        points_file=points_file,
         remarks=tuple(remarks),
     )

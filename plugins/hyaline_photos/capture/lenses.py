@@ -8,7 +8,7 @@ tangential coefficients.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
@@ -20,8 +20,6 @@ from datagen.data.transforms import Frame, Transforms
 from datagen.disk.errors import HyalineError
 from hyaline_import.cameras import ColmapCamera
 
-BAND = 16
-"""Rows of a picture that are looked up at a time, to save memory."""
 NARROWEST = 0.02
 """Tangent of half the narrowest angle that all pictures may share."""
 
@@ -119,14 +117,8 @@ def _checked(lens: TakenLens, size: tuple[int, int], *, where: str) -> TakenLens
             f"{where}: its camera is for pictures of {lens.width} x {lens.height} pixels, and the picture has "
             f"{size[0]} x {size[1]}; expected that shape"
         )
-    lens = TakenLens(
-        width=size[0],
-        height=size[1],
-        focal=(lens.focal[0] * across, lens.focal[1] * down),
-        center=(lens.center[0] * across, lens.center[1] * down),
-        radial=lens.radial,
-        tangential=lens.tangential,
-    )
+    focal, center = ((pair[0] * across, pair[1] * down) for pair in (lens.focal, lens.center))
+    lens = replace(lens, width=size[0], height=size[1], focal=focal, center=center)
     try:
         check_lens(lens.pinhole)
     except HyalineError as error:
@@ -198,15 +190,13 @@ def _looked_up(
     per_side = max(1, math.ceil(max(taken.focal) / lens.focal - 0.01))
     column, row = lens.principal_point
     x = ((np.arange(lens.width * per_side) + 0.5) / per_side - column) / lens.focal
-    y = ((np.arange(lens.height * per_side) + 0.5) / per_side - row) / lens.focal
     out = np.empty((lens.height, lens.width, values.shape[2]))
-    for top in range(0, lens.height, BAND):
-        rows = y[top * per_side : (top + BAND) * per_side]
-        points = np.stack(np.broadcast_arrays(x[None, :], rows[:, None]), axis=-1)
+    for line in range(lens.height):  # One by one, to save memory.
+        y = (line + (np.arange(per_side) + 0.5) / per_side - row) / lens.focal
+        points = np.stack(np.meshgrid(x, y), axis=-1)
         # Rounded to a thousandth of a pixel: where both lenses agree, pixels are taken over as they are.
-        at = np.round(taken.pixels(points)[..., ::-1] - 0.5, 3)
+        at = np.moveaxis(np.round(taken.pixels(points)[..., ::-1] - 0.5, 3), -1, 0)
         for channel in range(values.shape[2]):
-            found = map_coordinates(values[..., channel], np.moveaxis(at, -1, 0), order=1, mode="nearest")
-            blocks = found.reshape(len(rows) // per_side, per_side, lens.width, per_side)
-            out[top : top + BAND, :, channel] = blocks.mean(axis=(1, 3))
+            found = map_coordinates(values[..., channel], at, order=1, mode="nearest")
+            out[line, :, channel] = found.reshape(per_side, lens.width, per_side).mean(axis=(0, 2))
     return out

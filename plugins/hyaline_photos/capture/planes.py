@@ -1,4 +1,5 @@
-"""Planes through points of the room: which way is up, walls, and the floor as far as pictures see it.
+"""Planes through points of the room: which way is up, walls, and the floor as far as pictures see it; rectangles in
+them, and boxes on these.
 
 Points are in metres with z up, but for `find_up`.
 """
@@ -7,14 +8,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from datagen.data.meshes import Mesh
-from datagen.scene.modelling import sheet
-from hyaline_photos.capture.rectangles import Flat, Rectangle, smallest_rectangle
+from datagen.scene.modelling import moved, rotation, rounded_box, sheet, transformed
 
 Points = Float[np.ndarray, "_ 3"]
-
+Flat = Float[np.ndarray, "_ 2"]
 NEAR = 0.012
 """Distance from a surface that counts as on it, over the cameras' distance; so are the next lengths."""
 FARTHER = 2.5
@@ -37,42 +37,101 @@ MARGIN = 0.15
 RANSAC_TRIES = 3000
 
 
+@dataclass(frozen=True, kw_only=True)
+class Rectangle:
+    """A rectangle in the plane, at an angle to the axes."""
+
+    center: tuple[float, float]
+    half: tuple[float, float]
+    angle: float
+    """Radians from +x towards +y."""
+
+    @property
+    def axes(self) -> Float[np.ndarray, "2 2"]:
+        """Unit vectors along its sides, as rows."""
+        c, s = np.cos(self.angle), np.sin(self.angle)
+        return np.array([[c, s], [-s, c]])
+
+    def holds(self, flat: Flat, *, margin: float = 0.0) -> Bool[np.ndarray, "_"]:
+        """True for points in it."""
+        return np.all(np.abs((flat - self.center) @ self.axes.T) <= np.array(self.half) + margin, axis=1)
+
+    def sheet(self, height: float) -> Mesh:
+        """It, facing up."""
+        along, across = self.axes * np.array(self.half)[:, None]
+        corner = np.array(self.center) - along - across
+        return sheet((*corner, height), (*(2 * along), 0), (*(2 * across), 0))
+
+
+def smallest_rectangle(flat: Flat, percent: float = 2.0, angle: float | None = None) -> Rectangle:
+    """The smallest rectangle around all points but few."""
+    angles = np.radians(np.arange(0, 90, 2)) if angle is None else [angle]
+    best = None
+    for turn in angles:
+        c, s = np.cos(turn), np.sin(turn)
+        axes = np.array([[c, s], [-s, c]])
+        low, high = np.percentile(flat @ axes.T, (percent, 100 - percent), axis=0)
+        if best is None or np.prod(high - low) < np.prod(2 * np.array(best.half)):
+            center = (low + high) / 2 @ axes
+            best = Rectangle(center=tuple(center), half=tuple((high - low) / 2), angle=float(turn))
+    assert best is not None
+    return best
+
+
+def box_on(base: Rectangle, low: float, high: float) -> Mesh:
+    """A box over a rectangle."""
+    size = (2 * base.half[0], 2 * base.half[1], high - low)
+    box = rounded_box(size, bevel=0.02 * min(size), segments=1)
+    turned = transformed(box, rotation((0, 0, 1), float(np.degrees(base.angle))), (0, 0, 0))
+    return moved(turned, (*base.center, (low + high) / 2))
+
+
+# Which way is up
+
+
 def find_up(points: Points, cameras: Float[np.ndarray, "view 4 4"]) -> Float[np.ndarray, "3"]:
     """Across the plane with the most points that the cameras look down on; their own up without such a plane."""
     mean = cameras[:, :3, 1].mean(axis=0)
     mean /= max(np.linalg.norm(mean), 1e-9)
     if len(points) < LEAST_POINTS:
         return mean
-    middle = np.median(points, axis=0)
-    near = NEAR * float(np.median(np.linalg.norm(cameras[:, :3, 3] - middle, axis=1)))
-    rng, best, most = np.random.default_rng(0), mean, 0
-    for three in _samples(rng, points, 3):
-        normal = np.cross(three[1] - three[0], three[2] - three[0])
-        normal /= max(np.linalg.norm(normal), 1e-12)
-        normal *= np.sign(normal @ mean) or 1.0
-        above = ((cameras[:, :3, 3] - three[0]) @ normal > 0).mean()
+    middle, places = np.median(points, axis=0), cameras[:, :3, 3]
+    near = NEAR * float(np.median(np.linalg.norm(places - middle, axis=1)))
+    best, most = mean, LEAST_SHARE * len(points)
+    for place, normal in _tried(np.random.default_rng(0), points, mean):
         # Cameras that look down by 45 degrees from one side have an up that is 45 degrees off.
-        if normal @ mean < np.cos(np.radians(50)) or above < 0.95:
+        if normal @ mean < np.cos(np.radians(50)) or ((places - place) @ normal > 0).mean() < 0.95:
             continue
-        count = int((np.abs((points - three[0]) @ normal) < near).sum())
+        count = int((np.abs((points - place) @ normal) < near).sum())
         if count > most:
-            best, most = _plane_through(points, three[0], normal, near), count
-    return best if most >= LEAST_SHARE * len(points) else mean
+            best, most = _through(points, place, normal, near)[1], count
+    return best
 
 
-def _plane_through(points: Points, place: np.ndarray, normal: np.ndarray, near: float) -> Float[np.ndarray, "3"]:
-    """The normal of the plane that fits the points near a plane."""
+def _tried(
+    rng: np.random.Generator, points: Float[np.ndarray, "point dim"], towards: Float[np.ndarray, " dim"]
+) -> Iterator[tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]]:
+    """Planes, or lines in a plane, through a few of some points: a point on each, and its normal.
+
+    Args:
+        towards: a direction in which normals point.
+    """
+    count = points.shape[1]
+    some = points[rng.integers(len(points), size=(RANSAC_TRIES, count))]
+    normals = np.linalg.svd(some[:, 1:] - some[:, :1])[2][:, -1]
+    yield from zip(some[:, 0], normals * np.where(normals @ towards < 0, -1, 1)[:, None], strict=True)
+
+
+def _through(
+    points: Float[np.ndarray, "point dim"], place: np.ndarray, normal: np.ndarray, near: float
+) -> tuple[Float[np.ndarray, " dim"], Float[np.ndarray, " dim"]]:
+    """A point on the plane or line that fits the points near one, and its normal."""
     for _ in range(3):
         on = points[np.abs((points - place) @ normal) < near]
         place = on.mean(axis=0)
-        found = np.linalg.svd(on - place, full_matrices=False)[2][2]
+        found = np.linalg.svd(on - place, full_matrices=False)[2][-1]
         normal = found * (np.sign(found @ normal) or 1.0)
-    return normal
-
-
-def _samples(rng: np.random.Generator, points: np.ndarray, count: int) -> Iterator[np.ndarray]:
-    for _ in range(RANSAC_TRIES):
-        yield points[rng.choice(len(points), count, replace=False)]
+    return place, normal
 
 
 # Walls and floor
@@ -106,40 +165,29 @@ def find_walls(
     rng, near, walls, rest = np.random.default_rng(1), FARTHER * NEAR * radius, [], points
     inner = np.concatenate([places[:, :2], middle[None, :2]])
     while len(walls) < MAX_WALLS and len(points) >= few:
-        best, most = None, 0
-        for two in _samples(rng, points[:, :2], 2):
-            line = two[1] - two[0]
-            if (length := np.linalg.norm(line)) < 0.1 * radius:
+        flat, best, most = points[:, :2], None, few - 1
+        for place, normal in _tried(rng, flat, np.ones(2)):
+            normal = normal * (np.sign((middle[:2] - place) @ normal) or 1.0)
+            if ((inner - place) @ normal).min() < 2 * near:
                 continue
-            normal = np.array([-line[1], line[0]]) / length
-            normal *= np.sign((middle[:2] - two[0]) @ normal) or 1.0
-            if ((inner - two[0]) @ normal).min() < 2 * near:
-                continue
-            ahead = (points[:, :2] - two[0]) @ normal
-            on = np.abs(ahead) < near
-            if on.sum() > most and (ahead < -near).mean() < MAX_BEHIND:
-                best, most = (two[0], normal), int(on.sum())
-        if best is None or most < few:
+            ahead = (flat - place) @ normal
+            on = int((np.abs(ahead) < near).sum())
+            if on > most and (ahead < -near).mean() < MAX_BEHIND:
+                best, most = (place, normal), on
+        if best is None:
             break
-        place, normal = best
-        normal = _line_through(points[:, :2], place, normal, near)
-        offset = float(np.median((points[:, :2] @ normal)[np.abs((points[:, :2] - place) @ best[1]) < near]))
-        is_on = np.abs(points[:, :2] @ normal - offset) < near
+        place, normal = _through(flat, *best, near)
+        is_on = np.abs((flat - place) @ normal) < near
         on, points = points[is_on], points[~is_on]
         along = on[:, :2] @ [-normal[1], normal[0]]
         low, high = np.percentile(along, (1, 99))
         bottom, top = np.percentile(on[:, 2], (2, 99))
         is_large = high - low >= LEAST_WALL[0] * radius and top - bottom >= LEAST_WALL[1] * radius
         if is_large and np.mean(np.histogram(along, BINS, (low, high))[0] > 1) > 0.6:
-            walls.append(Wall(normal=normal, offset=offset, reach=(float(low), float(high)), top=float(top)))
-            points, rest = (some[walls[-1].ahead(some[:, :2]) > near] for some in (points, rest))
+            wall = Wall(normal=normal, offset=float(place @ normal), reach=(float(low), float(high)), top=float(top))
+            points, rest = (some[wall.ahead(some[:, :2]) > near] for some in (points, rest))
+            walls.append(wall)
     return walls, rest
-
-
-def _line_through(flat: Flat, place: np.ndarray, normal: np.ndarray, near: float) -> Float[np.ndarray, "2"]:
-    on = flat[np.abs((flat - place) @ normal) < near]
-    found = np.linalg.svd(on - on.mean(axis=0), full_matrices=False)[2][1]
-    return found * (np.sign(found @ normal) or 1.0)
 
 
 def wall_mesh(wall: Wall, walls: Sequence[Wall], floor: float) -> Mesh:
@@ -158,14 +206,8 @@ def wall_mesh(wall: Wall, walls: Sequence[Wall], floor: float) -> Mesh:
             ends[side] = meets
     top = wall.top + MARGIN * (wall.top - floor)
     start = wall.offset * wall.normal + ends[0] * wall.along
-    mesh = sheet((*start, floor), (*((ends[1] - ends[0]) * wall.along), 0), (0, 0, top - floor))
-    return _facing(mesh, np.array([*wall.normal, 0.0]))
-
-
-def _facing(mesh: Mesh, normal: np.ndarray) -> Mesh:
-    if mesh.normals[0] @ normal > 0:
-        return mesh
-    return Mesh(vertices=mesh.vertices, faces=mesh.faces[:, ::-1].copy(), normals=-mesh.normals, uv=mesh.uv)
+    # Upwards and along, in the order that makes it face the cameras.
+    return sheet((*start, floor), (*((ends[1] - ends[0]) * wall.along), 0), (0, 0, top - floor))
 
 
 def floor_within(points: Points, walls: Sequence[Wall], middle: np.ndarray) -> Rectangle:
@@ -173,19 +215,14 @@ def floor_within(points: Points, walls: Sequence[Wall], middle: np.ndarray) -> R
     angle = float(np.arctan2(walls[0].along[1], walls[0].along[0])) if walls else None
     # The middle of the scene belongs to it, whatever points show.
     base = smallest_rectangle(np.concatenate([points[:, :2], middle[None, :2]]), 0.5, angle)
-    axes, ends = base.axes, []
-    for axis, place, half in zip(axes, np.array(base.center) @ axes.T, base.half, strict=True):
-        low, high = place - (1 + MARGIN) * half, place + (1 + MARGIN) * half
-        for wall in walls:
-            slope = float(wall.normal @ axis)
+    place, half = np.array(base.center) @ base.axes.T, (1 + MARGIN) * np.array(base.half)
+    ends = np.stack([place - half, place + half])
+    for wall in walls:
+        for axis, slope in enumerate(base.axes @ wall.normal):
             if abs(slope) > 0.95:
-                if slope > 0:
-                    low = wall.offset / slope
-                else:
-                    high = wall.offset / slope
-        ends.append((low, high))
-    low, high = np.array(ends).T
-    return Rectangle(center=tuple((low + high) / 2 @ axes), half=tuple((high - low) / 2), angle=base.angle)
+                ends[int(slope < 0), axis] = wall.offset / slope
+    low, high = ends
+    return Rectangle(center=tuple((low + high) / 2 @ base.axes), half=tuple((high - low) / 2), angle=base.angle)
 
 
 def floor_around(ground: Rectangle, walls: Sequence[Wall], middle: np.ndarray, reach: float) -> list[Rectangle]:

@@ -13,9 +13,7 @@ from jaxtyping import Bool, Float
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
-from hyaline_photos.capture.fusing import fuse
-from hyaline_photos.capture.outlines import GAP, Outline
-from hyaline_photos.capture.panes import Pane
+from hyaline_photos.capture.outlines import GAP, Outline, Pane
 from hyaline_photos.capture.planes import (
     FAR,
     FARTHER,
@@ -24,14 +22,16 @@ from hyaline_photos.capture.planes import (
     MAX_BEHIND,
     NEAR,
     Points,
+    Rectangle,
     Wall,
+    box_on,
     find_walls,
     floor_around,
     floor_within,
+    smallest_rectangle,
     wall_mesh,
 )
-from hyaline_photos.capture.rectangles import Rectangle, box_on, smallest_rectangle
-from hyaline_photos.capture.stereo import DepthMaps
+from hyaline_photos.capture.stereo import DepthMaps, fuse
 
 CELL = 0.05
 """Side of the cells by whose contact points are one thing, over the cameras' distance."""
@@ -43,18 +43,10 @@ SLAB = 0.04
 
 
 @dataclass(frozen=True, kw_only=True)
-class Part:
-    """A part of the room."""
-
-    name: str
-    mesh: Mesh
-
-
-@dataclass(frozen=True, kw_only=True)
 class Room:
-    """All parts, including the support of the glass."""
+    """All parts by name, including the support of the glass."""
 
-    parts: tuple[Part, ...]
+    parts: dict[str, Mesh]
     support: float | None
     """Height of the surface below the glass; None where no points show one."""
     remark: str
@@ -77,8 +69,9 @@ def fit_room(
     """
     middle = np.mean([outline.center for outline in glass], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
-    standing = _standing(glass, panes)
-    bottom = min(outline.center[2] - outline.radii[2] for outline in standing)
+    # Glass may stand on panes; without other glass, the panes themselves stand on something.
+    flat = {pane.name for pane in panes}
+    standing = [outline for outline in glass if outline.name not in flat] or glass
     whole = points
     points = points[np.linalg.norm(points - middle, axis=1) < 20 * radius]
     for outline in glass:
@@ -92,19 +85,19 @@ def fit_room(
         floor = sheet((middle[0] - side, middle[1] - side, bottom), (2 * side, 0, 0), (0, 2 * side, 0))
         found = f"none of {len(whole):,} points lie in a plane" if len(whole) else "no points"
         remark = f"room: {found}; using a floor below the glass"
-        return Room(parts=(Part(name="floor", mesh=floor),), support=None, remark=remark)
+        return Room(parts={"floor": floor}, support=None, remark=remark)
     floor, rest = levels[0], points[points[:, 2] > levels[0] + 2 * near]
-    parts: list[Part] = []
+    parts: dict[str, Mesh] = {}
     top: Rectangle | None = None
     support, is_pane = _support(levels, points, standing, panes, near)
     if support > floor + 4 * near and not is_pane:
         on = np.abs(rest[:, 2] - support) < near
-        top = smallest_rectangle(_largest_thing(rest[on], CELL * radius)[:, :2], 1.0)
-        parts.append(Part(name="table", mesh=_board(top, support, below=floor, points=rest, near=near)))
+        top = smallest_rectangle(next(_things(rest[on], CELL * radius, least=1))[:, :2], 1.0)
+        parts["table"] = _board(top, support, below=floor, points=rest, near=near)
         rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
     walls, rest = find_walls(rest, places, middle, radius, few)
-    parts += [Part(name=f"wall_{place}", mesh=wall_mesh(wall, walls, floor)) for place, wall in enumerate(walls)]
-    parts = [*_floors(points, floor, walls, middle, radius), *parts]
+    parts |= {f"wall_{place}": wall_mesh(wall, walls, floor) for place, wall in enumerate(walls)}
+    parts = _floors(points, floor, walls, middle, radius) | parts
 
     def is_thing(place: Points) -> Bool[np.ndarray, "_"]:
         """True where a surface is neither the floor, the table nor a wall."""
@@ -121,29 +114,24 @@ def fit_room(
         things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
         for pane in panes:
             things = [pane.without(thing) for thing in things]
-    parts += [Part(name=f"thing_{place}", mesh=mesh) for place, mesh in enumerate(things)]
-    boxes = []
+    parts |= {f"thing_{place}": mesh for place, mesh in enumerate(things)}
+    boxes: dict[str, Mesh] = {}
     for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
         box = smallest_rectangle(thing[:, :2])
         foot, head = np.percentile(thing[:, 2], (2, 98)).tolist()
         base = support if foot > support - 2 * near else floor
         # Points at its foot may be missing; something on a glass table has no surface below it.
         bottom = base if foot - base < 0.5 * (head - foot) else foot
-        if head - bottom > 2 * near and min(box.half) > near / 2 and not _holds_camera(box, head, places):
-            boxes.append(Part(name=f"box_{len(boxes)}", mesh=box_on(box, bottom, head)))
-    parts += boxes[: MAX_THINGS - len(things)]
-    kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts[1:])} parts in all"
+        holds_camera = (box.holds(places[:, :2]) & (places[:, 2] < head)).any()
+        if head - bottom > 2 * near and min(box.half) > near / 2 and not holds_camera:
+            boxes[f"box_{len(boxes)}"] = box_on(box, bottom, head)
+    parts |= dict(list(boxes.items())[: MAX_THINGS - len(things)])
+    kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts) - 1} parts in all"
     remark = f"room: {kinds} were fitted to {len(points):,} points"
-    return Room(parts=tuple(parts), support=support, remark=remark)
+    return Room(parts=parts, support=support, remark=remark)
 
 
 # Levels
-
-
-def _standing(glass: Sequence[Outline], panes: Sequence[Pane]) -> Sequence[Outline]:
-    """All glass except panes; the panes themselves if there is no other glass."""
-    names = {pane.name for pane in panes}
-    return [outline for outline in glass if outline.name not in names] or glass
 
 
 def _support(
@@ -157,21 +145,18 @@ def _support(
     tops = [pane.top for pane in panes if pane.name not in names and abs(pane.top - bottom) < reach]
     if tops:
         return max(tops), True
-    counts = {level: int((np.abs(points[:, 2] - level) < near).sum()) for level in levels}
-    return max(
-        (each for each in levels if abs(each - bottom) < reach), key=counts.__getitem__, default=levels[0]
-    ), False
+    close = [level for level in levels if abs(level - bottom) < reach]
+    return max(close, key=lambda level: (np.abs(points[:, 2] - level) < near).sum(), default=levels[0]), False
 
 
-def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> list[Part]:
+def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> dict[str, Mesh]:
     """The floor as far as points show it, and what lies around it unless something is below."""
     near = NEAR * radius
     ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
     around: list[Rectangle] = []
     if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
         around = floor_around(ground, walls, middle, FAR * radius)
-    named = {"floor": ground, **{f"floor_{place}": part for place, part in enumerate(around)}}
-    return [Part(name=name, mesh=part.sheet(floor)) for name, part in named.items()]
+    return {"floor": ground.sheet(floor)} | {f"floor_{place}": part.sheet(floor) for place, part in enumerate(around)}
 
 
 def _levels(points: Points, near: float, few: float, *, below: float) -> list[float]:
@@ -201,10 +186,6 @@ def _far_from(meshes: Sequence[Mesh], points: Points, cell: float, near: float) 
     return np.concatenate([points[:0], *others])
 
 
-def _largest_thing(points: Points, cell: float) -> Points:
-    return max(_things(points, cell, least=1), key=len, default=points)
-
-
 def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[Points]:
     """Points that are one thing: in cells that touch; things of few points are left out."""
     from scipy.sparse import coo_array
@@ -228,7 +209,3 @@ def _board(top: Rectangle, height: float, *, below: float, points: Points, near:
     sides = under & top.holds(points[:, :2], margin=near)
     low = below if sides.sum() >= LEAST_POINTS else height - SLAB * 2 * min(top.half)
     return box_on(top, low, height)
-
-
-def _holds_camera(base: Rectangle, high: float, places: Float[np.ndarray, "view 3"]) -> bool:
-    return bool((base.holds(places[:, :2]) & (places[:, 2] < high)).any())

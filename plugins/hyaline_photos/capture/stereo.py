@@ -1,25 +1,31 @@
-"""Depth maps of opaque surfaces, from pictures whose cameras are known.
+"""Depth maps of opaque surfaces, from pictures whose cameras are known, and the surfaces fused from them.
 
-Source: plane sweeping (Collins 1996): each view's surroundings are compared with other views as if they lay on planes
-at many depths, by normalised cross-correlation, which a change of brightness leaves as it is. Glass is left out, and
-so are depths that other views deny.
+Depths, by plane sweeping (Collins 1996): each view's surroundings are compared with other views as if they lay on
+planes at many depths, by normalised cross-correlation, which a change of brightness leaves as it is. Glass is left out,
+and so are depths that other views deny. Surfaces, after Curless and Levoy 1996: a signed distance in voxels, averaged
+over views. Only what views show has a surface; meshes are open behind.
 """
 
 # Numba's decorators are untyped.
 # pyright: reportMissingTypeStubs=false
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numba
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Cameras
+from datagen.data.meshes import Mesh
 from datagen.machine.compiled import compiled
 from datagen.machine.processes import num_cores
 from datagen.terminal.command import track
+
+if TYPE_CHECKING:
+    import trimesh
 
 PLANES = 192
 """Depths that are tried, evenly spaced in 1 / depth."""
@@ -37,6 +43,15 @@ AGREE, LEAST_AGREEING = 0.02, 2
 """Relative tolerance within which other views must find the same depth, and how many must."""
 BORDERS = (0.8, 1.25)
 """Depths begin and end at these multiples of the nearest and the farthest points."""
+MOST_VOXELS = 8e6
+TRUNCATION = 3.0
+"""Distance in voxels up to which a depth says anything about what is behind it."""
+LEAST_VIEWS = 3.0
+"""Views that must have seen a voxel."""
+SMOOTHING = 1.0
+"""Standard deviation in voxels of the Gaussian filter that smooths distances."""
+LEAST_AREA = 60.0
+"""Area of the smallest piece that is kept, in squares of a voxel's side; smaller ones are errors of depth maps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +81,8 @@ def find_depths(
     grey = np.stack([picture.astype(np.float32).mean(axis=-1) / 255 for picture in pictures])
     opaque = ~np.stack(is_glass)
     projections = projections_of(cameras)
-    near, far = _range(cameras, points)
+    depths = np.concatenate([cameras[view].project(points)[1] for view in range(len(cameras))])
+    near, far = np.percentile(depths[depths > 0], (1, 99)) * BORDERS
     planes = (1 / np.linspace(1 / far, 1 / near, PLANES)).astype(np.float32)
     sources = [_sources(cameras, view, points) for view in range(len(cameras))]
 
@@ -83,12 +99,6 @@ def find_depths(
         views = range(len(cameras))
         depth = np.stack(list(track(pool.map(sweep, views), label="depth maps", total=len(views))))
         return DepthMaps(cameras=cameras, depth=np.stack(list(pool.map(agreed, views))))
-
-
-def _range(cameras: Cameras, points: Float[np.ndarray, "point 3"]) -> tuple[float, float]:
-    depths = np.concatenate([cameras[view].project(points)[1] for view in range(len(cameras))])
-    near, far = np.percentile(depths[depths > 0], (1, 99))
-    return BORDERS[0] * float(near), BORDERS[1] * float(far)
 
 
 def _sources(cameras: Cameras, view: int, points: Float[np.ndarray, "point 3"]) -> Int[np.ndarray, " source"]:
@@ -222,26 +232,85 @@ def _keep_best(best, scores):
                     best[place, row, column], score = score, best[place, row, column]
 
 
-@compiled(nogil=True)
-def _agreed(depth, others, turn, shift):
+def _agreed(
+    depth: Float32[np.ndarray, "h w"],
+    others: Float32[np.ndarray, "source h w"],
+    turn: Float32[np.ndarray, "source 3 3"],
+    shift: Float32[np.ndarray, "source 3"],
+) -> Float32[np.ndarray, "h w"]:
     """The depths that enough other views find, too; 0 for the rest."""
     height, width = depth.shape
-    kept = np.zeros_like(depth)
-    for row in range(height):
-        for column in range(width):
-            here = depth[row, column]
-            if here <= 0:
-                continue
-            x, y, agree = np.float32(column + 0.5), np.float32(row + 0.5), 0
-            for source in range(len(others)):
-                t, s = turn[source], shift[source]
-                ahead = here * (t[2, 0] * x + t[2, 1] * y + t[2, 2]) + s[2]
-                if ahead <= 0:
-                    continue
-                u = int(np.floor((here * (t[0, 0] * x + t[0, 1] * y + t[0, 2]) + s[0]) / ahead))
-                v = int(np.floor((here * (t[1, 0] * x + t[1, 1] * y + t[1, 2]) + s[1]) / ahead))
-                if 0 <= u < width and 0 <= v < height and abs(others[source, v, u] - ahead) < AGREE * ahead:
-                    agree += 1
-            if agree >= LEAST_AGREEING:
-                kept[row, column] = here
-    return kept
+    rows, columns = np.indices(depth.shape, np.float32) + np.float32(0.5)
+    points, agree = depth * np.stack([columns, rows, np.ones_like(rows)]), np.zeros(depth.shape, int)
+    for other, t, s in zip(others, turn, shift, strict=True):
+        u, v, ahead = np.tensordot(t, points, 1) + s[:, None, None]
+        column, row = (np.floor(place / np.where(ahead > 0, ahead, np.inf)).astype(int) for place in (u, v))
+        is_in = (ahead > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        found = other[np.where(is_in, row, 0), np.where(is_in, column, 0)]
+        agree += is_in & (np.abs(found - ahead) < AGREE * ahead)
+    return np.where((depth > 0) & (agree >= LEAST_AGREEING), depth, 0)
+
+
+# Surfaces
+
+
+def fuse(
+    maps: DepthMaps,
+    low: Float[np.ndarray, "3"],
+    high: Float[np.ndarray, "3"],
+    voxel: float,
+    is_wanted: Callable[[Float[np.ndarray, "point 3"]], Bool[np.ndarray, " point"]],
+) -> list[Mesh]:
+    """The pieces of surface in a box, the largest first.
+
+    Args:
+        voxel: side in metres; larger where the box would have more than `MOST_VOXELS`.
+        is_wanted: which points of the surfaces to keep.
+    """
+    import trimesh
+    from scipy.ndimage import gaussian_filter
+    from skimage.measure import marching_cubes
+
+    voxel = max(voxel, float((np.prod(high - low) / MOST_VOXELS) ** (1 / 3)))
+    shape = np.ceil((high - low) / voxel).astype(int) + 1
+    distance, views = _averages(maps, low, voxel, shape)
+    is_seen = views >= LEAST_VIEWS
+    weight = gaussian_filter(is_seen.astype(np.float32), SMOOTHING)
+    distance = gaussian_filter(np.where(is_seen, distance, 0), SMOOTHING) / np.maximum(weight, 1e-6)
+    if not (is_seen & (distance < 0)).any() or not (is_seen & (distance > 0)).any():
+        return []
+    vertices, faces, _, _ = marching_cubes(distance, 0.0, spacing=(voxel,) * 3, mask=is_seen)
+    surface = trimesh.Trimesh(vertices + low, faces, process=True)
+    kept = is_wanted(surface.triangles_center)
+    surface.update_faces(kept & surface.nondegenerate_faces())
+    pieces = surface.split(only_watertight=False)
+    pieces = [piece for piece in pieces if piece.area > LEAST_AREA * voxel**2]
+    return [_mesh(piece) for piece in sorted(pieces, key=lambda piece: -piece.area)]
+
+
+def _mesh(piece: "trimesh.Trimesh") -> Mesh:
+    return Mesh(
+        vertices=piece.vertices.astype(np.float32),
+        faces=piece.faces.astype(np.int32),
+        normals=piece.vertex_normals.astype(np.float32),
+        uv=np.zeros((len(piece.vertices), 2), np.float32),
+    )
+
+
+def _averages(
+    maps: DepthMaps, low: Float[np.ndarray, "3"], voxel: float, shape: Int[np.ndarray, "3"]
+) -> tuple[Float32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
+    """Mean signed distance to the surface in units of the truncation, positive in front of it; views that saw it."""
+    axes = [(start + voxel * np.arange(count)).astype(np.float32) for start, count in zip(low, shape, strict=True)]
+    grid, (height, width) = np.stack(np.meshgrid(*axes, indexing="ij")), maps.depth.shape[1:]
+    total, views = np.zeros(grid.shape[1:], np.float32), np.zeros(grid.shape[1:], np.float32)
+    for depth, projection in zip(maps.depth, projections_of(maps.cameras).astype(np.float32), strict=True):
+        u, v, ahead = np.tensordot(projection[:, :3], grid, 1) + projection[:, 3, None, None, None]
+        column, row = (np.floor(place / np.where(ahead > 0, ahead, np.inf)).astype(np.int32) for place in (u, v))
+        is_in = (ahead > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+        found = np.where(is_in, depth[np.where(is_in, row, 0), np.where(is_in, column, 0)], 0)
+        away = (found - ahead) / np.float32(TRUNCATION * voxel)
+        sees = (found > 0) & (away > -1)
+        total += np.where(sees, np.minimum(away, 1), 0)
+        views += sees
+    return total / np.maximum(views, 1), views

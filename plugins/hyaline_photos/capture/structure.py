@@ -3,10 +3,8 @@
 Glass is masked: features on it move with the light, not with the surface.
 """
 
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
@@ -40,14 +38,13 @@ def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
     say(f"{root}: has no cameras; finding them in {len(pictures)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         folder = Path(scratch)
-        times = _write_pictures(folder, [(path, masks.of(path)) for path in pictures])
-        with _quiet(colmap):
-            database = _matched(colmap, folder, model=MODEL)
-            options = colmap.IncrementalPipelineOptions()
-            options.min_model_size = 3
-            # Small pictures have few features.
-            options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
-            models = colmap.incremental_mapping(database, folder / "images", folder, options)
+        times = _write_pictures(folder, [(path, masks.of[path]) for path in pictures])
+        database = _matched(colmap, folder, model=MODEL)
+        options = colmap.IncrementalPipelineOptions()
+        options.min_model_size = 3
+        # Small pictures have few features.
+        options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
+        models = colmap.incremental_mapping(database, folder / "images", folder, options)
         found = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
         for image in list(found.images.values()) if found else []:
             image.name = name_of(root, pictures[int(Path(image.name).stem)])
@@ -82,10 +79,9 @@ def find_points(folder: Folder) -> None:
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         work = Path(scratch)
         times = _write_pictures(work, [(shot.picture, shot.masks) for shot in shots])
-        with _quiet(colmap):
-            database = _matched(colmap, work, model=KNOWN)
-            known = _known(colmap, database, shots, times)
-            found = colmap.triangulate_points(known, database, work / "images", work)
+        database = _matched(colmap, work, model=KNOWN)
+        known = _known(colmap, database, shots, times)
+        found = colmap.triangulate_points(known, database, work / "images", work)
     points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
     if not len(points):
         say(f"{folder.root}: no points were found, for want of detail beside the glass")
@@ -103,20 +99,9 @@ def _colmap(why: str) -> ModuleType:
         import pycolmap  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise HyalineError(f"{why}, and pycolmap, which finds them, is not installed: `{EXTRA}`") from None
+    pycolmap.logging.minloglevel = 2  # It logs every step; its errors are enough.
+    pycolmap.set_random_seed(0)
     return pycolmap
-
-
-@contextmanager
-def _quiet(colmap: ModuleType) -> Iterator[None]:
-    """COLMAP logs every step; its errors are enough."""
-    before = colmap.logging.minloglevel
-    colmap.logging.minloglevel = 2
-    colmap.set_random_seed(0)
-    try:
-        yield
-    finally:
-        colmap.logging.minloglevel = before
-        sys.stderr.flush()
 
 
 def _write_pictures(folder: Path, pictures: Sequence[tuple[Path, Sequence[Path]]]) -> float:
@@ -146,17 +131,14 @@ def _matched(colmap: ModuleType, folder: Path, *, model: str) -> Path:
     features.sift.max_num_features = MOST_FEATURES
     sizes = {picture_size(path) for path in (folder / "images").iterdir()}
     found = colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO
-    mode = colmap.CameraMode.PER_IMAGE if model == KNOWN else found
-    device = colmap.Device.cpu
-    colmap.extract_features(
-        database,
-        folder / "images",
-        camera_mode=mode,
-        reader_options=reader,
-        extraction_options=features,
-        device=device,
-    )
-    colmap.match_exhaustive(database, device=device)
+    options = {
+        "camera_mode": colmap.CameraMode.PER_IMAGE if model == KNOWN else found,
+        "reader_options": reader,
+        "extraction_options": features,
+        "device": colmap.Device.cpu,
+    }
+    colmap.extract_features(database, folder / "images", **options)
+    colmap.match_exhaustive(database, device=colmap.Device.cpu)
     return database
 
 

@@ -10,57 +10,43 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Float64
+from scipy import optimize
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import grid_faces, rotation
-from hyaline_photos.fit.lathe import perpendicular
 from hyaline_photos.fit.outside import find_center
-from hyaline_photos.fit.shapes import Glass
-from hyaline_photos.fit.silhouettes import descend, errors, misfit, pull
-from hyaline_photos.fit.views import NearRays
+from hyaline_photos.fit.shapes import Glass, perpendicular
+from hyaline_photos.fit.views import NearRays, misfits, pull
 
 SEGMENTS = 4
 """Steps of a rounded edge, per 45 degrees."""
-
 LEAST_SIZE, LEAST_ROUNDING = 0.0005, 0.0001
 """Least half thickness of a box and least radius of its edges, in metres."""
-
 MOST_ROUNDING = 0.9
 """Largest radius of the edges, in parts of the least half size."""
-
 SOFTNESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 """Pixels over which a ray turns from meeting the box to missing it, in one round of the search after the other."""
-
 FINER = (0.03, 0.01, 0.003)
 """The same for all rays, kept where it explains more of them: with the last of `SOFTNESS`, a pane of 18 mm came out as
 18.6 mm."""
-
 COARSE_RAYS, RAYS = 2500, 20_000
 """Rays that the first two rounds look at, and the most for the others, but for `FINER`."""
-
 STEPS = 30
 """Largest number of steps in a round."""
-
 ENOUGH = 3e-4
 """A round ends when a step gains less, relative to the misfit."""
-
 BISECTIONS = 20
 """Interval halvings along a ray; they narrow it to a micrometre."""
-
 TINY = 1e-8
 """Step in metres or radians of numerical derivatives."""
-
 FLAT, THICK = 0.06, 0.02
 """Thickness of the panes that are tried in place of a box, over its width, and the share of edge pixels that a box may
 get wrong before they are. While edges are soft, rays through a thin pane hardly meet it, so the box grows behind one of
 its faces, out of sight."""
-
 USELESS = 0.3
 """Share of edge pixels beyond which a box is none; half of them are wrong for no shape at all."""
-
 MOST_REACH = 1.5
 """Largest half diagonal in parts of how far the mask's rays pass from their middle: what others hide has no bounds."""
-
 GUTTER = 0.01
 """Width of the empty border around each chart of the atlas."""
 
@@ -104,45 +90,30 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
 
+    def wrong(box: Box) -> float:
+        return box.unexplained
+
     def sharpen(box: Box, steps: Sequence[float]) -> Box:
         for softness in steps:
             box = _fitted(box, edge, softness, support)
         return _judged(box, edge)
 
-    turned = [_turned(start, angle) for angle in np.radians(range(0, 90, 15))]
+    turns = [rotation(tuple(up), angle) for angle in range(0, 90, 15)]
+    turned = [dataclasses.replace(start, axes=start.axes @ turn.T) for turn in turns]
     rough = [_fitted(_fitted(box, few, SOFTNESS[0], support), few, SOFTNESS[1], support) for box in turned]
-    best = sharpen(min((_judged(box, few) for box in rough), key=_errors_of), SOFTNESS[1:])
+    best = sharpen(min((_judged(box, few) for box in rough), key=wrong), SOFTNESS[1:])
     if best.unexplained > THICK:
-        best = min([best, *(sharpen(pane, SOFTNESS[2:]) for pane in _panes(best))], key=_errors_of)
-    best = _finer(best, rays.at_edges(), support)
+        half = min(FLAT * min(best.half_sizes[:2]), best.half_sizes[2])
+        flat, aside = np.array([*best.half_sizes[:2], half]), (best.half_sizes[2] - half) * axes[2]
+        thin = dataclasses.replace(best, half_sizes=flat, rounding=min(best.rounding, half / 2))
+        panes = [dataclasses.replace(thin, center=best.center + side * aside) for side in (1, -1)]
+        best = min([best, *(sharpen(pane, SOFTNESS[2:]) for pane in panes)], key=wrong)
+    every = rays.at_edges()
+    best = _judged(best, every)
+    for softness in FINER:
+        best = min(best, _judged(_fitted(best, every, softness, support), every), key=wrong)
     is_seen = np.linalg.norm(best.half_sizes) < MOST_REACH * radius
     return best if is_seen and best.unexplained < USELESS else None
-
-
-def _finer(box: Box, rays: NearRays, support: float | None) -> Box:
-    box = _judged(box, rays)
-    for softness in FINER:
-        box = min(box, _judged(_fitted(box, rays, softness, support), rays), key=_errors_of)
-    return box
-
-
-def _errors_of(box: Box) -> float:
-    return box.unexplained
-
-
-def _panes(box: Box) -> list[Box]:
-    """Thin boxes at the upper and the lower face of one."""
-    width, depth, height = box.half_sizes
-    half = min(FLAT * min(width, depth), height)
-    return [
-        dataclasses.replace(
-            box,
-            center=box.center + side * (height - half) * box.axes[2],
-            half_sizes=np.array([width, depth, half]),
-            rounding=min(box.rounding, half / 2),
-        )
-        for side in (1, -1)
-    ]
 
 
 def _distance(box: Box, points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
@@ -174,62 +145,58 @@ def _closest(box: Box, rays: NearRays) -> Float64[np.ndarray, "ray 3"]:
 
 
 def _fitted(box: Box, rays: NearRays, softness: float, support: float | None) -> Box:
-    """The box whose silhouettes are most likely, from one nearby: damped Newton steps.
+    """The box whose silhouettes are most likely, from one nearby.
 
     Args:
         softness: in pixels.
     """
     width = softness * rays.pixel_angle * float(np.median(np.linalg.norm(rays.origins - box.center, axis=1)))
+    # Place across, height of the bottom, half sizes, rounding in parts of the least of these, and turn.
+    start = [*(box.axes @ box.center - [0, 0, box.half_sizes[2]]), *box.half_sizes]
+    start = np.array([*start, box.rounding / box.half_sizes.min(), 0.0])
+    bottom = -np.inf if support is None else support
+    low = np.array([-np.inf, -np.inf, bottom, *[LEAST_SIZE] * 3, 0, -np.inf])
+    high = np.array([*[np.inf] * 6, MOST_ROUNDING, np.inf])
 
-    def judge(box: Box) -> tuple[float, np.ndarray]:
-        points = _closest(box, rays)
-        return misfit(_distance(box, points), rays.hits, width), points
+    def shaped(numbers: Float64[np.ndarray, "8"]) -> Box:
+        half_sizes = numbers[3:6]
+        return dataclasses.replace(
+            box,
+            axes=box.axes @ rotation(tuple(box.axes[2]), np.degrees(numbers[7])).T,
+            center=(numbers[:3] + np.array([0, 0, half_sizes[2]])) @ box.axes,
+            half_sizes=half_sizes,
+            rounding=float(max(numbers[6] * half_sizes.min(), min(LEAST_ROUNDING, MOST_ROUNDING * half_sizes.min()))),
+        )
 
-    def step(box: Box, points: np.ndarray, damping: float) -> Box:
-        before = _distance(box, points)
+    def residuals(numbers: Float64[np.ndarray, "8"]) -> Float64[np.ndarray, " ray"]:
+        tried = shaped(numbers)
+        return np.sqrt(misfits(_distance(tried, _closest(tried, rays)), rays.hits, width))
+
+    def slopes(numbers: Float64[np.ndarray, "8"]) -> Float64[np.ndarray, "ray 8"]:
         # Where a ray comes closest, its distance does not change with the place along it.
-        moves = TINY * np.eye(8)
-        slopes = np.stack([(_distance(_moved(box, move), points) - before) / TINY for move in moves])
-        pulls = pull(before, rays.hits, width)
-        curvature = (slopes * pulls.curvature) @ slopes.T / len(before)
-        damped = curvature + damping * np.diag(curvature.diagonal() + 1e-9)
-        way = -np.linalg.solve(damped, slopes @ pulls.slope / len(before))
-        return _limited(_moved(box, way), support)
+        points = _closest(shaped(numbers), rays)
+        before = _distance(shaped(numbers), points)
+        moved = np.stack([_distance(shaped(numbers + move), points) for move in TINY * np.eye(8)], axis=1)
+        by_distance = pull(before, rays.hits, width)[0] / (2 * np.sqrt(misfits(before, rays.hits, width)))
+        return by_distance[:, None] * (moved - before[:, None]) / TINY
 
-    return descend(box, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
-
-
-def _moved(box: Box, step: Float64[np.ndarray, "8"]) -> Box:
-    """The box after a step in center, half sizes, rounding and turn."""
-    return dataclasses.replace(
-        _turned(box, float(step[7])),
-        center=box.center + step[:3],
-        half_sizes=box.half_sizes + step[3:6],
-        rounding=float(box.rounding + step[6]),
+    found = optimize.least_squares(
+        residuals,
+        np.clip(start, low, high),
+        jac=slopes,  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        method="dogbox",
+        ftol=ENOUGH,
+        x_scale="jac",
+        max_nfev=STEPS,
     )
-
-
-def _limited(box: Box, support: float | None) -> Box:
-    """The box within the limits of its numbers, above its support."""
-    up, half_sizes, center = box.axes[2], np.maximum(box.half_sizes, LEAST_SIZE), box.center
-    most = MOST_ROUNDING * half_sizes.min()
-    rounding = float(np.clip(box.rounding, min(LEAST_ROUNDING, most), most))
-    if support is not None and (below := support - (center @ up - half_sizes[2])) > 0:
-        half_sizes = np.maximum(half_sizes - [0, 0, below / 2], LEAST_SIZE)
-        center = center + below / 2 * up
-    return dataclasses.replace(box, center=center, half_sizes=half_sizes, rounding=rounding)
-
-
-def _turned(box: Box, angle: float) -> Box:
-    """The box turned about its upward axis, by radians."""
-    return dataclasses.replace(box, axes=box.axes @ rotation(tuple(box.axes[2]), np.degrees(angle)).T)
+    return shaped(found.x)
 
 
 def _judged(box: Box, rays: NearRays) -> Box:
     """The box and how much it leaves unexplained of these rays."""
-    return dataclasses.replace(
-        box, unexplained=float((errors(_distance(box, _closest(box, rays)), rays.hits) > 0).mean())
-    )
+    meets = _distance(box, _closest(box, rays)) < 0
+    return dataclasses.replace(box, unexplained=float((meets != rays.hits).mean()))
 
 
 def _rounded(box: Box) -> Mesh:

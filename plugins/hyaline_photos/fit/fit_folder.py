@@ -27,10 +27,16 @@ if TYPE_CHECKING:
     from model.state import State
 
 FIT = FolderKind(what="fit", head="fit.json")
-
 FIT_VERSION = 3
-
-STAGES = ("room", "outside", "grid", "search", "textures", "again")
+STAGES = {
+    "room": "learns textures beside the glass",
+    "outside": "finds outsides from masks",
+    "grid": "tells solid glass from vessels",
+    "search": "one number after the other",
+    "textures": "learns textures with the glass that was found",
+    "again": "searches once more",
+}
+"""What is said of each stage."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,24 +54,20 @@ class FitFolder:
         if not path.is_file():
             refuse_others(self.root, FIT)
             begin(self.root, FIT, head)
-            return
-        if overwrite:
+        elif overwrite:
             remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
             commit_sealed(path, head)
-            return
-        if not is_ours(self.root, FIT):
+        elif not is_ours(self.root, FIT):
             raise HyalineError(f"{path}: is damaged, or not of a fit; start over with --overwrite, which replaces it")
-        before = load_sealed(path)
-        different = next((key for key, value in head.items() if before.get(key) != value), None)
-        if different is not None:
-            raise HyalineError(
-                f"{self.root}: holds a fit with another {different}; start over with --overwrite, or choose another "
-                "--name"
-            )
+        else:
+            before = load_sealed(path)
+            if different := [key for key, value in head.items() if before.get(key) != value]:
+                raise HyalineError(
+                    f"{self.root}: holds a fit with another {different[0]}; start over with --overwrite, or choose "
+                    "another --name"
+                )
 
-    def stage(
-        self, name: str, title: str, depends_on: str, make: "Callable[[], dict[str, State]]"
-    ) -> "dict[str, State]":
+    def stage(self, name: str, depends_on: str, make: "Callable[[], dict[str, State]]") -> "dict[str, State]":
         """Runs a stage, or reads its stored result.
 
         Args:
@@ -73,17 +75,16 @@ class FitFolder:
         """
         from model.state import load_state, save_state  # Torch, which reports of fits do without.
 
-        path = self.root / f"{name}.pt"
+        path, title = self.root / f"{name}.pt", f"{name}: {STAGES[name]}"
         key = sha256(dump_json([self.asked, name, depends_on]))
-        if path.is_file():
-            try:
-                state = load_state(path)
-            except HyalineError as error:
-                say(f"{error}; making it again")
-            else:
-                if state.pop("key", None) == key:
-                    say(f"{title}: found before")
-                    return state
+        try:
+            state = load_state(path) if path.is_file() else {}
+        except HyalineError as error:
+            say(f"{error}; making it again")
+            state = {}
+        if state.pop("key", None) == key:
+            say(f"{title}: found before")
+            return state
         say(f"{title} ...")
         state = make()
         save_state(path, {**state, "key": key})
@@ -98,15 +99,9 @@ class FitFolder:
 
 def refuse_losing(dataset: Dataset, geometry: str, unknown: tuple[int, ...]) -> None:
     """Refuses a fit whose geometry would lose glass that another fit has found."""
-    if geometry not in list_geometries(dataset):
-        return
-    named = {dataset.objects[each - 1].name for each in unknown}
-    lost = [
-        item.name
-        for item, own in zip(dataset.objects, read_assignment(dataset, geometry) or ())
-        if own == FITTED and item.name not in named
-    ]
-    if lost:
+    own = (read_assignment(dataset, geometry) or ()) if geometry in list_geometries(dataset) else ()
+    found = {place: item.name for place, (item, by) in enumerate(zip(dataset.objects, own), start=1) if by == FITTED}
+    if lost := [name for place, name in found.items() if place not in unknown]:
         raise HyalineError(
             f"{geometry_root(dataset.root, geometry)}: holds a fit of {', '.join(lost)}, too; replace it with "
             "--overwrite, or choose another --name"

@@ -16,10 +16,8 @@ from datagen.disk.records import Json
 from datagen.scene.folder import material_json
 from hyaline_photos.fit.boxes import Box
 from hyaline_photos.fit.hull import HullShape
-from hyaline_photos.fit.lathe import Axis
-from hyaline_photos.fit.materials import ABSORPTIONS, STEPS, TINT_REACH, WORTH_IT, Found
-from hyaline_photos.fit.search import LAST, NUMBERS, reach_of
-from hyaline_photos.fit.shapes import Glass, Revolution
+from hyaline_photos.fit.search import ABSORPTIONS, LAST, NUMBERS, STEPS, TINT_REACH, WORTH_IT, Found, reach_of
+from hyaline_photos.fit.shapes import Axis, Glass, Revolution
 from model.state import State, fingerprint
 
 
@@ -73,21 +71,11 @@ def digest(found: Objects) -> str:
 
 
 def in_words(glass: Glass) -> str:
-    """Its numbers, in one line."""
-    numbers, hollow = glass.numbers, glass.hollow
-    parts = [f"wall {1000 * hollow[0]:.2f} mm, floor {1000 * hollow[1]:.1f} mm" if hollow else "solid"]
-    parts += [f"index {numbers['ior']:.3f}", *_tint_in_words(glass.absorption)]
-    if "roughness" in numbers:
-        parts.append(f"roughness {numbers['roughness']:.2f}")
-    words = ", ".join(parts)
-    if "drink_ior" in numbers:
-        drink = [f"index {numbers['drink_ior']:.3f}", *_tint_in_words(glass.drink_absorption)]
-        words += f"; filled to {1000 * numbers['level']:.1f} mm: {', '.join(drink)}"
-    return words
-
-
-def _tint_in_words(absorption: tuple[float, float, float]) -> list[str]:
-    return ["absorption " + ", ".join(f"{value:.1f}" for value in absorption) + " 1/m"] if any(absorption) else []
+    """Its numbers, in one line; lengths in metres, absorption in 1/m."""
+    tints = {"absorption": glass.absorption, "drink_absorption": glass.drink_absorption}
+    words = [f"{name} {value:.4g}" for name, value in glass.numbers.items()]
+    words += [f"{name} {', '.join(f'{each:.1f}' for each in tint)}" for name, tint in tints.items() if any(tint)]
+    return "; ".join(["vessel" if glass.hollow else "solid", *words])
 
 
 def write_geometry(
@@ -118,35 +106,20 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
         glass, pixel = item.glass, _pixel(dataset, item.glass)
         # A round may have left a number that a later one gave up, such as the roughness of smooth glass.
         numbers = {key: each for key, each in item.numbers.items() if key in glass.numbers or "absorption" in key}
-        of_drink = {key: key.removeprefix("drink_") for key in numbers if key.startswith(DRINK_NUMBERS)}
-        objects.append(
-            {
-                "name": dataset.objects[object_id - 1].name,
-                "kind": glass.kind,
-                "axis": _axis_json(glass),
-                "unexplained": item.unexplained,
-                "numbers": _intervals({key: each for key, each in numbers.items() if key not in of_drink}, pixel),
-            }
-        )
+        of_drink = {key: numbers.pop(key) for key in list(numbers) if key.startswith(DRINK_NUMBERS)}
+        axis: Json = None
+        if isinstance(glass, Revolution):
+            axis = {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
+        own = {"kind": glass.kind, "axis": axis, "unexplained": item.unexplained, "numbers": _json(numbers, pixel)}
+        objects.append({"name": dataset.objects[object_id - 1].name, **own})
         if item.drink_id is not None:
-            objects.append(
-                {
-                    "name": dataset.objects[item.drink_id - 1].name,
-                    "kind": "drink",
-                    "axis": _axis_json(glass),
-                    "numbers": _intervals({short: item.numbers[key] for key, short in of_drink.items()}, pixel),
-                }
-            )
+            inside = _json({key.removeprefix("drink_"): each for key, each in of_drink.items()}, pixel)
+            name = dataset.objects[item.drink_id - 1].name
+            objects.append({"name": name, "kind": "drink", "axis": axis, "numbers": inside})
     return {"objects": objects}
 
 
-def _axis_json(glass: Glass) -> Json:
-    if not isinstance(glass, Revolution):
-        return None
-    return {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
-
-
-def _intervals(numbers: dict[str, Found], pixel: float) -> dict[str, Json]:
+def _json(numbers: dict[str, Found], pixel: float) -> dict[str, Json]:
     ends = intervals(numbers, pixel)
     return {name: {"value": numbers[name].value, "low": low, "high": high} for name, (low, high) in ends.items()}
 
@@ -164,13 +137,10 @@ def _pixel(dataset: Dataset, glass: Glass) -> float:
 WALL_ERROR, FLOOR_ERROR = 0.07, 0.75
 """In pixels at the object's distance. Masks show an outside to such a share of a pixel, and a hollow is found from
 there; a floor is seen at a slant, through the wall."""
-
 NORMALS_ERROR = 0.03
 """GGX alpha of smooth glass whose normals are 1 to 2 degrees off."""
-
 FROSTED_INDEX_ERROR = 0.1
 """Of the index of frosted solids: less frost with a higher index spreads light as far."""
-
 WELL = 0.02
 """Mean penalty of the pixels of glass whose shape is right. More of it means that the shape is wrong, and biases all
 numbers."""

@@ -2,59 +2,46 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int
+from jaxtyping import Bool, Float, Float64, Int
 from scipy import ndimage, sparse
 from scipy.sparse import linalg
 from scipy.spatial import KDTree
 
-from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, vertex_normals
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from hyaline_photos.fit.outside import find_center
 from hyaline_photos.fit.shapes import Glass
-from hyaline_photos.fit.silhouettes import closest, pull, unexplained
-from hyaline_photos.fit.views import NearRays, Sightings, rays_near
+from hyaline_photos.fit.views import NearRays, Sightings, closest, pull, rays_near, unexplained
 
 COARSE, FINEST = 40, 200
 """Cells along the first grid, and most along the second one."""
-
 FACES = 20_000
 """Approximate face count of a hull."""
-
 ORDER = 0.02
 """Share of the views that may be wrong about a point: the hull is where no larger share sees past it."""
-
 LEAST_VIEWS = 3
 """Views that have to look at a point; it is empty otherwise."""
-
 OUT = 0.01
 """Distance in metres assumed for points outside every view's range."""
-
 BLUR = 0.7
 """Blur of the distance to a mask's edge, in pixels; it smooths stair steps."""
-
 SOFTNESS = (0.6, 0.4, 0.25, 0.15, 0.1, 0.1)
 """Pixels over which a ray turns from meeting the surface to missing it, in one step after the other."""
-
 CONTACT_CELLS = 48
 """Cells along the grid on which rays look for the surface."""
-
 NEAR = 4
 """Vertices that share in the surface's distance from a point."""
-
 STEP = 0.003
 """Most metres that a vertex moves in one step."""
-
 RELAXED = 10
 """Steps along the surface that make faces of marching cubes even."""
-
 SMOOTH = (0.7, 1.0, 1.5, 2.2)
 """Pixels below which bumps are smoothed away: a drilled block's edges ask for the first, a knot for the third, with
 which its normals are 1.5 instead of 2.3 degrees off."""
-
 LEFT_OUT = 4
 """One of this many views is left out for that."""
 
@@ -91,32 +78,22 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     positions, faces = _carved(sightings, object_id, rays, up, support)
 
     def smoothed(some: NearRays, scale: float) -> Mesh:
-        return _mesh(_smoothed(positions, faces, some, scale, up=up, support=support), faces)
+        vertices = _smoothed(positions, faces, some, scale, up=up, support=support)
+        return Mesh(
+            vertices=vertices.astype(np.float32),
+            faces=faces.astype(np.int32),
+            normals=vertex_normals(vertices, faces).astype(np.float32),
+            uv=np.zeros((len(vertices), 2), np.float32),
+        )
 
     return HullShape(surface=smoothed(rays, _scale_of_bumps(rays, smoothed)))
-
-
-def _mesh(positions: Float64[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"]) -> Mesh:
-    return Mesh(
-        vertices=positions.astype(np.float32),
-        faces=faces.astype(np.int32),
-        normals=vertex_normals(positions, faces).astype(np.float32),
-        uv=np.zeros((len(positions), 2), np.float32),
-    )
 
 
 # Carving
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Outline:
-    """Evidence from one view about the object's extent."""
-
-    camera: Camera
-    inside: Float32[np.ndarray, "h w"]
-    """Pixels to the nearest one that surely sees past the object; negative there, to the nearest one that may not."""
-    nearness: Float32[np.ndarray, "h w"]
-    """Reciprocal distance in metres to the first known surface."""
+Depths = Callable[[Float64[np.ndarray, "point 3"]], Float64[np.ndarray, " point"]]
+"""How far inside a mask's edge points are seen, in metres at their depth; infinite where the view shows nothing."""
 
 
 def _carved(
@@ -126,16 +103,17 @@ def _carved(
     import trimesh
     from skimage.measure import marching_cubes
 
-    outlines = _outlines(sightings, object_id)
+    views = _depths(sightings, object_id)
     center, radius = find_center(rays)
 
     def depth_inside(points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
-        depth = _depth_inside(outlines, points)
+        depth = _depth_inside(views, points)
         return depth if support is None else np.minimum(depth, points @ up - support)
 
     low = center - radius
     coarse_step = 2 * radius / (COARSE - 1)
-    field = depth_inside(_grid(low, coarse_step, COARSE)).reshape((COARSE,) * 3)
+    grid = low + coarse_step * np.argwhere(np.ones((COARSE,) * 3))
+    field = depth_inside(grid).reshape((COARSE,) * 3)
     if not (field > 0).any():
         raise HyalineError(f"object {object_id}: its masks have no point in common; check the masks and the cameras")
     if (field > 0).all():
@@ -151,25 +129,35 @@ def _carved(
     fine[[0, -1]] = fine[:, [0, -1]] = fine[:, :, [0, -1]] = -step
     vertices, faces, _, _ = marching_cubes(fine, 0.0)
     # Parts beside the largest one are places that no view sees past.
-    parts = trimesh.Trimesh(low + vertices.astype(np.float64) * step, faces[:, ::-1], process=False).split(
-        only_watertight=False
-    )
-    largest = max(parts, key=lambda part: len(part.faces))
+    surface = trimesh.Trimesh(low + vertices.astype(np.float64) * step, faces[:, ::-1], process=False)
+    largest = max(surface.split(only_watertight=False), key=lambda part: len(part.faces))
     return np.asarray(largest.vertices, np.float64), np.asarray(largest.faces, np.int64)
 
 
-def _outlines(sightings: Sightings, object_id: int) -> list[_Outline]:
+def _depths(sightings: Sightings, object_id: int) -> list[Depths]:
     """One entry for each view that sees the object."""
     sees, is_open = sightings.sees(object_id), sightings.is_open(object_id)
-    outlines = []
-    for view in np.flatnonzero(sees.any(axis=(1, 2))):
-        past = is_open[view] & ~sees[view]
-        inside = _to_nearest(~past) - _to_nearest(past)
+
+    def depths_of(view: int) -> Depths:
+        camera, past = sightings.cameras[view], is_open[view] & ~sees[view]
+        inside = ndimage.gaussian_filter(_to_nearest(~past) - _to_nearest(past), BLUR).astype(np.float32)
         with np.errstate(divide="ignore"):
             nearness = 1 / sightings.depth[view]
-        inside = ndimage.gaussian_filter(inside, BLUR).astype(np.float32)
-        outlines.append(_Outline(camera=sightings.cameras[int(view)], inside=inside, nearness=nearness))
-    return outlines
+
+        def depths(points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+            place, depth = camera.project(points)
+            at = place.T[::-1] - 0.5
+            away = np.linalg.norm(points - camera.world_from_camera[:3, 3], axis=1)
+            edge, near = (
+                ndimage.map_coordinates(values, at, order=1, mode="nearest", output=np.float64)
+                for values in (inside, nearness)
+            )
+            in_picture = ((place > 0) & (place < [camera.width, camera.height])).all(axis=1)
+            return np.where((depth > 0) & in_picture & (away * near < 1), edge * depth / camera.focal, np.inf)
+
+        return depths
+
+    return [depths_of(int(view)) for view in np.flatnonzero(sees.any(axis=(1, 2)))]
 
 
 def _to_nearest(mask: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
@@ -180,32 +168,15 @@ def _to_nearest(mask: Bool[np.ndarray, "h w"]) -> Float64[np.ndarray, "h w"]:
     return np.maximum(np.asarray(ndimage.distance_transform_edt(mask)) - 0.5, 0)
 
 
-def _depth_inside(outlines: list[_Outline], points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
+def _depth_inside(views: list[Depths], points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
     """About how far inside of the hull points are, in metres; negative outside."""
-    order = int(ORDER * len(outlines))
+    order = int(ORDER * len(views))
     depths = []
     for some in np.array_split(points, max(1, len(points) // 100_000)):
-        told = np.stack([_told(outline, some) for outline in outlines])
+        told = np.stack([view(some) for view in views])
         is_seen = np.isfinite(told).sum(axis=0) >= LEAST_VIEWS
         depths.append(np.where(is_seen, np.partition(told, order, axis=0)[order], -OUT))
     return np.concatenate(depths)
-
-
-def _told(outline: _Outline, points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
-    """How far inside a mask's edge points are seen, in metres at their depth; infinite where the view shows nothing."""
-    camera = outline.camera
-    place, depth = camera.project(points)
-    at = place.T[::-1] - 0.5
-    inside = ndimage.map_coordinates(outline.inside, at, order=1, mode="nearest", output=np.float64)
-    nearness = ndimage.map_coordinates(outline.nearness, at, order=1, mode="nearest", output=np.float64)
-    away = np.linalg.norm(points - camera.world_from_camera[:3, 3], axis=1)
-    in_picture = ((place > 0) & (place < [camera.width, camera.height])).all(axis=1)
-    is_shown = (depth > 0) & in_picture & (away * nearness < 1)
-    return np.where(is_shown, inside * depth / camera.focal, np.inf)
-
-
-def _grid(low: np.ndarray, step: float, count: int) -> Float64[np.ndarray, "point 3"]:
-    return low + step * np.stack(np.meshgrid(*[np.arange(count)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 # Smoothing
@@ -214,13 +185,13 @@ def _grid(low: np.ndarray, step: float, count: int) -> Float64[np.ndarray, "poin
 def _scale_of_bumps(rays: NearRays, smoothed: Callable[[NearRays, float], Mesh]) -> float:
     """The first of `SMOOTH` with which rays from most views predict the others better than with the next one."""
     is_left_out = np.unique(rays.view, return_inverse=True)[1] % LEFT_OUT == 0
-    before = np.inf
-    for place, scale in enumerate(SMOOTH):
+    best, least = SMOOTH[0], np.inf
+    for scale in SMOOTH:
         wrong = unexplained(smoothed(rays.only(~is_left_out), scale), rays.only(is_left_out))
-        if not wrong <= before:  # Without rays at edges it is NaN.
-            return SMOOTH[max(place - 1, 0)]
-        before = wrong
-    return SMOOTH[-1]
+        if not wrong <= least:  # Without rays at edges it is NaN.
+            break
+        best, least = scale, wrong
+    return best
 
 
 def _smoothed(
@@ -240,7 +211,10 @@ def _smoothed(
     Args:
         scale: pixels below which bumps are smoothed away.
     """
-    mean = _mean_of_neighbours(faces, len(positions))
+    import trimesh
+
+    surface = trimesh.Trimesh(positions, faces, process=False)
+    mean = sparse.csr_array(trimesh.smoothing.laplacian_calculation(surface, equal_weight=True))
     for _ in range(RELAXED):
         positions = _relaxed(positions, faces, mean)
     edge = rays.at_edges()
@@ -252,14 +226,6 @@ def _smoothed(
     return positions
 
 
-def _mean_of_neighbours(faces: Int[np.ndarray, "face 3"], count: int) -> sparse.csr_array:
-    """The matrix that takes the mean over each vertex's neighbours."""
-    one, other = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    # Each edge of a closed surface is met in both directions.
-    matrix = sparse.csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
-    return sparse.csr_array(sparse.diags_array(1 / matrix.sum(axis=1)) @ matrix)
-
-
 def _relaxed(positions: np.ndarray, faces: np.ndarray, mean: sparse.csr_array) -> Float64[np.ndarray, "vertex 3"]:
     """Vertices moved along the surface towards the mean of their neighbours."""
     normals = vertex_normals(positions, faces)
@@ -267,8 +233,7 @@ def _relaxed(positions: np.ndarray, faces: np.ndarray, mean: sparse.csr_array) -
     return positions + 0.5 * (way - (way * normals).sum(axis=1, keepdims=True) * normals)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Contacts:
+class _Contacts(NamedTuple):
     """Where rays come closest to a surface or are deepest inside it."""
 
     distance: Float64[np.ndarray, " ray"]
@@ -278,7 +243,6 @@ class _Contacts:
     pixel: Float64[np.ndarray, " ray"]
     """Width of a pixel there, in metres."""
     hits: Bool[np.ndarray, " ray"]
-    """Whether the mask covers the ray."""
 
 
 def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, rays: NearRays) -> _Contacts:
@@ -316,12 +280,8 @@ def _contacts(positions: Float64[np.ndarray, "vertex 3"], faces: np.ndarray, ray
     nearest = closest(from_surface, low_t, high_t, (4, 4))
     distance, near, shares = _away(tree, positions, normals, rays.at(nearest))
     row = np.repeat(np.arange(len(near)), near.shape[1])
-    return _Contacts(
-        distance=distance,
-        weights=sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(near), len(positions))),
-        pixel=rays.pixel_angle * nearest,
-        hits=rays.hits,
-    )
+    weights = sparse.csr_array((shares.ravel(), (row, near.ravel())), shape=(len(near), len(positions)))
+    return _Contacts(distance, weights, rays.pixel_angle * nearest, rays.hits)
 
 
 def _away(
@@ -348,20 +308,16 @@ def _moved(
 ) -> Float64[np.ndarray, "vertex 3"]:
     """The surface after one Newton step along its normals."""
     normals = vertex_normals(positions, faces)
-    pulls = pull(contacts.distance, contacts.hits, softness * contacts.pixel)
+    slope, curvature = pull(contacts.distance, contacts.hits, softness * contacts.pixel)
     bending = mean - sparse.eye_array(len(positions))
     curved = ((mean @ positions - positions) * normals).sum(axis=1)
     # A bump of some width bends a surface as the width's fourth power; it counts against the rays that pass there.
-    pixel, spacing = float(np.median(contacts.pixel)), _spacing(positions, faces)
+    edges = np.linalg.norm(positions[faces] - positions[np.roll(faces, -1, axis=1)], axis=-1)
+    pixel, spacing = float(np.median(contacts.pixel)), float(np.median(edges))
     stiff = 16 * scale**4 * pixel**2 / spacing**4 * len(contacts.hits) / len(positions)
-    matrix = contacts.weights.T @ sparse.diags_array(pulls.curvature) @ contacts.weights + stiff * (bending.T @ bending)
+    matrix = contacts.weights.T @ sparse.diags_array(curvature) @ contacts.weights + stiff * (bending.T @ bending)
     matrix = matrix + 1e-3 * stiff * sparse.eye_array(len(positions))
-    force = contacts.weights.T @ pulls.slope - stiff * (bending.T @ curved)
+    force = contacts.weights.T @ slope - stiff * (bending.T @ curved)
     inverse = sparse.diags_array(1 / matrix.diagonal())
     step, _ = linalg.cg(matrix, force, rtol=1e-3, maxiter=300, M=inverse)
     return positions + np.clip(step, -STEP, STEP)[:, None] * normals
-
-
-def _spacing(positions: np.ndarray, faces: np.ndarray) -> float:
-    """Median length of edges in metres."""
-    return float(np.median(np.linalg.norm(positions[faces] - positions[np.roll(faces, -1, axis=1)], axis=-1)))

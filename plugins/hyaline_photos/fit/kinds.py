@@ -13,48 +13,27 @@ from datagen.terminal.command import say
 from hyaline_photos.fit.boxes import fit_box
 from hyaline_photos.fit.drinks import find_holders
 from hyaline_photos.fit.hull import HullShape, carve
-from hyaline_photos.fit.outlines import find_ball, find_outside, find_solid
-from hyaline_photos.fit.outside import Hull, find_center, find_hull
+from hyaline_photos.fit.outside import Hull, find_ball, find_center, find_hull, find_outside, find_solid
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.shapes import Glass
-from hyaline_photos.fit.silhouettes import unexplained
-from hyaline_photos.fit.views import NearRays, Sightings, rays_near
+from hyaline_photos.fit.views import NearRays, Sightings, rays_near, unexplained
 
 STANDS = 0.1
 """Largest gap between an object's lowest point, as masks show it, and its support, relative to its radius."""
-
 GAP = 0.01
 """Gap between an object and its support, relative to its radius. Without a gap, rays hit either of the coinciding
 surfaces at random."""
 
 StandsOn = Callable[[Float64[np.ndarray, "3"], float], float | None]
 """Height along up of a known surface no farther than this above or below a point; None: there is none."""
-
 LEAST_VIEWS = 3
 """Training pictures that must show an object first; fewer never give its shape."""
-
 GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
-
 BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
 """Complexity of a ball, of a box or an outline about an axis, and of a hull."""
-
 SIMPLER = 0.006
 """Share of edge pixels that a unit of complexity has to explain."""
-
-
-@dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
-class Outside:
-    """An outside, and how well it explains the masks."""
-
-    glass: Glass
-    unexplained: float
-    """Share of the rays at the mask's edge that meet the shape and should miss it, or the other way round."""
-    complexity: float
-
-    @property
-    def cost(self) -> float:
-        return self.unexplained + self.complexity * SIMPLER
 
 
 def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
@@ -87,33 +66,35 @@ def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, mu
 
 def choose_outside(
     sightings: Sightings, object_id: int, up: Float64[np.ndarray, "3"], *, mask_errors: int, stands_on: StandsOn
-) -> Outside:
-    """The outside of one object: a ball, about an axis, a box, or a hull of any shape.
+) -> tuple[Glass, float]:
+    """The outside of one object, a ball, about an axis, a box, or a hull of any shape; and the share of the rays at the
+    mask's edge that meet it and should miss it, or the other way round.
 
     Raises:
         HyalineError: the masks do not show it.
     """
     rays = rays_near(sightings, object_id)
     hull = find_hull(rays, up, order=mask_errors)
-    support = _support(hull, stands_on)
-    found = [_judged(rays, *each) for each in _round(rays, hull, up, support)]
+    support = None
+    if hull.radii.any():
+        lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
+        support = _support(hull.axis.point + lowest * hull.axis.direction, STANDS * radius, radius, stands_on)
+    tried = [(*each, unexplained(each[1].mesh(), rays)) for each in _round(rays, hull, up, support)]
     good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
-    if min((each.unexplained for each in found), default=1.0) > good:
-        box = fit_box(rays, up, _bottom(rays, up, stands_on) if support is None else support)
-        found += [] if box is None else [_judged(rays, OUTLINE, box)]
-    if min((each.unexplained for each in found), default=1.0) > good:
+    if min((wrong for *_, wrong in tried), default=1.0) > good:
+        middle, radius = find_center(rays)
+        below = _support(middle - radius * up, radius, radius, stands_on) if support is None else support
+        box = fit_box(rays, up, below)
+        tried += [] if box is None else [(OUTLINE, box, unexplained(box.mesh(), rays))]
+    if min((wrong for *_, wrong in tried), default=1.0) > good:
         with contextlib.suppress(HyalineError):  # Nothing is inside all masks.
-            found.append(_judged(rays, HULL, carve(sightings, object_id, up, support)))
-    if not found:
+            carved = carve(sightings, object_id, up, support)
+            tried.append((HULL, carved, unexplained(carved.mesh(), rays)))
+    if not tried:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
-    best = min(found, key=lambda each: each.cost)
-    if isinstance(best.glass, HullShape):  # Not before: it takes longer, and most hulls are only tried.
-        return dataclasses.replace(best, glass=best.glass.unwrapped())
-    return best
-
-
-def _judged(rays: NearRays, complexity: float, glass: Glass) -> Outside:
-    return Outside(glass=glass, unexplained=unexplained(glass.mesh(), rays), complexity=complexity)
+    _, glass, wrong = min(tried, key=lambda each: each[2] + each[0] * SIMPLER)
+    # Unwrapping takes longer than carving, and most hulls are only tried.
+    return (glass.unwrapped() if isinstance(glass, HullShape) else glass), wrong
 
 
 def _round(
@@ -126,24 +107,14 @@ def _round(
     if support is not None:
         along = float((support - hull.axis.point @ up) / (hull.axis.direction @ up))
     outside, solid = find_outside(fitted, along), find_solid(fitted, along)
-    if solid is not None and (outside is None or not solid.has_flat_top):
-        return [*found, (OUTLINE, solid)]
-    if outside is not None and solid is not None:
-        return [*found, (OUTLINE, dataclasses.replace(outside, solid=solid.solid))]
-    return [*found, (OUTLINE, outside)] if outside is not None else found
+    if outside is None or (solid is not None and not solid.has_flat_top):
+        outline = solid
+    else:
+        outline = outside if solid is None else dataclasses.replace(outside, solid=solid.solid)
+    return found if outline is None else [*found, (OUTLINE, outline)]
 
 
-def _bottom(rays: NearRays, up: Float64[np.ndarray, "3"], stands_on: StandsOn) -> float | None:
-    """Height along `up` of the known surface below the middle of an object, plus the gap."""
-    middle, radius = find_center(rays)
-    height = stands_on(middle - radius * up, radius)
-    return None if height is None else height + GAP * radius
-
-
-def _support(hull: Hull, stands_on: StandsOn) -> float | None:
-    """Height along `up` of an object's support, plus the gap."""
-    if not hull.radii.any():
-        return None
-    lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
-    height = stands_on(hull.axis.point + lowest * hull.axis.direction, STANDS * radius)
+def _support(point: Float64[np.ndarray, "3"], reach: float, radius: float, stands_on: StandsOn) -> float | None:
+    """Height of the known surface below an object of this radius, plus the gap."""
+    height = stands_on(point, reach)
     return None if height is None else height + GAP * radius

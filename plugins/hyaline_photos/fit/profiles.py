@@ -13,55 +13,42 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int
 from scipy import ndimage, sparse
 
-from hyaline_photos.fit.lathe import Axis, Outline, perpendicular
 from hyaline_photos.fit.outside import Hull, along_and_across
-from hyaline_photos.fit.silhouettes import closest, descend, misfit, pull
-from hyaline_photos.fit.views import NearRays
+from hyaline_photos.fit.shapes import Axis, perpendicular
+from hyaline_photos.fit.views import NearRays, closest, misfits, pull
 
 SOFTNESS, SOFTNESS_FOR_WRONG_MASKS = (0.25, 0.12, 0.06, 0.03, 0.015), (0.5, 0.25, 0.12)
 """Pixels over which a ray turns from meeting the glass to missing it, in one round after the other. Exact masks say
 what the ray through each pixel's center does, and some of these rays graze the glass within a hundredth of a pixel."""
-
 NEAR, NEAR_FOR_WRONG_MASKS = 0.5, 1.0
 """Pixels from the hull beyond which rays say nothing of its surface."""
-
 RAYS = 40_000
 """Largest number of rays that are looked at."""
-
 STEPS, ENOUGH = 10, 1e-4
 """Largest number of Newton steps in a round; a round ends when one gains less, relative to what is left."""
-
+LEAST_DAMPING = 1e-6
+"""Share of the curvature that is added to itself; where rays do not tell two numbers apart, it is singular without."""
 PRICE = 0.3
 """Nats of likelihood for each unit by which the second derivative of the squared radii jumps, all in parts of the
 largest radius. A cylinder whose edge has a radius of a tenth of its own jumps by 20 there."""
-
 JUMP = 3.0
 """Beyond it, jumps count by their logarithm: creases may be sharp."""
-
 SMOOTH = 1e-3
 """Jump below which jumps count by their squares."""
-
 ENDS = 0.01
 """Parts of the largest radius at either end that are left as they are: a hull ends between two rays there."""
-
 THREAD = 1e-3
 """Radius in parts of the largest one, below which glass ends."""
-
 SHELF = np.tan(np.radians(40))
 """Steepest rise of the upper side of a foot, beside a stem."""
-
 LEAST_SHELF = 0.15
 """Least width of such a side, in parts of the largest radius."""
-
 LEAST_PLACES = 8
 """Fewer heights show no curvature."""
-
 PLACES = (48, 9, 9)
 """Places along a ray at which its distance from the surface is looked up, then those around the least."""
-
 WINDOW = 1.1
 """Radius of the cylinder in which rays are looked at, in parts of the largest radius."""
-
 STEP = 1e-6
 """Metres by which the axis is moved to find derivatives."""
 
@@ -74,6 +61,10 @@ class _Profile:
     heights: Float64[np.ndarray, " height"]
     squares: Float64[np.ndarray, " height"]
     """Squared radii, in square metres."""
+
+
+Passes = tuple[NearRays, Float64[np.ndarray, " ray"], Float64[np.ndarray, " ray"], Float64[np.ndarray, " ray"]]
+"""The rays that pass where radii are fitted, where and how far, and the widths over which they turn."""
 
 
 class _Places(NamedTuple):
@@ -107,42 +98,25 @@ def between_rays(hull: Hull, rays: NearRays) -> Hull:
         return hull
     for softness in SOFTNESS if hull.is_exact else SOFTNESS_FOR_WRONG_MASKS:
         profile = _descended(edge, profile, is_free, softness)
-    changed = np.zeros_like(hull.radii)
-    changed[inside] = _without_threads(np.sqrt(profile.squares))
+    # Beyond heights at which the glass closes over its axis, there is none.
+    changed, found = np.zeros_like(hull.radii), np.sqrt(profile.squares)
+    part, _ = ndimage.label(found >= THREAD * found.max())  # pyright: ignore[reportGeneralTypeIssues]
+    changed[inside] = np.where(part == part[found.argmax()], found, 0)
     return dataclasses.replace(hull, axis=profile.axis, radii=changed)
 
 
-def _without_threads(radii: Float64[np.ndarray, " height"]) -> Float64[np.ndarray, " height"]:
-    """The radii, 0 beyond the heights at which the glass closes over its axis."""
-    part = np.zeros(len(radii), np.int32)
-    ndimage.label(radii >= THREAD * radii.max(), output=part)
-    return np.where(part == part[radii.argmax()], radii, 0)
-
-
 def _is_free(heights: Float64[np.ndarray, " height"], radii: Float64[np.ndarray, " height"]) -> Bool[np.ndarray, "_"]:
-    """Heights whose radii are fitted: not the ends, nor a foot beside a stem, whose upper side masks don't show."""
-    end = ENDS * radii.max()
+    """Heights whose radii are fitted: not the ends, nor a foot from its edge to a stem, if its upper side, which masks
+    don't show, rises less steeply than a stem or a side."""
+    end, reach = ENDS * radii.max(), radii + heights
     is_free = (heights > heights[0] + end) & (heights < heights[-1] - end)
-    foot = _find_shelf(np.stack([radii, heights], axis=1))
-    if foot is not None:
-        is_free[: foot.stop] = False
-    return is_free
-
-
-def _find_shelf(line: Outline) -> slice | None:
-    """The points of a foot from its edge to its stem, where it rises less steeply than a stem or a side;
-    None if it has no such foot.
-
-    Args:
-        line: radii and heights of a side, from the bottom up.
-    """
-    radii, heights = line.T
     lower = heights < heights.min() + np.ptp(heights) / 2
-    stem = int(np.where(lower, radii + heights, np.inf).argmin())
-    edge = int((radii + heights)[: stem + 1].argmax())
+    stem = int(np.where(lower, reach, np.inf).argmin())
+    edge = int(reach[: stem + 1].argmax())
     width, rise = radii[edge] - radii[stem], heights[stem] - heights[edge]
-    is_shelf = width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width
-    return slice(edge, stem + 1) if is_shelf else None
+    if width > LEAST_SHELF * radii.max() and 0 < rise < SHELF * width:
+        is_free[: stem + 1] = False
+    return is_free
 
 
 def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " height"], softness: float) -> _Profile:
@@ -152,40 +126,51 @@ def _descended(rays: NearRays, profile: _Profile, is_free: Bool[np.ndarray, " he
     jumps = np.diff(bends, axis=0)[is_free[:-3] & is_free[3:]] / size**2
     moves = np.append(is_free, [True, True])
 
-    def told(profile: _Profile, t: np.ndarray) -> tuple[NearRays, np.ndarray, np.ndarray, np.ndarray]:
-        """The rays that pass where radii are fitted, where and how far, and the widths over which they turn."""
+    def judge(profile: _Profile) -> tuple[float, Passes]:
+        """The misfit, and how rays pass."""
+        t = _closest(rays, profile)
         places = _at(rays, t, profile)
         kept = (is_free[places.below] & is_free[places.below + 1])[:, 0]
-        return rays.only(kept), t[kept], places.distance[kept, 0], softness * rays.pixel_angle * t[kept]
+        some, t, distance = rays.only(kept), t[kept], places.distance[kept, 0]
+        width = softness * rays.pixel_angle * t
+        if not len(t):
+            return np.inf, (some, t, distance, width)
+        wrong = float(misfits(distance, some.hits, width).mean()) * len(t)
+        return float(wrong + _price(jumps @ profile.squares).sum()), (some, t, distance, width)
 
-    def judge(profile: _Profile) -> tuple[float, np.ndarray]:
-        t = _closest(rays, profile)
-        some, _, distance, width = told(profile, t)
-        if not len(width):
-            return np.inf, t
-        wrong = misfit(distance, some.hits, width) * len(width)
-        return float(wrong + _price(jumps @ profile.squares).sum()), t
-
-    def step(profile: _Profile, t: np.ndarray, damping: float) -> _Profile:
-        some, t, distance, width = told(profile, t)
-        pulls = pull(distance, some.hits, width)
+    def step(profile: _Profile, passes: Passes, damping: float) -> _Profile:
+        some, t, distance, width = passes
+        slope, curvature = pull(distance, some.hits, width)
         slopes = _slopes(some, t, profile)
         # Newton's unknowns: squares in parts of the size's, and the axis in parts of the size.
         slopes = slopes @ sparse.diags_array(np.append(np.full(len(heights), size**2), [size, size]))
-        seen = (slopes.T @ sparse.diags_array(pulls.curvature) @ slopes).toarray()
-        curvature = seen + np.diag(damping * seen.diagonal() + 1e-9 * seen.diagonal().mean() + 1e-12)
+        seen = (slopes.T @ sparse.diags_array(curvature) @ slopes).toarray()
+        matrix = seen + np.diag(damping * seen.diagonal() + 1e-9 * seen.diagonal().mean() + 1e-12)
         leaps = jumps @ profile.squares
         stiff = (jumps.T * _stiffness(leaps)) @ jumps * size**4
-        curvature[:-2, :-2] += stiff
-        gradient = slopes.T @ pulls.slope
+        matrix[:-2, :-2] += stiff
+        gradient = slopes.T @ slope
         gradient[:-2] += stiff @ profile.squares / size**2
         way = np.zeros(len(gradient))
-        way[moves] = np.linalg.solve(curvature[np.ix_(moves, moves)], gradient[moves])
+        way[moves] = np.linalg.solve(matrix[np.ix_(moves, moves)], gradient[moves])
         squares = np.maximum(profile.squares - size**2 * way[:-2], 1e-12)
         axis = profile.axis.moved(np.zeros(2), -size * way[-2:])
         return dataclasses.replace(profile, axis=axis, squares=squares)
 
-    return descend(profile, judge, step, damping=1e-3, steps=STEPS, enough=ENOUGH)[0]
+    damping, (loss, passes) = 1e-3, judge(profile)
+    for _ in range(STEPS):
+        tried = step(profile, passes, damping)
+        new, new_passes = judge(tried)
+        if new < loss:
+            gain, profile, loss, passes = loss - new, tried, new, new_passes
+            damping = max(damping / 4, LEAST_DAMPING)
+            if gain < ENOUGH * loss:
+                break
+        elif damping > 1e3:
+            break
+        else:
+            damping *= 8
+    return profile
 
 
 def _price(leaps: Float64[np.ndarray, " jump"]) -> Float64[np.ndarray, " jump"]:

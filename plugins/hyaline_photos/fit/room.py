@@ -18,8 +18,7 @@ from datagen.scene.description import Scene
 from datagen.scene.materials import Material
 from datagen.terminal.command import track
 from datagen.trace.surface_tables import LIMITS, Limits
-from hyaline_photos.fit.materials import Misses
-from hyaline_photos.fit.search import penalty
+from hyaline_photos.fit.search import Misses, penalty
 from hyaline_photos.fit.shapes import Glass
 from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.methods.light_path.config import LightPathConfig
@@ -34,34 +33,25 @@ from model.state import State
 
 BATCH = 1024
 """Training pixels per step; rays and branches are those of `light-path`."""
-
 RAYS = 9
 """A pixel, while glass is drawn; with 4 its error is larger than that of a wall which is a tenth off."""
-
 FROSTED_RAYS = 36
 """The same for frosted glass, which scatters them: with 9, a loss was least for 0.12 where the truth is 0.2."""
-
 COARSE_ROUNDS = 3
 """Rounds of a search before light is followed as far as `FINE`."""
-
 FINE = LIMITS._replace(max_branches=12, makes_up=True)
 """How far light is followed in a search's last rounds. True vessels of the example are then 0.002 too dark (sRGB) on
 average, true solids not at all."""
-
 COARSE = FINE._replace(max_branches=8, min_throughput=1 / 64)
 """The same before. It takes half as long, but what is not followed is brighter than the rest where bright walls or sky
 are mirrored: true vessels are 0.012 too dark, and a higher index makes up for it."""
-
 SKY_LEVEL = 1
 """The map of the sky whose texels are counted; in the finest, level 0, noise leaves gaps."""
-
 ENOUGH = 1.0
 """Visits after which a texel counts as half known."""
-
 STEEPNESS = 4
 """Exponent of a pixel's weight. True glass (the bottle of random-7104), drawn through textures that never saw glass,
 has a loss of 0.006 where more than 95 % of a pixel's light is known, 0.02 at 85 %, and 0.07 below 60 %."""
-
 COUNTED_BRANCHES = 4
 LEAST_TRUST = 1e-6
 """Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
@@ -89,12 +79,6 @@ class SomePixels(LightPathPixels):
         return super().take(self.rows[index], rng)
 
 
-def _only(pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"]) -> SomePixels:
-    fields = {field.name: getattr(pixels, field.name) for field in dataclasses.fields(pixels)}
-    chosen = torch.from_numpy(rows)
-    return SomePixels(**{**fields, "rgb": pixels.rgb[chosen]}, rows=chosen)
-
-
 def load_pixels(
     dataset: Dataset, scene: Scene, meshes: tuple[Mesh, ...], materials: tuple[Material, ...], limits: Limits
 ) -> LightPathPixels:
@@ -119,28 +103,32 @@ def load_pixels(
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SeenSky:
-    """The pixels that show the sky and nothing else."""
-
-    rows: Int[np.ndarray, " pixel"]
-    directions: Float32[np.ndarray, "pixel 3"]
-
-
 def learn(
-    pixels: LightPathPixels, rows: Int[np.ndarray, " pixel"], sky: SeenSky, steps: int, *, seed: int
+    pixels: LightPathPixels,
+    rows: Int[np.ndarray, " pixel"],
+    sky: Int[np.ndarray, " sky"],
+    directions: Float32[np.ndarray, "sky 3"],
+    steps: int,
+    *,
+    seed: int,
 ) -> LightPathRenderer:
-    """Learns textures and sky from some of the pixels; the sky starts from what is seen of it."""
+    """Learns textures and sky from some of the pixels; the sky starts from what is seen of it.
+
+    Args:
+        sky: pixels that show the sky and nothing else.
+        directions: of these.
+    """
     torch.manual_seed(seed)
     sizes = texel_widths(pixels, pixels.num_objects, pixels.resolution.mean_side)
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
-    if len(sky.rows):
-        colors = linear_curve(pixels.rgb[torch.from_numpy(sky.rows)].float() / 255)
-        renderer.environment.start_from(torch.from_numpy(sky.directions), colors)
+    if len(sky):
+        colors = linear_curve(pixels.rgb[torch.from_numpy(sky)].float() / 255)
+        renderer.environment.start_from(torch.from_numpy(directions), colors)
     optimisation = pixels.config.optimisation()
     groups = renderer.groups(optimisation)
     optimizer = make_optimizer(groups, beta1=optimisation.beta1)
-    source = _only(pixels, rows)
+    chosen = torch.from_numpy(rows)
+    source = SomePixels(**{**vars(pixels), "rgb": pixels.rgb[chosen]}, rows=chosen)
     for step in track(range(steps), label="textures", total=steps):
         loss = renderer.loss(source, BATCH, np.random.default_rng((seed, step)), softness=optimisation.loss.softness)
         optimizer.zero_grad(set_to_none=True)
@@ -224,8 +212,12 @@ class Room:
         Pixels count less, the less is known of where their light comes from through some guesses of the glass.
         """
         truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
-        trust = np.prod([self._trust(object_ids, rows, glass) for glass in guesses], axis=0) ** (1 / len(guesses))
-        weights = trust + LEAST_TRUST
+        trust = np.ones(len(rows), np.float32)
+        for glass in guesses:
+            self.put(object_ids, glass)
+            parts = torch.from_numpy(rows).split(self.pixels.chunk)
+            trust *= torch.cat([self.visits.trust(self.pixels.take(part, None)) for part in parts]).numpy()
+        weights = trust ** (1 / len(guesses)) + LEAST_TRUST
         weights /= weights.mean()
 
         def miss(glass: Glass) -> Float32[np.ndarray, "pixel 3"]:
@@ -235,20 +227,10 @@ class Room:
 
         return miss
 
-    def _trust(
-        self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"], glass: Glass
-    ) -> Float32[np.ndarray, " pixel"]:
-        self.put(object_ids, glass)
-        parts = torch.from_numpy(rows).split(self.pixels.chunk)
-        return torch.cat([self.visits.trust(self.pixels.take(part, None)) for part in parts]).numpy()
-
 
 def room_state(renderer: LightPathRenderer) -> dict[str, State]:
     """The state that `load_room` reads."""
-    return {
-        "weights": renderer.state_dict(),
-        "texture_sizes": list(renderer.config.texture_sizes),
-    }
+    return {"weights": renderer.state_dict(), "texture_sizes": list(renderer.config.texture_sizes)}
 
 
 def load_room(state: dict[str, State], pixels: LightPathPixels, beside: Int[np.ndarray, " pixel"]) -> Room:

@@ -1,4 +1,4 @@
-"""Finds the numbers of a glass by drawing it: a grid first, then one number after the other.
+"""Finds the numbers and materials of a glass by drawing it: a grid first, then one number after the other.
 
 The loss is rugged: derivatives of sharp pixels do not point to the truth, whereas the best of a few values does. Only
 the index is found better by a parabola over a wide bracket.
@@ -6,7 +6,7 @@ the index is found better by a parabola over a wide bracket.
 
 import dataclasses
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,42 +14,164 @@ from jaxtyping import Bool, Float, Int
 
 from datagen.scene.materials import as_vector
 from datagen.terminal.command import track
-from hyaline_photos.fit.materials import (
-    INDICES,
-    LEAST_ROUGHNESS,
-    STEPS,
-    Found,
-    Misses,
-    best_of,
-    curve_of,
-    find_absorption,
-    find_material,
-    smoothed,
-    vertex,
-)
 from hyaline_photos.fit.shapes import USUAL_WALL, Glass, Revolution
 
+STEPS = 7
+"""Values that are tried of a number that was found before."""
+ABSORPTIONS = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
+"""1/m."""
+TINT_REACH = 0.6
+"""Half the bracket of the logarithm of an absorption that was found before."""
+WORTH_IT = 0.02
+"""Share of the penalty of clear, smooth glass that tint or frost has to take away; a tint, of a channel's."""
+AS_BLACK = 0.001
+"""Share of a channel's penalty within which tints count as equal. Beyond some tint no light gets through, and noise
+alone would darken a drink from round to round."""
+ROUGHNESSES = (0.03, 0.06, 0.12, 0.25)
+"""GGX alpha."""
+LEAST_ROUGHNESS = 0.005
+INDICES = (1.33, 1.4, 1.45, 1.5, 1.55, 1.6, 1.65, 1.7, 1.75, 1.8, 1.9, 2.0, 2.2, 2.4)
+"""First guesses for solid glass; the search then moves by less than 0.1 in each round."""
+USUAL_INDEX = 1.5
+AS_USUAL = 0.01
+"""Share of the least loss by which a more usual index of frosted glass may explain less."""
+
+Misses = Callable[[Glass], Float[np.ndarray, "pixel 3"]]
+"""Loss of an object's pixels, by colour channel, as a function of the glass that replaces it."""
 SOFTNESS = 0.05
 """sRGB differences well below it count by their squares, those above by their size (Charbonnier's penalty)."""
-
 WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
-
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
-
 LAST = 5
 """Number of the last round."""
-
 INDEX_HELD = 2
 """Number of rounds before a vessel's index is searched: while walls are wrong, a wrong index explains pictures best."""
-
 SHRINKS = 0.55
 """Factor by which brackets shrink from round to round."""
-
 CHANNELS = ("red", "green", "blue")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """One number of a glass."""
+
+    value: float
+    even: float
+    """Estimate from the even views alone."""
+    odd: float
+    before: float | None = None
+    """The value that the round before found; in the last stage, with other textures."""
+    curve: tuple[tuple[float, float], ...] = ()
+    """The values that were tried, each with its mean penalty."""
+
+
+def find_material(glass: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"]) -> Glass:
+    """First guesses of tint, index and roughness. Tint and index of a solid are found in turns."""
+    glass, _ = find_absorption(glass, "absorption", misses, is_even)
+    found = find_index(glass, misses)
+    if found.numbers != glass.numbers:
+        found, _ = find_absorption(found, "absorption", misses, is_even)
+    return find_roughness(found, misses)
+
+
+def find_index(glass: Glass, misses: Misses) -> Glass:
+    """The best of the first guesses of its index; a vessel keeps the one it has.
+
+    As long as a wall is only roughly known, another index makes up for its errors: the wall of a bottle of index 1.52
+    was found a fifth too thin, with an index of 1.94.
+    """
+    return glass if glass.hollow else best_of([glass.having(ior=value) for value in INDICES], misses)
+
+
+def find_roughness(glass: Glass, misses: Misses) -> Glass:
+    """Frosted, if that explains more than smooth glass does: a little of it hides other errors.
+
+    Frosted solids get another index, too. Less frost with a higher index spreads light as far, so many pairs explain
+    pictures as well, and of these the most usual index is taken.
+    """
+    tried = [glass.having(roughness=value) for value in ROUGHNESSES]
+    found = smoothed(best_of(tried, misses), misses)
+    if "roughness" not in found.numbers or found.hollow:
+        return found
+    pairs = itertools.product(INDICES, ROUGHNESSES)
+    tried = [glass.having(ior=ior, roughness=roughness) for ior, roughness in pairs]
+    losses = [float(misses(each).mean()) for each in tried]
+    as_good = [(each, loss) for each, loss in zip(tried, losses, strict=True) if loss <= (1 + AS_USUAL) * min(losses)]
+    return min(as_good, key=lambda each: (abs(each[0].numbers["ior"] - USUAL_INDEX), each[1]))[0]
+
+
+def smoothed(frosted: Glass, misses: Misses) -> Glass:
+    """Smooth, unless frost explains more than hardly any, which is drawn by as many rays."""
+    hardly = frosted.having(roughness=LEAST_ROUGHNESS)
+    is_worth_it = misses(frosted).mean() < (1 - WORTH_IT) * misses(hardly).mean()
+    return frosted if is_worth_it else frosted.without("roughness")
+
+
+def best_of(glasses: Sequence[Glass], misses: Misses) -> Glass:
+    """The glass with the least loss."""
+    return min(glasses, key=lambda each: float(misses(each).mean()))
+
+
+def find_absorption(
+    glass: Glass, name: str, misses: Misses, is_even: Bool[np.ndarray, " pixel"]
+) -> tuple[Glass, tuple[Found, Found, Found]]:
+    """Searches the absorption of all colour channels at once: each is judged by its own channel of the pictures.
+
+    Args:
+        name: `absorption`, or `drink_absorption` of what a vessel holds.
+    """
+    now = np.array(getattr(glass, name))
+    tried = ABSORPTIONS if not now.any() else (0.0, *np.exp(np.linspace(-TINT_REACH, TINT_REACH, STEPS)))
+    values = np.array(tried)[:, None] * (1 if not now.any() else np.where(now > 0, now, now.max()))
+    values = np.broadcast_to(values, (len(tried), 3))
+    drawn = [misses(dataclasses.replace(glass, **{name: as_vector(row)})) for row in values]
+
+    def lowest(pixels: Bool[np.ndarray, " pixel"] | slice) -> Float[np.ndarray, "3"]:
+        means = np.stack([miss[pixels].mean(axis=0) for miss in drawn])
+        return np.array([_lowest_positive(*each) for each in zip(values.T, means.T, strict=True)])
+
+    losses = np.stack([miss.mean(axis=0) for miss in drawn])
+    estimates = np.stack([lowest(slice(None)), lowest(is_even), lowest(~is_even)])
+    # Clear glass is drawn first: a little absorption hides other errors.
+    if not (losses.min(axis=0) < (1 - WORTH_IT) * losses[0]).any():
+        estimates = np.zeros((3, 3))
+    channels = zip(estimates.T.tolist(), values.T, losses.T, strict=True)
+    found = [
+        Found(value=v, even=e, odd=o, curve=tuple(zip(tried.tolist(), each.tolist())))
+        for (v, e, o), tried, each in channels
+    ]
+    return dataclasses.replace(glass, **{name: as_vector(estimates[0])}), (found[0], found[1], found[2])
+
+
+def _lowest_positive(values: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
+    """0 where that is best; else where a parabola through the least of the losses and its neighbours is lowest.
+
+    If the last value is best, the first that is as good replaces it.
+    """
+    place = int(losses.argmin())
+    if place == len(losses) - 1:
+        place = int(np.argmax(losses <= (1 + AS_BLACK) * losses[place]))
+    if place == 0:
+        return 0.0
+    near = slice(max(place - 1, 1), place + 2)
+    return float(np.exp(vertex(np.log(values[near]), losses[near]))) if place > 1 else float(values[place])
+
+
+def vertex(places: Float[np.ndarray, " value"], losses: Float[np.ndarray, " value"]) -> float:
+    """Where a parabola through losses is lowest, within the bracket; the place of the least where it is not convex."""
+    if len(np.unique(places)) < 3:
+        return float(places[losses.argmin()])
+    a, b, _ = np.polyfit(places - places.mean(), losses, 2)
+    if a <= 0:
+        return float(places[losses.argmin()])
+    return float(np.clip(places.mean() - b / (2 * a), places.min(), places.max()))
+
+
+# The grid, and rounds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +205,6 @@ Relative: taper (wall at the rim over that above the floor), corner (reach of th
 parts of the floor's radius)."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Cell:
-    """A glass that was tried, such as a cell of the grid."""
-
-    glass: Glass
-    loss: float
-
-
 def in_even_views(view: Int[np.ndarray, " pixel"]) -> Bool[np.ndarray, " pixel"]:
     """Splits pixels into two halves by their views: every other one of those that have any, or pixels of a single view.
 
@@ -105,9 +219,7 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
     return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
 
 
-def guess(
-    outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, label: str
-) -> tuple[list[Cell], Glass]:
+def guess(outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, label: str) -> Glass:
     """Draws the grid, and chooses a material for its best cell.
 
     Clear glass is drawn first, which may explain tint and frost by a wrong wall. So the best cell of each wall gets a
@@ -115,30 +227,24 @@ def guess(
     a little frost makes up for a wrong wall.
     """
 
-    def drawn(like: Glass | None) -> tuple[list[Cell], Glass]:
+    def drawn(like: Glass | None) -> list[Glass]:
         cells = list(track(scan(outside, misses, like), label=label, total=len(_cells(outside))))
-        return cells, find_material(alternatives(cells)[0].glass, misses, is_even)
+        return [glass for glass, _ in sorted(cells, key=lambda cell: cell[1])]
 
-    cells, glass = drawn(None)
+    cells = drawn(None)
+    glass = find_material(cells[0], misses, is_even)
     if len(cells) == 1 or not (any(glass.absorption) or "roughness" in glass.numbers):
-        return cells, glass
-    apart = [cell.glass for cell in _best_by_wall(cells)]
+        return glass
+    # The best cell of each wall, and of solids.
+    apart = {cell.numbers.get("wall"): cell for cell in reversed(cells)}.values()
     likes = [best_of([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
     if "roughness" in glass.numbers:
         likes.insert(0, best_of([find_material(each, misses, is_even) for each in apart], misses))
-    return min(map(drawn, likes), key=lambda each: float(misses(each[1]).mean()))
+    return best_of([find_material(drawn(like)[0], misses, is_even) for like in likes], misses)
 
 
-def _best_by_wall(cells: Sequence[Cell]) -> list[Cell]:
-    """The best cell of each wall, and of solids."""
-    best: dict[float | None, Cell] = {}
-    for cell in sorted(cells, key=lambda cell: cell.loss):
-        best.setdefault(cell.glass.numbers.get("wall"), cell)
-    return list(best.values())
-
-
-def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[Cell]:
-    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
+def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[tuple[Glass, float]]:
+    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid; with their losses.
 
     Solids have several indices: beside vessels, one of 1.8 with an index of 1.5 was found hollow.
 
@@ -147,7 +253,7 @@ def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[
     """
     for glass in _cells(outside):
         shaded = glass if like is None else _as_dark_as(glass, like)
-        yield Cell(glass=shaded, loss=float(misses(shaded).mean()))
+        yield shaded, float(misses(shaded).mean())
 
 
 def guesses(outside: Glass) -> tuple[Glass, ...]:
@@ -193,27 +299,14 @@ def refine(
     """
     if "roughness" in glass.numbers:
         glass = smoothed(glass, misses)
-    for name in _absorptions(glass):
+    for name in ("absorption", "drink_absorption") if "drink_ior" in glass.numbers else ("absorption",):
         glass, channels = find_absorption(glass, name, misses, is_even)
         for channel, found in zip(CHANNELS, channels, strict=True):
             yield glass, f"{name}_{channel}", found
-    for name in _searched(glass, number):
+    held = {"ior"} if number < INDEX_HELD and glass.hollow else set()
+    for name in [name for name in NUMBERS if name in glass.numbers and name not in held]:
         glass, found = find_number(glass, name, reach_of(name, number), misses, is_even)
         yield glass, name, found
-
-
-def count_searches(glass: Glass, number: int) -> int:
-    """How much `refine` yields in a round."""
-    return len(CHANNELS) * len(_absorptions(glass)) + len(_searched(glass, number))
-
-
-def _absorptions(glass: Glass) -> tuple[str, ...]:
-    return ("absorption",) if "drink_ior" not in glass.numbers else ("absorption", "drink_absorption")
-
-
-def _searched(glass: Glass, number: int) -> list[str]:
-    held = {"ior"} if number < INDEX_HELD and glass.hollow else set()
-    return [name for name in NUMBERS if name in glass.numbers and name not in held]
 
 
 def reach_of(name: str, number: int) -> float:
@@ -239,12 +332,7 @@ def find_number(
 
     value = lowest(slice(None), by_parabola=how.by_parabola)
     halves = (lowest(is_even, by_parabola=True), lowest(~is_even, by_parabola=True))
-    found = Found(value=value, even=halves[0], odd=halves[1], curve=curve_of(values, losses.mean(axis=1)))
+    found = Found(
+        value=value, even=halves[0], odd=halves[1], curve=tuple(zip(values.tolist(), losses.mean(axis=1).tolist()))
+    )
     return glass.having(**{name: value}), found
-
-
-def alternatives(cells: Sequence[Cell]) -> tuple[Cell, Cell]:
-    """The best cell and the second best: the best of those with another wall or floor."""
-    ordered = sorted(cells, key=lambda cell: cell.loss)
-    others = [cell for cell in ordered[1:] if cell.glass.hollow != ordered[0].glass.hollow]
-    return ordered[0], (others or ordered)[0]

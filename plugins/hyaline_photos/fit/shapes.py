@@ -7,31 +7,49 @@ from dataclasses import dataclass, field
 from typing import Self
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float, Float64
 
 from datagen.data.meshes import Mesh
 from datagen.scene.materials import Dielectric, Material, RoughDielectric
-from hyaline_photos.fit.lathe import Axis, Outline, evenly, lengths_of, point_at, revolved, spread
 
 OUTSIDE, RIM, INSIDE, CORNER = 120, 6, 64, 12
 """Points of the outside, of a vessel's rim, of its inner wall, and of the corner above its floor."""
-
 POINTS = OUTSIDE + RIM - 1 + INSIDE + CORNER + 1
 """Points of a whole section."""
-
 MOST_FLOOR = 0.95
 """Highest floor of a hollow, in parts of the height."""
-
 DRINK_REACH = 0.3
 """How far a drink reaches into its glass, in parts of the thinnest wall."""
-
 USUAL_WALL = 0.05
 """Thickness of a usual vessel's wall, in parts of the largest radius."""
-
 FOOT = 0.04
 """First guess of a foot's rounding, in parts of the largest radius."""
 
 Body = tuple[Mesh, Material]
+SEGMENTS = 96
+"""Around the axis; 64 lose 1 dB on a tumbler of the true shape."""
+CREASE_COS = np.cos(np.radians(35))
+"""Edges of an outline that turn by more are shaded as edges."""
+TURNS = 0.05
+"""A turn by one radian gets as many points as this share of the outside's length: evenly spaced points would cut off
+the edge of a thin foot."""
+
+Outline = Float64[np.ndarray, "_ 2"]
+"""Points (radius, height along the axis) in metres, from the axis at the bottom and back to it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Axis:
+    """A line in space."""
+
+    point: Float64[np.ndarray, "3"]
+    direction: Float64[np.ndarray, "3"]
+
+    def moved(self, tilt: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"]) -> "Axis":
+        """Shifted across (metres) and tilted by small amounts (radians) along two directions perpendicular to it."""
+        frame = perpendicular(self.direction)
+        direction = self.direction + tilt @ frame
+        return Axis(point=self.point + shift @ frame, direction=direction / np.linalg.norm(direction))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,11 +79,9 @@ class Glass:
         """The same with some other numbers."""
         return dataclasses.replace(self, numbers={**self.numbers, **numbers})
 
-    def without(self, *names: str) -> Self:
-        """The same where some numbers don't apply."""
-        return dataclasses.replace(
-            self, numbers={name: each for name, each in self.numbers.items() if name not in names}
-        )
+    def without(self, name: str) -> Self:
+        """The same where a number doesn't apply."""
+        return dataclasses.replace(self, numbers={key: each for key, each in self.numbers.items() if key != name})
 
     @property
     def hollow(self) -> tuple[float, float] | None:
@@ -91,7 +107,8 @@ class Revolution(Glass):
 
     @property
     def kind(self) -> str:
-        return "ball" if self.is_closed and self._is_spherical() else "revolution"
+        from_middle = self.outside - [0, self.outside[[0, -1], 1].mean()]
+        return "ball" if np.ptp(np.linalg.norm(from_middle, axis=1)) < 1e-6 else "revolution"
 
     @property
     def height(self) -> float:
@@ -106,10 +123,6 @@ class Revolution(Glass):
     def has_flat_top(self) -> bool:
         """Its solid has one, which may be an opening."""
         return self.solid is not None and bool(self.solid[-2, 1] > self.solid[-1, 1] - 1e-9)
-
-    def _is_spherical(self) -> bool:
-        from_middle = self.outside - [0, self.outside[[0, -1], 1].mean()]
-        return bool(np.ptp(np.linalg.norm(from_middle, axis=1)) < 1e-6)
 
     def hollowed(self, wall: float, floor: float, corner: float) -> "Revolution":
         """A vessel with this outside.
@@ -157,9 +170,7 @@ class Revolution(Glass):
             np.clip(self.outside[:, 1].min() + self.numbers["level"], low + 0.02 * (high - low), high - 1e-6)
         )
         inside = _cut(inside, surface)
-        tangents = np.gradient(inside, axis=0)
-        tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-        outward = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        outward = -_leftward(inside)
         wall, floor = self.hollow
         line = inside + DRINK_REACH * min(wall, wall * self.numbers["taper"], floor) * outward
         line[0, 0], line[-1, 1] = 0.0, surface
@@ -169,9 +180,7 @@ class Revolution(Glass):
 
 def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: float) -> Outline:
     """The inside of a vessel from its rim down to the axis."""
-    tangents = np.gradient(outside, axis=0)
-    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
-    inward = np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
+    inward = _leftward(outside)
     bottom = outside[:, 1].min() + min(floor, MOST_FLOOR * float(np.ptp(outside[:, 1])))
     height = np.clip((outside[:, 1] - bottom) / (outside[-1, 1] - bottom), 0, 1)
     inner = outside + (wall + height * (at_rim - wall))[:, None] * inward
@@ -188,11 +197,18 @@ def _hollow(outside: Outline, wall: float, at_rim: float, floor: float, corner: 
     lowest[0] = max(lowest[0], 1e-4)
     middle, arm = (outside[-1] + inner[-1]) / 2, (outside[-1] - inner[-1]) / 2
     up = np.array([-arm[1], arm[0]])
-    up = up if up @ tangents[-1] > 0 else -up
+    up = up if up @ [inward[-1, 1], -inward[-1, 0]] > 0 else -up
     angles = np.linspace(0, np.pi, RIM + 1)[1:-1, None]
     rim = middle + np.cos(angles) * arm + np.sin(angles) * up
     side = evenly(np.concatenate([line[::-1], lowest[None]]), INSIDE)
     return np.concatenate([rim, _with_corner(side, np.array([0.0, bottom]), reach=float(corner * lowest[0]))])
+
+
+def _leftward(line: Outline) -> Outline:
+    """Unit vectors to the left of a line, at its points."""
+    tangents = np.gradient(line, axis=0)
+    tangents /= np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), 1e-12)
+    return np.stack([-tangents[:, 1], tangents[:, 0]], axis=1)
 
 
 def _with_foot(line: Outline, reach: float) -> Outline:
@@ -233,3 +249,78 @@ def _cut(line: Outline, height: float) -> Outline:
     share = (height - line[above, 1]) / (line[above + 1, 1] - line[above, 1])
     end = line[above] + share * (line[above + 1] - line[above])
     return spread(np.concatenate([line[: above + 1], end[None]]), len(line))
+
+
+# Lines, and the meshes that they sweep around an axis
+
+
+def perpendicular(direction: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "2 3"]:
+    """Two unit vectors perpendicular to a direction and to each other; right-handed, the direction being third."""
+    first = np.cross(direction, np.eye(3)[np.abs(direction).argmin()])
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def revolved(axis: Axis, outline: Outline) -> Mesh:
+    """The solid that an outline sweeps around an axis; u goes around, v along the outline, edge by edge."""
+    edges = np.diff(outline, axis=0)
+    normals = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    # Each edge has two rings of its own, which share the normals of its neighbours unless there is a crease.
+    starts, ends = normals.copy(), normals.copy()
+    smooth = np.einsum("ec,ec->e", normals[:-1], normals[1:]) > CREASE_COS
+    mean = normals[:-1] + normals[1:]
+    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    ends[:-1][smooth], starts[1:][smooth] = mean[smooth], mean[smooth]
+    rings = np.stack([outline[:-1], outline[1:]], axis=1).reshape(-1, 2)
+    ring_normals = np.stack([starts, ends], axis=1).reshape(-1, 2)
+    u, v = perpendicular(axis.direction)
+    angles = (np.arange(SEGMENTS + 1) % SEGMENTS * (2 * np.pi / SEGMENTS))[:, None]  # The last repeats the first.
+    outward = np.cos(angles) * u + np.sin(angles) * v
+    swept, turned = (
+        values[:, :1, None] * outward + values[:, None, 1:] * axis.direction for values in (rings, ring_normals)
+    )
+    index = np.arange(len(rings) * (SEGMENTS + 1)).reshape(-1, SEGMENTS + 1)
+    low, high = index[0::2], index[1::2]
+    lower = np.stack([low[:, :-1], low[:, 1:], high[:, 1:]], axis=-1)
+    upper = np.stack([low[:, :-1], high[:, 1:], high[:, :-1]], axis=-1)
+    # At the axis a quadrangle is one triangle.
+    faces = np.concatenate([lower[1:].reshape(-1, 3), upper[:-1].reshape(-1, 3)])
+    along = np.repeat(np.arange(len(outline)), 2)[1:-1] / (len(outline) - 1)
+    uv = np.stack(np.broadcast_arrays(np.linspace(0, 1, SEGMENTS + 1), along[:, None]), axis=-1)
+    return Mesh(
+        vertices=(axis.point + swept).reshape(-1, 3).astype(np.float32),
+        faces=faces.astype(np.int32),
+        normals=turned.reshape(-1, 3).astype(np.float32),
+        uv=uv.reshape(-1, 2).astype(np.float32),
+    )
+
+
+def spread(line: Outline, count: int) -> Outline:
+    """Points along a line, the closer the more it turns."""
+    ways = np.linalg.norm(np.diff(line, axis=0), axis=1)
+    tangents = np.diff(line, axis=0) / np.maximum(ways, 1e-12)[:, None]
+    turns = np.arccos(np.clip((tangents[1:] * tangents[:-1]).sum(axis=1), -1, 1))
+    lengths = ways + TURNS * ways.sum() * (np.append(turns, 0) + np.insert(turns, 0, 0)) / 2
+    return _at_shares(line, np.insert(np.cumsum(lengths), 0, 0), count)
+
+
+def evenly(line: Outline, count: int) -> Outline:
+    """Points along a line at even distances."""
+    return _at_shares(line, lengths_of(line), count)
+
+
+def _at_shares(line: Outline, lengths: Float64[np.ndarray, " point"], count: int) -> Outline:
+    """Points along a line at even steps of a length that grows along it."""
+    steps = np.linspace(0, lengths[-1], count)
+    return np.stack([np.interp(steps, lengths, line[:, axis]) for axis in range(2)], axis=1)
+
+
+def point_at(line: Outline, reach: float) -> Float64[np.ndarray, "2"]:
+    """The point of a line this far along it."""
+    return np.array([np.interp(reach, lengths_of(line), line[:, axis]) for axis in range(2)])
+
+
+def lengths_of(line: Outline) -> Float64[np.ndarray, " point"]:
+    """How far along the line each point is."""
+    return np.insert(np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)), 0, 0)

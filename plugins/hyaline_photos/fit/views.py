@@ -1,12 +1,12 @@
 """Masks of unknown objects in the training views, and the known surfaces behind them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int, UInt8
-from scipy import ndimage
+from jaxtyping import Bool, Float, Float32, Float64, Int, UInt8
+from scipy import ndimage, special
 
 from datagen.data.cameras import Cameras
 from datagen.data.dataset import Dataset, View, has_layers
@@ -19,7 +19,6 @@ from datagen.terminal.command import choose
 
 DOUBT = 3
 """Largest error in pixels of the outlines of known surfaces, where masks are not exact."""
-
 MARGIN = 4
 """Pixels around a mask whose rays bound the object; those farther out bound it less."""
 
@@ -57,19 +56,13 @@ def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tupl
     """Ids of the objects of these names, or of all glass but thin panes, which are neither solid nor vessels."""
     for name in names:
         choose("--unknown: object", name, [item.name for item in dataset.objects])
-    found: list[int] = []
-    for place, item in enumerate(dataset.objects):
-        if item.name in names and not item.is_glass:
-            raise HyalineError(f"unknown {item.name!r}: is opaque; only glass is fitted")
-        is_thin = isinstance(scene.objects[place].material, ThinDielectric)
-        if item.name in names or (not names and item.is_glass and not is_thin):
-            found.append(place + 1)
-    panes = [item.name for item in dataset.objects if item.is_glass]
-    if not found and panes:
-        raise HyalineError(f"{dataset.root}: its only glass is thin panes ({', '.join(panes)}), which are not fitted")
-    if not found:
-        raise HyalineError(f"{dataset.root}: has no object of glass, so there is nothing to fit")
-    return tuple(found)
+        if not next(item.is_glass for item in dataset.objects if item.name == name):
+            raise HyalineError(f"unknown {name!r}: is opaque; only glass is fitted")
+    thin = {item.name for item in scene.objects if isinstance(item.material, ThinDielectric)}
+    fitted = names or [item.name for item in dataset.objects if item.is_glass and item.name not in thin]
+    if not fitted:
+        raise HyalineError(f"{dataset.root}: has no glass but thin panes; expected solid glass or vessels to fit")
+    return tuple(place for place, item in enumerate(dataset.objects, start=1) if item.name in fitted)
 
 
 def read_sightings(
@@ -84,7 +77,6 @@ def read_sightings(
     use_mitsuba()
     from datagen.trace.peel import Peeler
 
-    cameras = dataset.cameras("train")
     known = known_meshes(meshes, unknown)
     peeler = Peeler(known) if any(map(is_there, known)) else None
     first, touched, depth = [], [], []
@@ -92,19 +84,16 @@ def read_sightings(
         seen, anywhere = _read_masks(dataset, view, unknown)
         first.append(seen)
         touched.append(anywhere)
-        origin, directions = cameras[view.index].rays()
-        flat = directions.reshape(-1, 3)
-        if peeler is None:
-            depth.append(np.full(directions.shape[:2], np.inf, np.float32))
-            continue
-        hits = peeler.trace(origin, flat, 1)
-        depth.append(np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(directions.shape[:2]))
-    depths, seen = np.stack(depth).astype(np.float32), np.stack(first)
+        depth.append(np.full(seen.shape, np.inf, np.float32))
+        if peeler is not None:
+            origin, directions = view.camera.rays()
+            hits = peeler.trace(origin, directions.reshape(-1, 3), 1)
+            depth[-1] = np.where(hits.shape[0] >= 0, hits.t[0], np.inf).reshape(seen.shape).astype(np.float32)
     return Sightings(
-        cameras=cameras,
-        first=seen,
+        cameras=dataset.cameras("train"),
+        first=np.stack(first),
         touched=np.stack(touched),
-        depth=depths if is_exact else doubted(depths, seen),
+        depth=np.stack(depth) if is_exact else doubted(np.stack(depth), np.stack(first)),
         unknown=unknown,
     )
 
@@ -215,7 +204,6 @@ class NearRays:
 
 def rays_near(sightings: Sightings, object_id: int) -> NearRays:
     """Rays in and around the mask of one object, except where another object may hide it."""
-    origins, directions = sightings.rays()
     sees = sightings.sees(object_id)
     disc = np.hypot(*np.mgrid[-MARGIN : MARGIN + 1, -MARGIN : MARGIN + 1]) <= MARGIN
     near = ndimage.binary_dilation(sees, disc[None]) & sightings.is_open(object_id)
@@ -223,13 +211,95 @@ def rays_near(sightings: Sightings, object_id: int) -> NearRays:
     wide = np.asarray(ndimage.binary_dilation(sees, beside, iterations=2), bool)
     # An object goes on beyond the picture's border, which is no edge of it.
     narrow = np.asarray(ndimage.binary_erosion(sees, beside, iterations=2, border_value=1), bool)
-    view, row, column = np.nonzero(near)
+    return rays_of(sightings, near, sees, wide & ~narrow)
+
+
+def rays_of(
+    sightings: Sightings,
+    chosen: Bool[np.ndarray, "view h w"],
+    hits: Bool[np.ndarray, "view h w"],
+    is_edge: Bool[np.ndarray, "view h w"],
+) -> NearRays:
+    """The rays of some pixels."""
+    origins, directions = sightings.rays()
+    view = np.nonzero(chosen)[0]
     return NearRays(
         origins=origins[view].astype(np.float64),
-        directions=directions[view, row, column].astype(np.float64),
-        hits=sees[view, row, column],
-        reach=sightings.depth[view, row, column].astype(np.float64),
+        directions=directions[chosen].astype(np.float64),
+        hits=hits[chosen],
+        reach=sightings.depth[chosen].astype(np.float64),
         view=view,
-        is_edge=(wide & ~narrow)[view, row, column],
+        is_edge=is_edge[chosen],
         pixel_angle=1 / sightings.cameras.focal,
     )
+
+
+# How well a shape agrees with masks: each ray at a mask's edge is one sample of a logistic regression
+
+WRONG_PIXELS = 0.01
+"""Expected share of wrong pixels at a mask's edge; pixels that a shape cannot explain have little say."""
+
+
+def misfits(
+    distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"], width: float | Float[np.ndarray, " ray"]
+) -> Float64[np.ndarray, " ray"]:
+    """Negative logarithm of the likelihood of each ray's mask.
+
+    Args:
+        distance: least signed distance in metres from the shape along each ray, negative inside.
+        hits: whether the mask covers the ray.
+        width: metres over which a ray turns from meeting the shape to missing it.
+    """
+    right = special.expit(np.where(hits, -distance, distance) / width)
+    return -np.log(WRONG_PIXELS + (1 - 2 * WRONG_PIXELS) * right)
+
+
+def pull(
+    distance: Float64[np.ndarray, " ray"], hits: Bool[np.ndarray, " ray"], width: float | Float[np.ndarray, " ray"]
+) -> tuple[Float64[np.ndarray, " ray"], Float64[np.ndarray, " ray"]]:
+    """First and second derivatives of `misfits` by the distance.
+
+    Far away the second is an upper bound, where Newton's steps would be too long.
+    """
+    error = np.where(hits, distance, -distance) / width
+    wrong = special.expit(error)
+    # Of pixels on the wrong side by much, the mask is in doubt, not the shape.
+    trust = (1 - WRONG_PIXELS) * (1 - wrong) / (WRONG_PIXELS + (1 - 2 * WRONG_PIXELS) * (1 - wrong))
+    bound = np.where(error > 1e-3, (wrong - 0.5) / np.maximum(error, 1e-3), wrong * (1 - wrong))
+    return np.where(hits, 1, -1) * trust * wrong / width, trust * bound / width**2
+
+
+def closest(
+    distance: Callable[[Float64[np.ndarray, "ray place"]], Float64[np.ndarray, "ray place"]],
+    low: Float64[np.ndarray, " ray"],
+    high: Float64[np.ndarray, " ray"],
+    counts: Sequence[int],
+) -> Float64[np.ndarray, " ray"]:
+    """Metres along rays at which a distance is least.
+
+    Args:
+        distance: at places along each ray, by these metres.
+        low: where the search begins.
+        high: where it ends.
+        counts: places at which each ray is looked at, first between both ends, then around the best place.
+    """
+    found, row = low, np.arange(len(low))
+    for count in counts:
+        t = np.linspace(low, high, count, axis=1)
+        best = distance(t).argmin(axis=1)
+        low, found, high = (t[row, np.clip(best + side, 0, count - 1)] for side in (-1, 0, 1))
+    return found
+
+
+def unexplained(mesh: Mesh, rays: NearRays) -> float:
+    """Share of the rays at a mask's edge that meet a mesh and should miss it, or the other way round.
+
+    Where the mask shows the object, a known surface in front of it is misplaced, as parts of a fitted room are, and
+    does not count.
+    """
+    from datagen.trace.peel import Peeler
+
+    edge = rays.at_edges()
+    hits = Peeler((mesh,)).trace(edge.origins.astype(np.float32), edge.directions.astype(np.float32), 1)
+    meets = (hits.shape[0] >= 0) & (edge.hits | (hits.t[0] < edge.reach))
+    return float((meets != edge.hits).mean())

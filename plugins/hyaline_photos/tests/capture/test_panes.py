@@ -9,9 +9,8 @@ from jaxtyping import Bool, Float, UInt8
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
-from hyaline_photos.capture.outlines import Outline, find_outlines
-from hyaline_photos.capture.panes import Pane, find_panes
-from hyaline_photos.capture.rectangles import Rectangle
+from hyaline_photos.capture.outlines import Outline, Pane, find_outlines, find_panes
+from hyaline_photos.capture.planes import Rectangle
 from hyaline_photos.capture.room import fit_room
 
 SIDE, VIEWS = 96, 24
@@ -101,9 +100,9 @@ def test_glass_stands_on_a_pane_and_no_table_takes_its_place() -> None:
     points = np.concatenate([floor, frame])
     room = fit_room(points, glass, places, panes=[pane])
     assert room.support == pytest.approx(TOP)
-    assert "table" not in {part.name for part in room.parts}
+    assert "table" not in room.parts
     without = fit_room(points, glass, places)
-    assert "table" in {part.name for part in without.parts}, "so a pane's height has points"
+    assert "table" in without.parts, "so a pane's height has points"
 
 
 def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
@@ -114,7 +113,9 @@ def test_a_floor_goes_on_to_walls_and_far_where_there_are_none() -> None:
     places = around().world_from_camera[:, :3, 3] * (1, 1, 0.7)
 
     def floors(points: Float[np.ndarray, "point 3"]) -> list[Float[np.ndarray, "_ 3"]]:
-        return [part.mesh.vertices for part in fit_room(points, glass, places).parts if part.name.startswith("floor")]
+        return [
+            mesh.vertices for name, mesh in fit_room(points, glass, places).parts.items() if name.startswith("floor")
+        ]
 
     found = np.concatenate(floors(np.concatenate([floor, wall])))
     assert found[:, 0].min() == pytest.approx(-1.8, abs=0.05) and found[:, 0].max() > 4

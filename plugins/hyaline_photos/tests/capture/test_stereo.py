@@ -7,10 +7,9 @@ import pytest
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
-from hyaline_photos.capture.fusing import fuse
 from hyaline_photos.capture.outlines import Outline
 from hyaline_photos.capture.room import fit_room
-from hyaline_photos.capture.stereo import DepthMaps, find_depths
+from hyaline_photos.capture.stereo import DepthMaps, find_depths, fuse
 
 RADIUS, FLOOR = 0.25, -0.25
 """A ball around the origin, on a floor."""
@@ -108,10 +107,10 @@ def test_a_thing_is_its_surface_where_depth_maps_show_it_and_a_box_elsewhere(map
     glass = [Outline(name="glass", center=(-0.6, 0.0, FLOOR + 0.05), radii=(0.05, 0.05, 0.05))]
     places = maps.cameras.world_from_camera[:, :3, 3]
     points = np.concatenate([ball, floor, unseen])
-    with_maps = {part.name: part.mesh.vertices for part in fit_room(points, glass, places, maps).parts}
+    with_maps = {name: mesh.vertices for name, mesh in fit_room(points, glass, places, maps).parts.items()}
     assert {"thing_0", "box_0"} <= with_maps.keys()
     assert np.abs(np.linalg.norm(with_maps["thing_0"], axis=1) - RADIUS).mean() < 0.006
     assert np.abs(with_maps["box_0"].mean(axis=0)[:2] - 0.675).max() < 0.03
     assert "box_1" not in with_maps
-    without = {part.name for part in fit_room(points, glass, places).parts}
+    without = fit_room(points, glass, places).parts.keys()
     assert {"box_0", "box_1"} <= without and "thing_0" not in without

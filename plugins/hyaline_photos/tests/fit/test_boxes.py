@@ -5,11 +5,10 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy import ndimage
-from support.silhouettes import Meets, ball, block, sightings_of
+from support.silhouettes import Meets, block, sightings_of
 
 from datagen.data.meshes import check_closed, check_mesh, check_solid, signed_volume
 from datagen.scene.atlas import coverage
-from datagen.scene.materials import Dielectric
 from datagen.scene.modelling import rotation
 from hyaline_photos.fit.boxes import Box, fit_box
 from hyaline_photos.fit.views import rays_near
@@ -36,24 +35,14 @@ def worst_corner(box: Box, center: tuple, sizes: tuple, turn: np.ndarray) -> flo
     return float(np.linalg.norm(corners_of(true)[:, None] - corners_of(box), axis=-1).min(axis=1).max())
 
 
-@pytest.mark.parametrize(("wrong", "worst"), [pytest.param(0.0, 0.0003, marks=pytest.mark.full), (0.02, 0.0005)])
-def test_an_upright_box_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_places(
-    wrong: float, worst: float
-) -> None:
-    box = found(block(CENTER, SIZES, TURN), wrong=wrong)
-    assert worst_corner(box, CENTER, SIZES, TURN) < worst  # A pixel is 6 mm wide.
+def test_an_upright_box_is_found_to_a_tenth_of_a_pixel_from_masks_that_are_wrong_in_places() -> None:
+    box = found(block(CENTER, SIZES, TURN), wrong=0.02)
+    assert worst_corner(box, CENTER, SIZES, TURN) < 0.0005  # A pixel is 6 mm wide.
     assert box.rounding < 0.0015
-    assert box.unexplained < 0.003 + 2 * wrong
+    assert box.unexplained < 0.043
 
 
-@pytest.mark.parametrize(
-    "most_rays",
-    [pytest.param(20_000, marks=pytest.mark.full), pytest.param(2000, id="of which only some are used")],
-)
-def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face(
-    most_rays: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("hyaline_photos.fit.boxes.RAYS", most_rays)
+def test_a_pane_that_nearly_fills_the_pictures_does_not_grow_out_of_sight_behind_its_face() -> None:
     center, sizes = (0, 0, 0.09), (0.17, 0.12, 0.003)
     box = found(block(center, sizes, np.eye(3)), support=None)
     assert 2 * box.half_sizes.min() == pytest.approx(0.006, abs=0.0001)
@@ -79,12 +68,6 @@ def test_a_pane_does_not_grow_towards_a_known_thing_on_it_whose_mesh_is_too_larg
     box = fit_box(rays_near(dataclasses.replace(masked, first=first, touched=first > 0, depth=depth), 1), UP)
     assert box is not None
     assert worst_corner(box, center, sizes, np.eye(3)) < 0.0001
-
-
-def test_a_ball_is_explained_worse_by_a_box_than_a_box_is() -> None:
-    rays = rays_near(sightings_of(ball((0, 0, 0.05), 0.04)), 1)
-    box = fit_box(rays, UP)
-    assert box is None or box.unexplained > 0.01
 
 
 def test_a_box_of_which_others_hide_all_edges_is_not_found() -> None:
@@ -118,10 +101,3 @@ def test_normals_are_those_of_the_sides_but_on_rounded_edges() -> None:
     assert np.sort(np.abs(mesh.normals[flat]), axis=1) == pytest.approx(np.array([[0, 0, 1]] * 24), abs=1e-6)
     around = np.clip(mesh.vertices, 0.004 - box.half_sizes, box.half_sizes - 0.004)
     assert mesh.normals == pytest.approx((mesh.vertices - around) / 0.004, abs=1e-4)
-
-
-def test_other_numbers_move_vertices_and_leave_the_faces() -> None:
-    box = Box(center=np.array(CENTER), axes=TURN.T, half_sizes=np.array(SIZES), rounding=0.002)
-    other = dataclasses.replace(box, half_sizes=np.array([0.05, 0.001, 0.02]), rounding=0.0005).having(ior=1.6)
-    assert np.array_equal(box.mesh().faces, other.mesh().faces)
-    assert other.material() == Dielectric(ior=1.6)

@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 
 from hyaline_photos.fit.found import FLOOR_ERROR, WALL_ERROR, WELL, intervals
-from hyaline_photos.fit.materials import WORTH_IT, Found
+from hyaline_photos.fit.search import WORTH_IT, Found
 
 SURE = Found(value=10.0, even=10.0, odd=10.0, before=10.0)
 INDEX = Found(value=1.5, even=1.501, odd=1.499, before=1.5)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
-from hyaline_photos.fit.materials import find_absorption, find_index, find_material, find_roughness, vertex
-from hyaline_photos.fit.search import penalty
+from hyaline_photos.fit.search import find_absorption, find_index, find_material, find_roughness, penalty, vertex
 from hyaline_photos.fit.shapes import Revolution
 
 

@@ -8,9 +8,8 @@ import pytest
 from datagen.data.cameras import Cameras, look_at
 from datagen.machine.mitsuba_variant import use_mitsuba
 from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.lathe import Axis
-from hyaline_photos.fit.outlines import find_ball, find_outside, find_solid
-from hyaline_photos.fit.outside import Hull, find_hull, hull_about
+from hyaline_photos.fit.outside import Hull, find_ball, find_hull, find_outside, find_solid, hull_about
+from hyaline_photos.fit.shapes import Axis
 from hyaline_photos.fit.views import NearRays, Sightings, doubted, height_below, rays_near, with_known
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -220,32 +219,6 @@ def test_a_glass_on_a_table_is_no_wider_below_its_foot() -> None:
     hull = hull_about(rays, Axis(point=CENTER, direction=UP), heights, order=0)
     assert hull.radii.max() == pytest.approx(high, abs=0.0015)
     assert not hull.radii[heights < -CENTER[2]].any()
-
-
-def test_without_a_later_order_one_wrong_pixel_cuts_into_the_hull() -> None:
-    taken = cameras()
-    mask = cone_mask(taken, 0.03, 0.045, 0.11)
-    row, column = np.argwhere(mask[0]).mean(axis=0).astype(int)
-    mask[0, row, column] = False
-    rays = rays_near(sightings_of(mask, taken), 1)
-    axis = Axis(point=CENTER, direction=UP)
-    cut, whole = (hull_about(rays, axis, np.arange(-0.06, 0.07, 0.001), order=order) for order in (0, 1))
-    assert cut.unexplained > whole.unexplained + 0.005
-
-
-def test_many_rays_are_looked_at_part_by_part_with_the_same_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    taken = cameras()
-    rays = rays_near(sightings_of(cone_mask(taken, 0.03, 0.045, 0.11), taken), 1)
-    axis, heights = Axis(point=CENTER, direction=UP), np.arange(-0.06, 0.07, 0.001)
-    for order in (0, 2):
-        monkeypatch.undo()
-        whole = hull_about(rays, axis, heights, order=order)
-        assert whole.radii.any()
-        monkeypatch.setattr("hyaline_photos.fit.outside.RAYS_AT_ONCE", 101)
-        parts = hull_about(rays, axis, heights, order=order)
-        np.testing.assert_allclose(parts.bounds, whole.bounds, rtol=1e-12)
-        np.testing.assert_allclose(parts.radii, whole.radii, rtol=1e-12)
-        assert parts.unexplained == whole.unexplained
 
 
 def test_the_border_of_a_picture_is_no_edge_of_an_object_that_goes_on_beyond_it() -> None:

@@ -5,9 +5,9 @@ import pytest
 from support.silhouettes import sightings_of, traced
 
 from datagen.machine.mitsuba_variant import use_mitsuba
-from hyaline_photos.fit.lathe import Axis, Outline, revolved
 from hyaline_photos.fit.outside import Hull, hull_about
 from hyaline_photos.fit.profiles import between_rays
+from hyaline_photos.fit.shapes import Axis, Outline, revolved
 from hyaline_photos.fit.views import NearRays, rays_near
 
 use_mitsuba()

@@ -7,8 +7,7 @@ import pytest
 
 from datagen.data.meshes import check_mesh, open_edges, signed_volume
 from hyaline_photos.fit.found import from_state, to_state
-from hyaline_photos.fit.lathe import Axis, evenly
-from hyaline_photos.fit.shapes import OUTSIDE, POINTS, Revolution
+from hyaline_photos.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
 RADIUS, HEIGHT = 0.04, 0.1
@@ -38,9 +37,10 @@ def test_a_mesh_is_closed_and_encloses_what_a_cylinder_does(glass: Revolution, v
     assert (along.min(), along.max()) == pytest.approx((0, HEIGHT), abs=1e-6)
 
 
-@pytest.mark.parametrize("wall", [0.015, 0.08, 0.5])
-@pytest.mark.parametrize("floor", [0.02, 0.3, 0.9])
-@pytest.mark.parametrize("corner", [0.02, 0.95])
+@pytest.mark.parametrize(
+    ("wall", "floor", "corner"),
+    [(0.015, 0.02, 0.02), (0.015, 0.9, 0.95), (0.08, 0.3, 0.95), (0.5, 0.02, 0.95), (0.5, 0.9, 0.02)],
+)
 def test_vessels_of_all_numbers_are_closed_and_of_equal_counts(wall: float, floor: float, corner: float) -> None:
     mesh = CYLINDER.hollowed(wall, floor, corner).mesh()
     assert open_edges(mesh) == 0
