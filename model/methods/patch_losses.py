@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from datagen.disk.errors import HyalineError
+from datagen.disk.storage import read_regular, sha256
 from model.methods.renderer import PatchTerms
 from model.settings import LossConfig
 from model.state import State
