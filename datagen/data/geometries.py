@@ -139,7 +139,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
         made = list_geometries(dataset)
         is_known = kind.partition("-")[0] in (*PROXY_KINDS, MIXED, FITTED)
         if not is_known or difflib.get_close_matches(kind, made, n=1, cutoff=0.5):
-            choose("geometry", kind, made if is_known else {*made, *PROXY_KINDS} - {TRUTH})
+            choose("geometry", kind, made if is_known else {*made, *PROXY_KINDS})
         raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):

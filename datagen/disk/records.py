@@ -11,14 +11,13 @@ import inspect
 import json
 import math
 import re
+import sys
 import types
 import typing
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import msgspec
-import numpy as np
-from jaxtyping import jaxtyped
 
 from datagen.disk.errors import DamagedError, HyalineError, as_hyaline_error, shown
 from datagen.disk.storage import MAKE_AGAIN, commit, read_regular
@@ -278,7 +277,8 @@ _NOT_ONE = object()
 
 
 def _is_of(value: object, kind: typing.Any) -> bool:
-    import typeguard  # Not before: that takes 60 ms.
+    import typeguard  # Not before: the two take 60 ms, and the other brings NumPy.
+    from jaxtyping import jaxtyped
 
     try:
         with jaxtyped("context"):  # Axes that a caller has named mean nothing here.
@@ -288,8 +288,9 @@ def _is_of(value: object, kind: typing.Any) -> bool:
     return True
 
 
-def _in_python(value: object) -> object:
-    if isinstance(value, (np.ndarray, np.generic)):
+def _in_python(value: typing.Any) -> object:
+    numpy = sys.modules.get("numpy")  # Help is printed without it.
+    if numpy and isinstance(value, (numpy.ndarray, numpy.generic)):
         value = value.tolist()
     return tuple(map(_in_python, value)) if isinstance(value, (list, tuple)) else value
 

@@ -1,14 +1,20 @@
-"""The commands `datagen import` and `datagen import-dataset`."""
+"""The commands `datagen import` and `datagen import-dataset`, and files as scenes (`datagen build vase.glb`)."""
 
 import shlex
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
-from datagen.scene.finding import ImportChoices
+from datagen.scene.finding import ImportChoices, SceneSource
 from datagen.terminal.command import next_command, say, say_all, tell
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from datagen.data.config import Resolution
+    from datagen.scene.description import Scene
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -102,3 +108,27 @@ def import_dataset(
     say(f"{dataset.root}: {views} views; {len(dataset.objects)} meshes; noise and radiance are unknown")
     tell(str(dataset.root))
     next_command(shlex.join(["datagen", "look", str(dataset.root)]))
+
+
+def _is_foreign(given: str) -> bool:
+    return Path(given).suffix.lower() not in ("", ".json") and not Path(given).is_dir()
+
+
+def _find(given: str, resolution: "Resolution", imports: ImportChoices) -> "Scene":
+    from hyaline_import.confined_import import imported_scene
+    from hyaline_import.source import check_ending
+
+    check_ending(Path(given))
+    say(f"scene {given}: importing it")
+    scene, told, _ = imported_scene(Path(given), imports, resolution=resolution)
+    say_all(told)
+    return scene
+
+
+def _read_mesh(path: Path) -> "tuple[np.ndarray, np.ndarray, np.ndarray | None]":
+    from hyaline_import.source import read_mesh
+
+    return read_mesh(path)
+
+
+FILES = SceneSource(has=_is_foreign, find=_find, is_of_files=True, read_mesh=_read_mesh)

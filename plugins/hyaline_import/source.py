@@ -8,14 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import file_name
 from datagen.machine.processes import allow_triangles, confined
-from datagen.scene.description import Scene
-from datagen.scene.finding import ImportChoices, SceneSource
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
-from datagen.terminal.command import MAX_SUGGESTED, choose, say, say_all
+from datagen.terminal.command import MAX_SUGGESTED, choose
 from datagen.terminal.plugins import Group
 from hyaline_import.foreign import joined
 from hyaline_import.remarks import Remarks
@@ -104,21 +101,8 @@ def override(name: str, overrides: list[tuple[str, Material]]) -> Material | Non
     return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)
 
 
-def _is_foreign(given: str) -> bool:
-    return ending_of(Path(given)) not in ("", "json") and not Path(given).is_dir()
-
-
-def _find(given: str, resolution: Resolution, imports: ImportChoices) -> Scene:
-    from hyaline_import.confined_import import imported_scene
-
-    check_ending(Path(given))
-    say(f"scene {given}: importing it")
-    scene, told, _ = imported_scene(Path(given), imports, resolution=resolution)
-    say_all(told)
-    return scene
-
-
-def _read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Vertices, faces and uv, if any, of all objects of a file as one mesh."""
     check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
         return found["vertices"], found["faces"], found.get("uv")
@@ -130,6 +114,3 @@ def write_arrays(folder: Path, path: Path) -> None:
     allow_triangles(len(whole.faces))
     arrays = {"vertices": whole.positions, "faces": whole.faces}
     np.savez(folder / "mesh.npz", allow_pickle=False, **arrays, **({} if whole.uv is None else {"uv": whole.uv}))
-
-
-FILES = SceneSource(has=_is_foreign, find=_find, is_of_files=True, read_mesh=_read_mesh)

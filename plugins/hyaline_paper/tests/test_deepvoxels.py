@@ -28,7 +28,6 @@ from hyaline_paper.deepvoxels import (
     frustum_points,
     grid_coordinates,
     lift,
-    load,
     near_plane,
     sample_frustum,
 )
@@ -347,8 +346,8 @@ def test_what_it_cannot_learn_from_is_refused(dataset: Dataset) -> None:
     large = dataclasses.replace(TINY, image_size=128)
     refused = {
         "look the same way; deepvoxels needs views from around": lambda: fit_cube(same, np.zeros((1, 3))),
-        "is 64 x 64; deepvoxels draws 128 x 128": lambda: load(
-            large, open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False
+        "is 64 x 64; deepvoxels draws 128 x 128": lambda: large.load(
+            open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False
         ),
         "is 100 x 100; .* so build the dataset with --resolution 128": lambda: TINY.sized(square(100)),
         "plane_size: is 64; expected at most the pictures' 32": lambda: DeepVoxelsConfig(image_size=32),
