@@ -38,13 +38,9 @@ SMALL = TrainConfig(
 @pytest.mark.parametrize(
     ("extrinsics", "num_layers", "expected"),
     [
-        ("view", 14, 30_835),
         ("view", 16, 33_267),
         ("view", 17, 34_483),
-        ("sh", 14, 36_211),
         ("sh", 16, 39_411),
-        ("sh", 17, 41_011),
-        ("none", 14, 28_147),
         ("none", 16, 30_195),
     ],
 )
