@@ -51,27 +51,18 @@ MAX_WORDS = 200
 # Submissions
 
 
-def find_truths(root: Path) -> dict[str, Dataset]:
-    """All datasets in a folder, by their digest; one that cannot be opened is named and left out.
-
-    Of a hidden scene's two datasets, which have one digest, the one with the truth.
-    """
-    found: dict[str, Dataset] = {}
-    for folder in list_datasets(root):
-        with left_out():
-            dataset = open_dataset(folder)
-            if dataset.seal not in found or not dataset.withheld:
-                found[dataset.seal] = dataset
-    return found
-
-
 def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> dict[str, dict[str, Run]]:
     """The runs on datasets of a preset, by their name and scene, each with the dataset that has the truth.
 
-    A run that cannot be opened, or whose dataset has another size, is named and left out; so is a second run on a
-    scene.
+    A dataset or run that cannot be opened, or has another size, is named and left out; so is a second run on a scene.
     """
-    truths = find_truths(data_root)
+    truths: dict[str, Dataset] = {}
+    for folder in list_datasets(data_root):
+        with left_out():
+            dataset = open_dataset(folder)
+            # Of a hidden scene's two datasets, which have one digest, the one with the truth.
+            if dataset.seal not in truths or not dataset.withheld:
+                truths[dataset.seal] = dataset
     runs: list[Run] = []
     for folder in list_run_folders(root, besides=root / "report"):
         with left_out():

@@ -15,14 +15,10 @@ from eval.tables.grids import MISSING, SHORT_SPLITS, Column, Grid
 from eval.tables.plugins import EditedPsnr, Table
 from hyaline_paper.comparisons import (
     BEST,
-    DNR,
     NOT_RUN,
-    SPHERICAL_HARMONICS,
-    VIEW_VECTOR,
     Comparison,
     Entry,
     Line,
-    PublishedRow,
     find_entries,
 )
 
@@ -53,7 +49,6 @@ class Claim:
     lower: tuple[Weights, ...] = ()
     is_edited: bool = False
     """True if it is about the pixels where edited objects are or were."""
-    published: tuple[PublishedRow, PublishedRow] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +121,6 @@ CLAIMS = (
     Claim(
         text="1. The paper's method beats Deferred Neural Rendering",
         pairs=(_pair(PAPER, U_NET), _pair(PAPER, Line(title="DNR, as the paper ran it", method="dnr-authors"))),
-        published=(VIEW_VECTOR, DNR),
     ),
     Claim(text="2. All layers beat the first one", pairs=(_pair(PAPER, FIRST_LAYER), _pair(U_NET_LAYERS, U_NET))),
     Claim(
@@ -144,14 +138,12 @@ CLAIMS = (
         ),
         higher=(),
         lower=(DROP,),
-        published=(VIEW_VECTOR, DNR),
     ),
     Claim(
         text="5. Spherical harmonics help near and hurt far",
         pairs=(_pair(_paper("spherical harmonics", flags={"extrinsics": "sh"}), _paper("view vector"), "extrinsics"),),
         higher=(NEAR,),
         lower=(FAR,),
-        published=(SPHERICAL_HARMONICS, VIEW_VECTOR),
     ),
     Claim(
         text="6. Ellipsoids beat boxes",
@@ -188,8 +180,6 @@ def find_claims(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr])
     """
     findings = []
     for claim in CLAIMS:
-        if claim.published is not None:
-            findings.append(_published(claim, *claim.published))
         tried = [finding for pair in claim.pairs for finding in _try(claim, pair, scenes, edited)]
         findings += tried or [Finding(claim=claim.text, data=MISSING, pair=MISSING, numbers=MISSING, verdict=NOT_RUN)]
     return findings
@@ -207,8 +197,8 @@ def claims_grid(scenes: Sequence[SceneScores], edited: Mapping[str, EditedPsnr])
             f"Intervals: bootstrap over scenes where at least {LEAST} have the pair, otherwise over the pictures of a "
             "scene and the runs' seeds. An interval that contains 0 decides nothing, nor do fewer than "
             f"{LEAST} pictures or edits. Neighbouring pictures are alike, so intervals over pictures are too narrow.",
-            "Published: what the paper printed, most likely the wrapped PSNR; no verdict rests on it. Drop: PSNR "
-            "interpolating minus extrapolating. Edited: PSNR where the edited object is or was, averaged by edit.",
+            "Drop: PSNR interpolating minus extrapolating. Edited: PSNR where the edited object is or was, averaged by "
+            "edit.",
             f"Data: dataset seals {seals or 'none'}.",
         ),
     )
@@ -286,12 +276,6 @@ def _shared_edits(edited: EditedPsnr, entries: Sequence[Entry]) -> EditedPsnr:
     names = [run.run.name for entry in entries for run in entry.group.runs]
     shared = set.intersection(*(set(edited.get(name, {})) for name in names))
     return {name: {edit: edited[name][edit] for edit in sorted(shared)} for name in names if name in edited}
-
-
-def _published(claim: Claim, first: PublishedRow, second: PublishedRow) -> Finding:
-    one, other = ([np.array([[row.value_db(split)]]) for split in TEST_SPLITS] for row in (first, second))
-    found = finding_of(claim, "published", f"{first.method} against {second.method}", one, other)
-    return found._replace(verdict=MISSING)
 
 
 CLAIMS_TABLE = Table(

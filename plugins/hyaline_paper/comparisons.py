@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import cast
 
-from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import TRUTH, is_fitted
 from datagen.disk.records import Json, dump_json
@@ -25,9 +25,6 @@ class PublishedRow:
     method: str
     interpolating_db: float
     extrapolating_db: float
-
-    def value_db(self, split: Split) -> float:
-        return self.interpolating_db if split == "interpolating" else self.extrapolating_db
 
 
 NO_EXTRINSICS = PublishedRow(method="no extrinsics", interpolating_db=33.09, extrapolating_db=32.96)

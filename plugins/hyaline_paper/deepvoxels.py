@@ -24,7 +24,6 @@ from datagen.disk.errors import HyalineError
 from hyaline_paper.authors_code import seeded
 from hyaline_paper.methods import DeepVoxelsConfig
 from hyaline_paper.voxel_nets import (
-    Critic,
     Integration,
     Occlusion,
     Unet,
@@ -35,8 +34,7 @@ from hyaline_paper.voxel_nets import (
 )
 from model.batches.rays import ViewBatch, Views, views_of
 from model.methods.protocol import Inputs
-from model.methods.renderer import ParameterGroup, PatchTerms, Renderer
-from model.settings import Optimisation
+from model.methods.renderer import PatchTerms, Renderer
 
 CLEARANCE = 0.9
 """Largest radius of the grid's bounding sphere, relative to the distance of the nearest training camera."""
@@ -197,10 +195,6 @@ BORDER = 5
 authors also leave them out of their scores; here predictions are whole, like every other method's."""
 
 
-L1_WEIGHT = 200.0
-"""Weight of L1 relative to the critic."""
-
-
 class DeepVoxels(Renderer[Views]):
     """Views in, their pictures out, drawn from a grid of features that training views were lifted into.
 
@@ -231,7 +225,6 @@ class DeepVoxels(Renderer[Views]):
             plane_size=plane,
             dropout=config.dropout,
         )
-        self.critic = Critic() if config.adversarial else None
         # Saved with the weights, because later renderings need the grid where it was learned.
         self.register_buffer("origin", origin.clone())
         self.register_buffer("voxel_size", torch.tensor(edge / size, dtype=torch.float32))
@@ -274,21 +267,8 @@ class DeepVoxels(Renderer[Views]):
             for target in targets:
                 drawn = self.draw(inpainted, training.cameras[target])[..., inside, inside]
                 true = training.image(target)[..., inside, inside]
-                loss = (drawn - true).abs().mean()
-                if self.critic is not None:
-                    loss = L1_WEIGHT * loss + adversarial_loss(self.critic, drawn - 0.5, true - 0.5)
-                losses.append(loss)
+                losses.append((drawn - true).abs().mean())
             return torch.stack(losses).mean()
-
-    def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
-        """One Adam moves the networks and the critic, at the same rate."""
-        critic = [] if self.critic is None else list(self.critic.parameters())
-        return [
-            ParameterGroup(parameters=self.all_but(critic), lr=optimisation.lr, weight_decay=optimisation.weight_decay),
-            ParameterGroup(
-                parameters=critic, lr=optimisation.lr, weight_decay=optimisation.weight_decay, counts_as="helper"
-            ),
-        ]
 
     def observe(self, image: Float32[Tensor, "1 3 h w"], camera: Camera) -> Volume:
         """The grid after integrating one more view; it is stored, too.
@@ -316,20 +296,6 @@ def grid_coordinates(size: int) -> Float32[Tensor, "1 3 z y x"]:
     """The place of each voxel along z, y and x, in [-0.5, 0.5)."""
     steps = torch.arange(-(size // 2), size // 2) / size
     return torch.stack(torch.meshgrid(steps, steps, steps, indexing="ij"))[None]
-
-
-def adversarial_loss(critic: Critic, drawn: Float32[Tensor, "1 3 h w"], true: Float32[Tensor, "1 3 h w"]) -> Tensor:
-    """The renderer's and the critic's losses in one number.
-
-    The renderer's loss is -log D(drawn), with the critic's parameters held constant; the critic's loss is
-    -(log D(true) + log(1 - D(drawn))) / 2, with the picture held constant. No parameter appears in both, and Adam
-    updates each parameter independently, so one Adam takes exactly the steps of the authors' two optimisers of equal
-    rate, and one checkpoint resumes both.
-    """
-    fixed = {name: value.detach() for name, value in critic.named_parameters()}
-    renderer_side = functional.softplus(-torch.func.functional_call(critic, fixed, (drawn,))).mean()
-    on_true, on_drawn = functional.softplus(-critic(true)).mean(), functional.softplus(critic(drawn.detach())).mean()
-    return renderer_side + 0.5 * (on_true + on_drawn)
 
 
 def complete(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxelsConfig:

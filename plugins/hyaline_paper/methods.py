@@ -1,4 +1,4 @@
-"""Configurations of the methods `authors-code`, `deepvoxels`, `deepvoxels-paper` and `deepvoxels-original`."""
+"""Configurations of the methods `authors-code`, `deepvoxels` and `deepvoxels-paper`."""
 
 import dataclasses
 import math
@@ -82,16 +82,18 @@ class DeepVoxelsConfig(MethodConfig):
     grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
     at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
     adversarial: bool = unflagged(False)
-    """Add the authors' patch discriminator to the loss; the paper had to leave it out (section 5.1)."""
+    """Always false: the authors' patch discriminator, which the paper had to leave out (section 5.1), is gone."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, low in (("image_size", 64 if self.adversarial else 16), ("plane_size", 16), ("num_voxels", 4)):
+        for name, low in (("image_size", 16), ("plane_size", 16), ("num_voxels", 4)):
             value = getattr(self, name)
             if (value < low or value & (value - 1)) and not (name == "image_size" and value == 0):
                 raise HyalineError(f"{name}: is {value}; deepvoxels needs a power of two of {low} or more")
         if self.image_size and self.plane_size > self.image_size:
             raise HyalineError(f"plane_size: is {self.plane_size}; expected at most the pictures' {self.image_size}")
+        if self.adversarial:
+            raise HyalineError("adversarial: is true; this version of deepvoxels has no discriminator")
         if not 0 <= self.dropout < 0.5:
             raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
 
@@ -124,14 +126,3 @@ class DeepVoxelsPaperConfig(DeepVoxelsConfig):
     def optimisation(self) -> Optimisation:
         # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
         return Optimisation(batch=2, lr=1e-5, lr_decay="none")
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeepVoxelsOriginalConfig(DeepVoxelsConfig):
-    """DeepVoxels as its authors published it: L1 and a discriminator at rate 0.0004. Needs a GPU."""
-
-    def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        return type(self)(adversarial=True)
-
-    def optimisation(self) -> Optimisation:
-        return Optimisation(batch=2, lr=4e-4, lr_decay="none")

@@ -250,20 +250,3 @@ def collapse(
 ) -> Float32[Tensor, "1 c p q"]:
     """Features of each ray: the *mean* over depth of visible features, as in the authors' code; a sum over d planes."""
     return (visibility * frustum).mean(dim=2)
-
-
-class Critic(nn.Module):
-    """A discriminator of patches of 70 pixels: one logit each."""
-
-    def __init__(self, width: int = 28) -> None:
-        super().__init__()
-        layers: list[nn.Module] = [nn.ReflectionPad2d(1), nn.Conv2d(3, width, 4, stride=2), nn.LeakyReLU(0.2)]
-        for stage, stride in enumerate((2, 2, 1)):
-            before, after = width * 2**stage, width * 2 ** (stage + 1)
-            layers += [nn.ReflectionPad2d(1), nn.Conv2d(before, after, 4, stride=stride)]
-            layers += [nn.BatchNorm2d(after), nn.Dropout2d(0.5), nn.LeakyReLU(0.2)]
-        self.layers = nn.Sequential(*layers, nn.ReflectionPad2d(1), nn.Conv2d(8 * width, 1, 4))
-
-    def forward(self, image: Float32[Tensor, "1 3 h w"]) -> Float32[Tensor, "1 1 patch_h patch_w"]:
-        """Logits, above 0 for true patches, of colours in [-0.5, 0.5]."""
-        return self.layers(image)

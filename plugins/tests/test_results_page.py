@@ -63,14 +63,6 @@ def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.Mo
         assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()
 
 
-def test_a_folder_is_one_page_that_says_a_shared_note_once(tmp_path: Path) -> None:
-    write(tmp_path, "a.json", results())
-    write(tmp_path, "b.json", results())
-    lines = results_page(tmp_path).splitlines()
-    assert [line for line in lines if line.startswith("# ")] == ["# a", "# b"] and lines.count("As stored.") == 1
-    assert f"[b.json]({tmp_path.name}/b.json); hyaline 0.1.0 (abc)." in lines
-
-
 def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_path: Path) -> None:
     lines = results_page(write(tmp_path, "demo.json", results())).splitlines()
     assert lines[:5] == ["# demo", "", "```", "make demo", "```"]
@@ -89,29 +81,6 @@ def test_seeds_are_a_mean_with_its_deviation_and_the_best_run_comes_first(tmp_pa
         "| mine | 1 | 20.00 | 20.00 |",
         "| noise ceiling |  | 45.00 |  |",
     ]
-
-
-def test_fitted_glass_stands_beside_the_truth(tmp_path: Path) -> None:
-    content = results()
-    errors = {"chamfer": 0.00031, "thickness": 0.0035, "true_thickness": 0.0036, "normal_deg": 0.52}
-    near = {"value": 2.5, "low": 2.4, "high": 2.6}
-    channels = {f"absorption_{channel}": near for channel in ("red", "green", "blue")}
-    tumbler = {
-        "kind": "revolution",
-        "numbers": {"ior": {"value": 1.505, "low": 1.49, "high": 1.52}, "wall": {"value": 0.0035}, **channels},
-        "measured": {"errors": errors, "true": {"ior": 1.5, "absorption_red": 3.0, "absorption_blue": 2.5}},
-    }
-    unknown = {"kind": "ball", "numbers": {"roughness": {"value": 0.1}}, "measured": {"errors": None, "true": {}}}
-    content["scenes"][0]["analyses"]["fits"] = {"fit": {"tumbler": tumbler, "ball": unknown}}
-    page = results_page(write(tmp_path, "fits.json", content)).replace(MISSING, "none")
-    assert "### glass_table: glass found from masks and pictures" in page
-    tints = "2.5 (3.0), 2.5, 2.5 (2.5)"
-    assert f"| fit | tumbler | revolution | 0.31 | 0.5 | 3.50 (3.60) | 1.505 (1.500) | {tints} | none |" in page
-    assert "| fit | ball | ball | none | none | none | none | none | 0.10 |" in page
-    intervals = page.splitlines()[page.splitlines().index("### intervals of fits that contain the true value") :]
-    assert "| glass_table | 1 of 1 | 1 of 2 |" in intervals and "| all | 1 of 1 | 1 of 2 |" in intervals
-    # The index is a third of its interval's half away from the truth, one channel five halves.
-    assert "| factor for 90 % | 0.3 | 5.0 |" in intervals
 
 
 @pytest.mark.parametrize("content", [results(version=2), results(scenes=[{"scene": "x"}]), {"version": 1}])

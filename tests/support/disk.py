@@ -229,22 +229,16 @@ def _fsync(handle: Any) -> None:
     _announce("fsync", os.readlink(f"/proc/self/fd/{number}"))
 
 
-def _open(
-    file: Any,
-    mode: str = "r",
-    buffering: int = -1,
-    encoding: Any = None,
-    errors: Any = None,
-    newline: Any = None,
-    closefd: bool = True,
-    opener: Any = None,
-) -> Any:
+def _open(file: Any, mode: str = "r", *rest: Any, **more: Any) -> Any:
     is_ours = _active is not None and isinstance(file, str | bytes | os.PathLike) and set(mode) & set("wax+")
     if not is_ours or not os.path.realpath(os.fsdecode(file)).startswith(_active[0]):  # pyright: ignore
-        return _true_open(file, mode, buffering, encoding, errors, newline, closefd, opener)
+        return _true_open(file, mode, *rest, **more)
     raw = _WatchedFile(file, mode.replace("b", "").replace("t", ""))
     buffered = io.BufferedRandom(raw) if "+" in mode else io.BufferedWriter(raw)
-    return buffered if "b" in mode else io.TextIOWrapper(buffered, encoding, errors, newline)
+    if "b" in mode:
+        return buffered
+    given = dict(zip(("buffering", "encoding", "errors", "newline"), rest)) | more
+    return io.TextIOWrapper(buffered, *(given.get(name) for name in ("encoding", "errors", "newline")))
 
 
 class _WatchedFile(io.FileIO):

@@ -36,7 +36,6 @@ from hyaline_import.datasets.import_dataset import plan_import
 from model.methods.paper.config import PaperConfig
 from model.run.predict import load_renderer, render_predictions
 from model.run.run_folder import TrainConfig, read_predictions, read_run
-from model.run.sweep import read_experiment
 from model.run.train import train
 from model.state import CHECKPOINT_VERSION, fingerprint
 
@@ -82,7 +81,6 @@ def write_world(root: Path) -> None:
     ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
     (root / "view.exr").write_bytes(radiance_bytes(truth))
-    (root / "grid.txt").write_text("model train paper\n")
     (root / "theirs").mkdir()
     frames = []
     for view in range(4):
@@ -121,7 +119,6 @@ READERS: dict[str, Callable[[Path], object]] = {
         open_run(root / FOREIGN, root / "data"), "interpolating", 0
     ),
     "view.exr": lambda root: decode_exr((root / "view.exr").read_bytes()),
-    "grid.txt": lambda root: read_experiment(str(root / "grid.txt")),
     "theirs/transforms.json": lambda root: plan_import(root / "theirs", DatasetImportChoices()),
 }
 """What reads each file, in a world."""
@@ -217,18 +214,6 @@ def text_contents(good: bytes) -> dict[str, bytes]:
         "UTF-16": good.decode().encode("utf-16"),
         "with a byte order mark": b"\xef\xbb\xbf" + good,
     }
-
-
-def grids() -> dict[str, bytes]:
-    """Experiment files that no sweep should start."""
-    line = "model train paper"
-    flags = (
-        *("--extrinsic sh", "--STEPS 3", "'one", "--seed {0,1", "--steps many", "--steps -1", "--lr nan", '"\ud800"'),
-        *(f"--steps {'9' * 5000}", "--branches 2", f"--seed {'{0,1,2,3}' * 20}"),
-    )
-    lines = ("model train papr", "model train 3", "datagen build one", "train paper", f"rm -r data\n{line}", "\x00")
-    texts = (*(f"{line} {flag}" for flag in flags), *lines, f"{line} --seed " + "{" * 20_000 + "}" * 20_000)
-    return {text[:40]: text.encode("utf-8", "surrogatepass") for text in texts}
 
 
 def plies() -> dict[str, bytes]:
@@ -350,10 +335,9 @@ def cases_of(root: Path) -> list[Case]:
             ".png": pictures,
             ".exr": lambda cuts=cuts: cuts,
             ".ply": lambda cuts=cuts: plies() | cuts,
-            ".txt": grids,
         }[suffix]()
         loose: list[tuple[str, bytes]] = list(json_contents(good)) if suffix == ".json" else []
-        for number in range(0 if suffix in (".json", ".txt") else 40):
+        for number in range(0 if suffix == ".json" else 40):
             spoilt = bytearray(good)
             spoilt[int(rng.integers(len(good)))] ^= 1 << int(rng.integers(8))
             loose.append((f"bit {number} flipped", bytes(spoilt)))

@@ -41,13 +41,6 @@ class PretendTensor(Tensor):
     def device(self) -> torch.device:
         return CUDA
 
-    @property
-    def is_cuda(self) -> bool:
-        return True
-
-    def __repr__(self, *, tensor_contents: object = None) -> str:
-        return f"PretendTensor({self.inner!r})"
-
     @classmethod
     def __torch_dispatch__(cls, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         return _compute(func, args, kwargs or {})
@@ -83,7 +76,7 @@ class _Pretending(TorchFunctionMode):
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = dict(kwargs or {})
         name = getattr(func, "__name__", "")
-        if args and isinstance(args[0], Tensor) and name in ("to", "cpu", "cuda", "tolist", "numpy", "pin_memory"):
+        if args and isinstance(args[0], Tensor) and name in ("to", "cpu", "tolist", "numpy", "pin_memory"):
             return self._move(func, name, args, kwargs)
         if func is functional.embedding_bag and args[0].dim() == 2 and _is_ours(args[0]):
             # Its Python makes offsets on the device, unseen by this mode.
@@ -112,8 +105,6 @@ class _Pretending(TorchFunctionMode):
                 device, dtype = args[1].device, args[1].dtype
             else:
                 device, dtype, _, _ = torch._C._nn._parse_to(*args[1:], **kwargs)
-        elif name == "cuda":
-            device = CUDA
         elif name == "pin_memory":
             return tensor
         elif not _is_ours(tensor):

@@ -80,8 +80,8 @@ class Window:
         }
         self._connection.send(msgspec.msgpack.encode(message))
 
-    def windows(self) -> Iterator[tuple[list[dict[str, Any]], list[bytes]]]:
-        """What the viewer says, as many messages at once as it says, with their binary parts; until it is silent."""
+    def messages(self) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
+        """What the viewer says until it is silent, each message with the binary parts of all that came with it."""
         import msgspec
         import zstandard
 
@@ -98,12 +98,7 @@ class Window:
                 place += -place % 8
                 parts.append(data[place : place + length])
                 place += length
-            yield content["messages"], parts
-
-    def messages(self) -> Iterator[tuple[dict[str, Any], list[bytes]]]:
-        """What the viewer says, with the binary parts of each message's window."""
-        for messages, parts in self.windows():
-            for message in messages:
+            for message in content["messages"]:
                 yield message, parts
 
     def pictures(self) -> Iterator[tuple[str, np.ndarray]]:

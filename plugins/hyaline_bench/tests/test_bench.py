@@ -29,10 +29,9 @@ from datagen.disk.records import seal_bytes
 from datagen.scene.edits import parse_edit
 from eval.score.runs import Run, open_run
 from hyaline_bench.floors import nearest_view
-from hyaline_bench.leaderboard import check_comparable, track_grid
+from hyaline_bench.leaderboard import check_comparable
 from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, load_protocol
 from hyaline_bench.score import mean_interval, read_scored, summarise
-from hyaline_random.names import FAMILIES, parse_random
 from model.run.sweep import Experiment, read_experiment
 
 SCORES = Path("bench/tiny/scores/nearest-view.json")
@@ -301,13 +300,6 @@ def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
             choose_track(of_any, None, small_protocol.tracks)
 
 
-def test_an_unknown_geometry_has_no_track_of_its_own(here: Path, small_protocol: Protocol) -> None:
-    found = run_with(here, seal="of model train", geometry="Truth")
-    with pytest.raises(HyalineError, match="name the track with --track, one of pictures, masks"):
-        choose_track(found, None, small_protocol.tracks)
-    assert choose_track(found, "masks", small_protocol.tracks) == "masks"
-
-
 # Floors and averages
 
 
@@ -346,14 +338,6 @@ def test_the_interval_of_two_scenes_has_a_closed_form_and_one_scene_has_none() -
     assert mean_interval(np.array([20.0]), bootstrap) == (None, None)
 
 
-def test_rows_with_fewer_scenes_come_last(predicted: Path, small_protocol: Protocol) -> None:
-    run("hyaline-bench score --preset tiny")
-    scored = read_scored(SCORES)
-    few = dataclasses.replace(scored, name="few", scenes={"synthetic": scored.scenes["synthetic"]})
-    rows = track_grid("", [few, scored], small_protocol).rows
-    assert [(row[0], row[1]) for row in rows] == [("nearest-view", "2/4"), ("few", "1/4")]
-
-
 # The protocol, which names what `datagen` makes, and its sweep
 
 PROTOCOL = load_protocol()
@@ -366,15 +350,6 @@ def test_scenes_sizes_splits_and_edits_are_those_of_datagen() -> None:
     for name, size in PROTOCOL.presets.items():
         made = PRESETS[name]
         assert (made.resolution, made.train, made.interpolating) == (square(size.resolution), size.train, size.test)
-
-
-def test_there_are_six_built_in_sixteen_random_and_eight_hidden_scenes_of_three_families() -> None:
-    public = PROTOCOL.public_scenes("demo")
-    named = [parse_random(scene) for scene in public[6:]]
-    assert (len(public), len(PROTOCOL.hidden_scenes("demo"))) == (22, 8)
-    assert [name.seed for name in named if name] == list(range(7100, 7116))
-    assert {name.family for name in named if name} == set(FAMILIES.built_in)
-    assert list(PROTOCOL.tracks) == ["pictures", "masks", "proxies", "shapes", "materials"]
 
 
 def datasets_of(experiment: Experiment) -> dict[str, set[str]]:

@@ -7,13 +7,12 @@ from pathlib import Path
 
 import pytest
 from support import fake_renderer
-from support.builds import FLAGS, build_whole, tree
+from support.builds import build_whole, tree
 from support.commands import Answer, call, run
 from support.disk import failing_from, observe, read_state
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.dataset import open_dataset
-from datagen.disk.records import load_sealed
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import save_scene
 from hyaline_export.formats import FORMATS
@@ -111,12 +110,6 @@ def state(scene_folder: Path, terms: str) -> None:
     """What a user does to say the licence of a scene."""
     file = scene_folder / "scene.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), "license": terms}))
-
-
-def test_datasets_of_scenes_that_code_makes_may_be_used_for_anything(tmp_path: Path) -> None:
-    run(f"datagen build --scene random-object-0003 --out {tmp_path / 'data'} {' '.join(FLAGS)}")
-    assert load_sealed(tmp_path / "data" / "dataset.json")["license"] == "CC0-1.0"
-    assert json.loads((tmp_path / "data" / "scene" / "scene.json").read_text())["license"] == "CC0-1.0"
 
 
 def test_a_scene_of_ones_own_has_the_licence_that_it_states(scene_folder: Path, tmp_path: Path) -> None:

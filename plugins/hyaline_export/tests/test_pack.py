@@ -14,7 +14,6 @@ from pathlib import Path
 import pytest
 from support.builds import tree
 from support.commands import call, run
-from support.disk import failing_from
 from support.synthetic import write_synthetic_dataset
 
 HEAD = "dataset.json"
@@ -75,18 +74,6 @@ def umask() -> int:
     before = os.umask(0)
     os.umask(before)
     return before
-
-
-def test_a_dataset_with_variants_proxies_and_edit_masks_comes_back_whole(here: Path) -> None:
-    write_synthetic_dataset(Path("data/whole"), scene_name="synthetic")
-    run("proxies make whole --kind box")
-    run("datagen add whole --edit remove:pane")
-    run("datagen pack whole --out whole.tar")
-    run("datagen unpack whole.tar --out again")
-    assert tree(Path("again")) == tree(Path("data/whole"))
-    names = {path.split("/")[0] for path in tree(Path("again"))}
-    assert names >= {"variants", "proxies", "layers"}
-    assert any("edit-masks" in path for path in tree(Path("again")))
 
 
 def test_an_empty_folder_is_filled_and_one_with_other_files_is_left_alone(here: Path) -> None:
@@ -176,17 +163,14 @@ def as_member(path: str = PICTURE, **header: object) -> Change:
 
 HOSTILE: dict[str, Change] = {
     "truncated": (lambda _, data: data[: len(data) // 2], f"{DAMAGED}|{UNFINISHED}"),
-    "cut in its metadata": (lambda _, data: data[:700], DAMAGED),
     "empty": (lambda *_: b"", DAMAGED),
     "compressed": (lambda _, data: gzip.compress(data), DAMAGED),
     "another tar": without(HEAD, f"holds 'synthetic/images/.*'; {NOT_PLAIN}"),
-    "metadata of something else": with_file(HEAD, b"{}", UNFINISHED),
     "edited metadata": (
         lambda files, _: archive_of(files | {HEAD: files[HEAD].replace(b"synthetic", b"authentic")}),
         rf"{UNFINISHED} \(dataset.json: does not match its own checksum",
     ),
     "a way up": with_file("../../up.json", reason=r"\.\./\.\./up\.json"),
-    "an absolute path": with_file("/tmp/up.json", reason="/tmp/up.json"),
     "a view too many": with_file("images/train/9999.png"),
     "a variant of another dataset": (
         lambda files, _: archive_of(files | {"variants/x2/dataset.json": files[HEAD]}),
@@ -195,10 +179,8 @@ HOSTILE: dict[str, Change] = {
     "a bomb": (lambda _, data: resized(data, PICTURE, 1 << 50), DAMAGED),
     "a sparse bomb": as_member(type=tarfile.GNUTYPE_SPARSE),
     "a link": as_member(type=tarfile.SYMTYPE, linkname="/etc/passwd", size=0),
-    "a link as metadata": as_member(HEAD, type=tarfile.SYMTYPE, linkname="/etc/passwd", size=0),
     "an empty file": with_file(PICTURE, b"", NOT_PLAIN),
     "layers that no record names": with_file("proxies/x/meshes/a.ply", b"x", rf"{UNFINISHED} \(.*proxies"),
-    "another picture": with_file(PICTURE, b"x", f"{UNFINISHED}.*0001.png"),
     "an unfinished dataset": without("records/train", f"{UNFINISHED}.*unfinished"),
 }
 
@@ -234,12 +216,3 @@ def test_a_flipped_bit_changes_nothing_or_is_noticed(here: Path, is_full: bool) 
             assert not Path("out").exists()
             noticed += 1
     assert noticed > len(places) / 4
-
-
-def test_a_full_disk_leaves_no_archive_and_no_folder(here: Path) -> None:
-    for line in ("datagen pack 'my scene' --out new.tar", "datagen unpack 'my scene.tar' --out out"):
-        before = tree(here)
-        with failing_from(here, 9, "ENOSPC") as refused:
-            answer = call(line)
-        assert refused and answer.status == 1 and "no space left" in answer.error
-        assert tree(here) == before and not list(here.glob("*hyaline-tmp"))

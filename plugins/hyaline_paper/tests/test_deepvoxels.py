@@ -10,7 +10,7 @@ import torch
 from support.commands import call
 from support.reference import convolve, interpolate
 from support.synthetic import look_at, write_synthetic_dataset
-from support.training import stop_at
+from support.training import assert_resumes
 from torch import nn
 
 from datagen.data.cameras import Cameras, Lens
@@ -22,7 +22,6 @@ from datagen.disk.errors import HyalineError
 from hyaline_paper.deepvoxels import (
     DeepVoxels,
     VoxelGrid,
-    adversarial_loss,
     build,
     fit_cube,
     frustum_points,
@@ -32,18 +31,15 @@ from hyaline_paper.deepvoxels import (
     sample_frustum,
 )
 from hyaline_paper.methods import DeepVoxelsConfig
-from hyaline_paper.voxel_nets import ONEDNN_ROWS, Conv3d, Critic, Integration, Occlusion, collapse
+from hyaline_paper.voxel_nets import ONEDNN_ROWS, Conv3d, Integration, Occlusion, collapse
 from model.batches.rays import Views, load_views_of, views_of
 from model.methods.protocol import open_inputs
 from model.run.run_folder import TrainConfig, read_run
 from model.run.train import train
-from model.state import load_state
 
 CPU = torch.device("cpu")
 SIZE = 16
-TINY = DeepVoxelsConfig(
-    image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True, adversarial=True
-)
+TINY = DeepVoxelsConfig(image_size=64, plane_size=16, num_voxels=8, voxel_features=3, width=2, bounded=True)
 
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -172,18 +168,6 @@ def test_every_part_has_its_authors_number_of_parameters(
     assert round(sum(parts) / 1e6, 1) == total == round(sum(p.numel() for p in net.parameters()) / 1e6, 1)
 
 
-def test_the_critic_has_its_number_of_parameters_and_sees_70_pixels() -> None:
-    critic = Critic().eval()
-    assert round(sum(p.numel() for p in critic.parameters()) / 1e6, 2) == 0.53
-    image = torch.rand(1, 3, 128, 128, requires_grad=True)
-    patches = critic(image)
-    assert patches.shape == (1, 1, 14, 14)
-    patches[0, 0, 7, 7].backward()
-    assert image.grad is not None
-    rows = image.grad.abs().sum(dim=(0, 1, 3)).nonzero()
-    assert int(rows.max() - rows.min()) + 1 == 70
-
-
 @pytest.mark.parametrize("bounded", [False, True])
 def test_the_integration_is_the_gated_unit_of_its_formula(bounded: bool) -> None:
     torch.manual_seed(0)
@@ -250,32 +234,6 @@ def test_drawing_leaves_the_grid_and_observing_keeps_it_without_gradient(dataset
     assert torch.equal(net.get_buffer("volume"), kept)
 
 
-@pytest.mark.parametrize("size", [32, 128])
-def test_pictures_of_every_size_are_drawn_whole(size: int) -> None:
-    config = dataclasses.replace(
-        DeepVoxelsConfig().usual("truth").sized(square(size)), width=2, voxel_features=2, num_voxels=8
-    )
-    net = DeepVoxels(config, origin=torch.tensor([0.3, -0.2, 0.1]), edge=1.2)
-    camera = some_cameras(1)[0]
-    inpainted = net.inpaint(net.observe(torch.rand(1, 3, size, size), camera))
-    assert net.draw(inpainted, camera).shape == (1, 3, size, size)
-
-
-def test_each_side_of_the_game_gets_its_own_gradient() -> None:
-    torch.manual_seed(0)
-    critic = Critic(width=2).eval()
-    drawn, true = torch.rand(1, 3, 64, 64, requires_grad=True), torch.rand(1, 3, 64, 64)
-    parameters = list(critic.parameters())
-    together = torch.autograd.grad(adversarial_loss(critic, drawn, true), [drawn, *parameters])
-
-    probability = torch.sigmoid(critic(drawn))
-    of_picture = torch.autograd.grad(-torch.log(probability).mean(), drawn)[0]
-    critic_side = -0.5 * (torch.log(torch.sigmoid(critic(true))).mean() + torch.log(1 - critic(drawn).sigmoid()).mean())
-    of_critic = torch.autograd.grad(critic_side, parameters)
-    for found, expected in zip(together, [of_picture, *of_critic], strict=True):
-        torch.testing.assert_close(found, expected)
-
-
 # The run
 
 
@@ -296,18 +254,8 @@ def run_config(net: DeepVoxelsConfig, *, steps: int) -> TrainConfig:
 def test_a_stopped_and_resumed_run_has_the_same_bytes(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = run_config(TINY, steps=5)
-    train(config, dataset, tmp_path / "whole", label="deepvoxels", device=CPU)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
-        stop_at(patch, 3)
-        train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
-    stopped = load_state(tmp_path / "parts/checkpoint.pt")["renderer"]
-    assert isinstance(stopped, dict)
-    assert stopped["volume"].abs().sum() > 0 and "critic.layers.1.weight" in stopped
-    torch.rand(7)  # Dropout must not depend on torch's own generator.
-    train(config, dataset, tmp_path / "parts", label="deepvoxels", device=CPU)
-    for name in ("weights.pt", "metrics.jsonl", "run.json"):
-        assert (tmp_path / "whole" / name).read_bytes() == (tmp_path / "parts" / name).read_bytes(), name
+    config = run_config(dataclasses.replace(TINY, dropout=0.1), steps=5)
+    assert_resumes(monkeypatch, config, dataset, tmp_path, stop=3)
     record = read_run(tmp_path / "whole")
     assert (record.geometry, record.knowledge) == ("none", "cameras only, and the scene's extent")
 
@@ -315,7 +263,7 @@ def test_a_stopped_and_resumed_run_has_the_same_bytes(
 @pytest.mark.full
 def test_it_learns_what_each_camera_sees(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", train_views=4)
-    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0, adversarial=False)
+    net = dataclasses.replace(TINY, image_size=32, width=8, voxel_features=8, dropout=0.0)
     config = dataclasses.replace(run_config(net, steps=50), lr=0.004, lr_decay="linear", evaluate_every=25)
     train(config, dataset, tmp_path / "run", label="deepvoxels", device=CPU)
     losses = [json.loads(line)["loss"] for line in (tmp_path / "run/metrics.jsonl").read_text().splitlines()]
@@ -351,9 +299,8 @@ def test_what_it_cannot_learn_from_is_refused(dataset: Dataset) -> None:
         ),
         "is 100 x 100; .* so build the dataset with --resolution 128": lambda: TINY.sized(square(100)),
         "plane_size: is 64; expected at most the pictures' 32": lambda: DeepVoxelsConfig(image_size=32),
-        "image_size: is 32; deepvoxels needs a power of two of 64 or more": lambda: dataclasses.replace(
-            TINY, image_size=32
-        ),
+        "image_size: is 24; deepvoxels needs a power of two of 16 or more": lambda: DeepVoxelsConfig(image_size=24),
+        "adversarial: is true; this version": lambda: DeepVoxelsConfig(adversarial=True),
     }
     for message, call_it in refused.items():
         with pytest.raises(HyalineError, match=message):

@@ -6,7 +6,7 @@ All browsers share it; viser calls its callbacks in threads of its own.
 import contextlib
 import re
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import viser
@@ -38,14 +38,8 @@ def as_text(text: str) -> str:
 class Stage:
     """A dataset in the viewer's scene, and its controls."""
 
-    def __init__(
-        self, server: viser.ViserServer, dataset: Dataset, *, has_run: bool, on_sight: Callable[[], None]
-    ) -> None:
-        """Adds the cameras without pictures, and the controls.
-
-        Args:
-            on_sight: called when the prediction is switched on or off.
-        """
+    def __init__(self, server: viser.ViserServer, dataset: Dataset, *, has_run: bool) -> None:
+        """Adds the cameras without pictures, and the controls."""
         self._server, self._dataset, gui = server, dataset, server.gui
         meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
         places = [dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits]
@@ -62,8 +56,6 @@ class Stage:
         self._choosing = threading.Lock()
 
         self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
-        self._prediction = gui.add_checkbox("prediction", has_run, visible=has_run)
-        self._prediction.on_update(lambda _: on_sight())
         geometries = list_geometries(dataset) if dataset.objects else []
         shown = NO_MESHES if has_run or not geometries else TRUTH  # Meshes and frames would cover the prediction.
         choice = gui.add_dropdown("meshes", (NO_MESHES, *geometries), initial_value=shown)
@@ -73,11 +65,6 @@ class Stage:
         cameras.on_update(lambda _: self._show_cameras(cameras.value))
         self._show_cameras(cameras.value)
         gui.add_markdown("Click a camera to look through it.")
-
-    @property
-    def shows_prediction(self) -> bool:
-        """Whether the free camera shows what the run predicts."""
-        return self._prediction.value
 
     def tell_run(self, status: str) -> None:
         """Shows the run's progress."""
@@ -102,9 +89,8 @@ class Stage:
 
     def _show_meshes(self, geometry: str) -> None:
         """Replaces the shown meshes by those of this geometry."""
-        with (
-            self._choosing
-        ):  # Two threads would remove the same meshes, and the last choice might not be the last shown.
+        # Two threads would remove the same meshes, and the last choice might not be the last shown.
+        with self._choosing:
             try:
                 meshes = () if geometry == NO_MESHES else read_meshes(self._dataset, geometry)
             except HyalineError as error:

@@ -129,7 +129,7 @@ class Viewer:
         self._schedule = Schedule()
         self._ready_at = self._looked_at = -math.inf
         self._news = threading.Event()
-        self._stage = Stage(server, dataset, has_run=run is not None, on_sight=self._redraw)
+        self._stage = Stage(server, dataset, has_run=run is not None)
         self._pictures: Iterator[None] = self._stage.pictures()
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
@@ -169,7 +169,7 @@ class Viewer:
 
     def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
         started, picture, trouble = time.monotonic(), None, ""
-        if self._run is not None and self._stage.shows_prediction:
+        if self._run is not None:
             try:
                 picture = self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
             except HyalineError as error:
@@ -199,10 +199,6 @@ class Viewer:
 
         client.camera.on_update(moved)
         moved(client.camera)
-
-    def _redraw(self) -> None:
-        self._schedule.redraw()
-        self._news.set()
 
     def _wait(self, seconds: float) -> None:
         self._news.wait(seconds)

@@ -15,12 +15,10 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 import trimesh
-from support.browser import require_browser
 from support.commands import call, parsed, run
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
-from benchmarks.browser import running_browser, watched_page
 from datagen.disk.errors import UsageError
 from datagen.scene.folder import load_scene
 from model.methods import protocol
@@ -116,20 +114,6 @@ def test_the_api_reference_has_every_public_name(site: Path) -> None:
     assert {name.lower() for name in names} <= page.ids and "datasetview" in page.ids
     text = (site / "api.html").read_text()
     assert "Absolute index of refraction" in text and "folder: Path | str | None=None" in text
-
-
-def test_the_site_is_dark_where_asked_and_searched_from_disk_without_a_request(site: Path) -> None:
-    require_browser()
-    with running_browser() as browser, watched_page(browser, width=390, dark=True) as watched:
-        watched.page.goto((site / "notes" / "speed.html").as_uri())
-        watched.page.wait_for_function("searchWorker.index")
-        watched.page.evaluate("document.getElementById('mkdocs-search-query').value = 'refractive flow'; doSearch()")
-        watched.page.locator("#mkdocs-search-results a").first.wait_for(state="attached")
-        found = [str(link.get_attribute("href")) for link in watched.page.locator("#mkdocs-search-results a").all()]
-        assert any(href.endswith("datasets.html#quantities-of-a-view") for href in found)
-        assert watched.page.evaluate("document.documentElement.dataset.bsTheme") == "dark"
-        assert watched.page.evaluate("document.documentElement.scrollWidth") == 390
-    assert not watched.complaints and all(address.startswith("file:") for address in watched.requests)
 
 
 def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
