@@ -36,6 +36,9 @@ def home(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+RENDER = "model film runs/d1/one --path orbit --width 8 --device cpu"
+
+
 def foreign_weights() -> None:
     shutil.copy("runs/d2/one/weights.pt", "runs/d1/one/weights.pt")
 
@@ -44,12 +47,24 @@ def foreign_pictures() -> None:
     shutil.copytree("runs/d1/one/predictions/interpolating", "runs/d1/splats/predictions/interpolating")
 
 
+def circle() -> None:
+    Path("circle").symlink_to("circle")
+
+
 REFUSED: dict[Callable[[], None], tuple[str, tuple[str, ...]]] = {
     foreign_weights: (
         "weights.pt: trained on other data (dataset_seal ",
         ("model predict runs/d1/one --overwrite", "model export runs/d1/one"),
     ),
     foreign_pictures: ("runs/d1/splats: holds no run; ", ("model export runs/d1/splats",)),
+    circle: (
+        "circle",
+        (
+            "datagen look d1 --out circle/look.html",
+            "model train paper d1 --out circle --steps 2 --device cpu",
+            "proxies make circle",
+        ),
+    ),
 }
 """What is put where it does not belong, what is said of it, and by which commands."""
 
@@ -83,6 +98,15 @@ def test_predictions_from_elsewhere_are_not_scored_and_are_drawn_again(source: s
     run("model predict runs/d1/one --device cpu")
     assert Path("runs/d1/one/predictions.json").read_bytes() == before
     run("eval report --out report")
+
+
+@pytest.mark.usefixtures("home")
+def test_a_film_replaces_a_longer_one_and_nothing_beside_it() -> None:
+    run(f"{RENDER} --frames 3 --out film")
+    Path("film/notes.png").write_text("mine")
+    assert call(f"{RENDER} --frames 2 --out film").status == 1
+    run(f"{RENDER} --frames 2 --out film --overwrite")
+    assert sorted(path.name for path in Path("film").iterdir()) == ["0000.png", "0001.png", "notes.png"]
 
 
 def test_a_run_is_found_by_its_folder_and_by_its_name_under_runs(home: Path) -> None:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.commands import run
+from support.commands import call, run
 from support.synthetic import synthetic_scene
 
 import hyaline
@@ -80,3 +80,18 @@ def test_its_runs_are_scored(home: Path) -> None:
     run(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report'")
     (scene,) = json.loads((home / "report" / "results.json").read_text())["scenes"]
     assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3
+
+
+def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: Path) -> None:
+    data = home / "data/oblong"
+    assert "cameras" not in json.loads((data / "scene/scene.json").read_text())
+    assert not list((data / "scene").glob("transforms*"))
+    run(f"datagen build --scene '{data}/scene' --out '{home}/again' {SIZE}")
+    for name in TRANSFORMS_FILES.values():
+        if (data / name).is_file():
+            assert (home / "again" / name).read_bytes() == (data / name).read_bytes()
+    moved = json.loads((home / "scene/transforms_train.json").read_text())
+    moved["frames"][0]["transform_matrix"][2][3] += 0.01
+    (home / "scene/transforms_train.json").write_text(json.dumps(moved))
+    answer = call(f"datagen build --scene '{home}/scene' --out '{data}' {SIZE}")
+    assert answer.status == 1 and "transforms_train.json differs" in answer.error

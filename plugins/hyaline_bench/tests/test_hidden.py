@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.builds import tree
 from support.commands import call, run
+from support.export_readers import read_nerfstudio, read_picture
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.dataset import Dataset, open_dataset
@@ -96,6 +97,21 @@ def test_no_command_makes_the_test_views_of_a_published_scene(here: Path) -> Non
     with pytest.raises(HyalineError, match="which a verifier of hyaline-bench keeps"):
         _ = open_dataset(Path(public)).view("interpolating", 0).image
     assert tree(here) == before
+
+
+def test_what_is_published_can_be_packed_and_exported_with_all_cameras(here: Path) -> None:
+    run("datagen pack public/hidden-1-tiny")
+    run("datagen unpack exports/hidden-1-tiny.tar")
+    assert tree(Path("data/hidden-1-tiny")) == tree(Path("public/hidden-1-tiny"))
+    answer = call("datagen export hidden-1-tiny --format nerfstudio")
+    assert answer.status == 0 and "the test pictures are grey" in answer.err
+    views, splits = read_nerfstudio(Path("exports/hidden-1-tiny-nerfstudio"))
+    assert len(views) == 12 and len(splits["test"]) == 4
+    for name, read in views.items():
+        assert (np.ptp(read_picture(read.file)) == 0) == (name in splits["test"])
+    run("datagen export hidden-1-tiny --format capture")
+    pictures = Path("exports/hidden-1-tiny-capture/images").iterdir()
+    assert sorted(path.stem for path in pictures) == sorted(set(views) - set(splits["test"]))
 
 
 def test_a_secret_is_drawn_once_and_names_the_scenes(

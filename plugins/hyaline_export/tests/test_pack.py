@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from support.builds import tree
 from support.commands import call, run
+from support.disk import failing_from
 from support.synthetic import write_synthetic_dataset
 
 HEAD = "dataset.json"
@@ -74,6 +75,18 @@ def umask() -> int:
     before = os.umask(0)
     os.umask(before)
     return before
+
+
+def test_a_dataset_with_variants_proxies_and_edit_masks_comes_back_whole(here: Path) -> None:
+    write_synthetic_dataset(Path("data/whole"), scene_name="synthetic")
+    run("proxies make whole --kind box")
+    run("datagen add whole --edit remove:pane")
+    run("datagen pack whole --out whole.tar")
+    run("datagen unpack whole.tar --out again")
+    assert tree(Path("again")) == tree(Path("data/whole"))
+    names = {path.split("/")[0] for path in tree(Path("again"))}
+    assert names >= {"variants", "proxies", "layers"}
+    assert any("edit-masks" in path for path in tree(Path("again")))
 
 
 def test_an_empty_folder_is_filled_and_one_with_other_files_is_left_alone(here: Path) -> None:
@@ -216,3 +229,12 @@ def test_a_flipped_bit_changes_nothing_or_is_noticed(here: Path, is_full: bool) 
             assert not Path("out").exists()
             noticed += 1
     assert noticed > len(places) / 4
+
+
+def test_a_full_disk_leaves_no_archive_and_no_folder(here: Path) -> None:
+    for line in ("datagen pack 'my scene' --out new.tar", "datagen unpack 'my scene.tar' --out out"):
+        before = tree(here)
+        with failing_from(here, 9, "ENOSPC") as refused:
+            answer = call(line)
+        assert refused and answer.status == 1 and "no space left" in answer.error
+        assert tree(here) == before and not list(here.glob("*hyaline-tmp"))

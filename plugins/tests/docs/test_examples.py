@@ -67,6 +67,22 @@ def test_what_it_draws_is_scored_against_the_same_views(environment: Path) -> No
         assert scored["splits"][split]["psnr_db"]["pictures"] == ["inf", "inf"]
 
 
+def test_views_by_angle_are_drawn_beside_the_others(environment: Path) -> None:
+    angles = Path("data/glasses/variants/angles")
+    frame = json.loads(Path("data/glasses/transforms_test.json").read_text())["frames"][0]
+    (angles / "images" / "extrapolating-10deg").mkdir(parents=True)
+    picture = angles / "images" / "extrapolating-10deg" / "0000.png"
+    picture.write_bytes(b"as it is")
+    (angles / "transforms_extrapolating-10deg.json").write_text(json.dumps({"frames": [frame]}))
+    answer = run("glasses", "--environment", environment)
+    assert answer.returncode == 0, answer.stderr
+    drawn = Path("runs/glasses/nerfacto/variants/angles/predictions/extrapolating-10deg/0000.png")
+    assert drawn.read_bytes() == picture.read_bytes()
+    told = json.loads(Path("exports/glasses-nerfstudio/transforms.json").read_text())
+    assert told["frames"][-1]["transform_matrix"] == frame["transform_matrix"]
+    assert not any("depth_file_path" in each for each in told["frames"])
+
+
 SECOND_OPINION = Path(__file__).resolve().parents[3] / "examples" / "second_opinion.py"
 
 NERFBASELINES = """

@@ -21,9 +21,12 @@ UNPACK = "datagen unpack exports/one.tar --out data/two"
 FREE = (
     *(pytest.param(item.start, item.line, marks=() if item.name in QUICK else pytest.mark.full) for item in SCENARIOS),
     ("scene", f"{BUILD} --shard 1/2"),
+    ("dataset", "datagen export data/one --format 3dgs --out exports/one"),
     ("dataset", "datagen pack data/one --out exports/one.tar"),
+    ("packed", UNPACK),
     ("scene", IMPORT),
     ("scene", "datagen import-dataset theirs --out mine --overwrite"),
+    ("dataset", "datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
     ("drawn", f"{RENDER} --variant angles --overwrite"),
     ("run", "model export runs/one/paper --out page.html --overwrite"),
 )
@@ -32,6 +35,8 @@ FREE = (
 TAKEN = (
     ("scene", BUILD, ("data/one/transforms_train.json",)),
     ("scene", f"{BUILD} --overwrite", ("data/one/images/train/0000.png", "data/one/dataset.json")),
+    ("scene", f"{BUILD} --shard 1/2", ("data/one/scene/scene.json",)),
+    ("dataset", f"{BUILD} --views 2 --overwrite", ("data/one/images/train/0001.png",)),
     ("dataset", "datagen add data/one --larger 2", ("data/one/variants/x2/images/interpolating/0000.png",)),
     ("dataset", "proxies make data/one --kind box", ("data/one/proxies/box/layers/straight/mine.partial",)),
     ("scene", IMPORT, ("mine/meshes/ground.ply",)),

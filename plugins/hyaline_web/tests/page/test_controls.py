@@ -181,6 +181,16 @@ def distance(state: tuple[np.ndarray, np.ndarray]) -> float:
     return float(np.linalg.norm(state[0] - state[1]))
 
 
+def test_one_finger_turns_the_camera_about_what_it_looks_at(opened: Watched, screen: "CDPSession") -> None:
+    before = view_of(opened)
+    touch(opened, screen, [(0, 0)], [(60, 0)])
+    after = view_of(opened)
+    assert np.allclose(after[1], before[1])
+    assert distance(after) == pytest.approx(distance(before))
+    assert after[0][2] == pytest.approx(before[0][2])
+    assert np.linalg.norm(after[0] - before[0]) > 0.1 * distance(before)
+
+
 @pytest.mark.parametrize(("start", "end"), [(40, 80), (80, 40)], ids=["apart", "together"])
 def test_two_fingers_zoom_by_as_much_as_they_part(
     opened: Watched, screen: "CDPSession", start: float, end: float
