@@ -13,6 +13,7 @@ from datagen.scene.modelling import (
     ball,
     deformed,
     filleted,
+    grid_faces,
     lathe,
     merged,
     moved,
@@ -129,8 +130,7 @@ def _water() -> Mesh:
     top = np.stack([x, y, LEVEL + _ripples(x, y)], axis=-1)
     bottom = np.stack([x, y, np.full_like(x, BOTTOM - REACH)], axis=-1)
     at = np.arange(count * count).reshape(count, count)
-    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
-    surface = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    surface = grid_faces(count, count)
     border = np.concatenate([at[:-1, 0], at[-1, :-1], at[:0:-1, -1], at[0, :0:-1]])
     following, below = np.roll(border, -1), count * count
     sides = np.concatenate(
