@@ -12,8 +12,9 @@ from support.synthetic import pixel_rays, quad, trace
 
 from datagen.data.layers import quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.builtin import make_scene
 from datagen.scene.rig import make_cameras
 
 VARIANT = use_mitsuba()
@@ -66,7 +67,7 @@ def test_random_scenes_peel_like_brute_force(seed: int) -> None:
 @pytest.mark.parametrize(
     "name",
     # Nested drinks; the other scenes have faces of the same kinds.
-    [pytest.param(name, marks=() if name == "drinks" else pytest.mark.full) for name in sorted(SCENES)],
+    [pytest.param(name, marks=() if name == "drinks" else pytest.mark.full) for name in sorted(BUILT_IN_SCENES)],
 )
 @pytest.mark.promise("R9")
 def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import map_coordinates
-from support.scenes import DUSK, rendered
-from support.synthetic import look_at, synthetic_scene
+from support.scenes import DUSK, camera_at, rendered
+from support.synthetic import synthetic_scene
 
-from datagen.data.cameras import Cameras
 from datagen.data.images import linear_from_srgb
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
@@ -83,8 +82,7 @@ def test_pictures_on_metal_and_plastic_look_as_in_mitsuba(kind: str, tmp_path: P
         "plastic": Plastic(color=image, roughness=0.2),
     }
     scene = scene_of(materials[kind], tmp_path)
-    pose = look_at(np.array([0.5, -2.2, 2.0]), np.zeros(3))[None]
-    cameras = Cameras(world_from_camera=pose, fov_x=0.7, width=48, height=48)
+    cameras = camera_at((0.5, -2.2, 2.0), fov_x=0.7, size=48)
     ours = rendered(scene, cameras, spp=256)
 
     Image.fromarray(PICTURE[::-1]).save(tmp_path / "upright.png")  # Mitsuba has v = 0 in the first row.
