@@ -114,7 +114,7 @@ WRONG: dict[str, tuple[Scene, str]] = {
         r"33 dielectrics of different priority; expected at most 32",
     ),
     "too many dielectrics of which some overlap": (
-        glasses((ball(1.2, subdivisions=2), Dielectric()), *DROPS),
+        glasses((ball(0.85, subdivisions=2), Dielectric()), *DROPS),
         r"overlap, and there are 33 dielectrics; where any overlap, expected at most",
     ),
     "a drink that ends exactly on its glass": (
@@ -151,7 +151,7 @@ GOOD: dict[str, Scene] = {
     "glass that reaches into a floor": scene_of(moved(ON_FLOOR, (0, 0, -0.001)), GLASS, floor=(FLOOR, GREY)),
     "as many dielectrics as wanted, of one priority and apart": glasses(*((mesh, Dielectric()) for mesh in BALLS)),
     "32 dielectrics of two priorities": glasses(*((m, Dielectric(priority=i // 20)) for i, m in enumerate(BALLS[:32]))),
-    "32 dielectrics that overlap": glasses((ball(1.2, subdivisions=2), Dielectric()), *DROPS[:31]),
+    "32 dielectrics that overlap": glasses((ball(0.85, subdivisions=2), Dielectric()), *DROPS[:31]),
     "a drink that does not touch its glass": glasses((SHELL, GLASS), (ball(0.19, subdivisions=2), GLASS)),
     "a drink in its glass": scene_of(
         BALL, GLASS, drink=(moved(ball(0.1, subdivisions=3), (0.15, 0, 0)), Dielectric(ior=1.33, priority=-1))
