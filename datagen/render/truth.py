@@ -88,9 +88,10 @@ def render_view(
     """
     halves = [np.zeros((cameras.height, cameras.width, 3)) for _ in range(2)]
     drawn, passes, wanted = 0, 0, spp
+    most = min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
     while True:
         while drawn < wanted:
-            count = min(_pass_spp(cameras), max(1, (wanted - drawn) // 2))
+            count = min(most, max(1, (wanted - drawn) // 2))
             for half in range(2):
                 seed = derive_seed(view_seed, half, passes)
                 image = renderer.radiance(cameras, view, spp=count, seed=seed)
@@ -128,10 +129,6 @@ def picture_bytes(truth: Truth) -> bytes:
 def radiance_bytes(truth: Truth) -> bytes:
     """The EXR: linear R, G, B and the half difference as noise.R, noise.G, noise.B, all half floats."""
     return encode_exr(truth.radiance, truth.half_difference)
-
-
-def _pass_spp(cameras: Cameras) -> int:
-    return min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
 
 
 def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:

@@ -18,12 +18,12 @@ from datagen.terminal.command import choose, say
 
 def make_scene(name: str) -> Scene:
     """A built-in scene, unwrapped and checked."""
-    choose("scene", name, BUILT_IN_SCENES)
+    description = BUILT_IN_SCENES[choose("scene", name, BUILT_IN_SCENES)]
     say(f"scene {name}: modelling it and unwrapping its surfaces")
     scene: Scene = importlib.import_module(f"datagen.scene.builtin.{name}").make()
     meshes = unwrap_all({item.name: item.mesh for item in scene.objects})
     objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in scene.objects)
-    scene = dataclasses.replace(scene, objects=objects, license=OWN_LICENSE)
+    scene = dataclasses.replace(scene, description=description, objects=objects, license=OWN_LICENSE)
     check_scene(scene)
     return scene
 

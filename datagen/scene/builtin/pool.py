@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
@@ -33,10 +32,9 @@ _in_basin = partial(put_on, BOTTOM)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="pool",
-        description=BUILT_IN_SCENES["pool"],
         objects=(*_basin(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.20, 0.34, 0.62),
