@@ -91,12 +91,8 @@ SHEET = sheet((0, 0, 0), (1, 0, 0), (0, 1, 0))
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"vertices": SHEET.vertices * np.float32(np.nan)}, "is nan|not finite|finite numbers"),
         ({"vertices": SHEET.vertices + np.float32(np.inf)}, "finite numbers"),
-        ({"vertices": SHEET.vertices + np.float32(1e30)}, r"a coordinate is 1e\+30 m"),
         ({"normals": SHEET.normals * np.float32(np.nan)}, "normals are not finite"),
-        ({"faces": SHEET.faces + 2}, "a face names vertex 5; expected 0 to 3"),
-        ({"faces": SHEET.faces[:0]}, "has 4 vertices and 0 faces"),
     ],
 )
 def test_what_hangs_xatlas_is_refused(change: dict[str, np.ndarray], message: str) -> None:
