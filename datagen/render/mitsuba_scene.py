@@ -20,7 +20,7 @@ from datagen.scene.description import (
     image_bytes,
 )
 from datagen.scene.images import linear_pixels, read_map
-from datagen.scene.materials import ImageTexture, Plugin, Reflectance, SolidTexture, rgb
+from datagen.scene.materials import ImageTexture, Plugin, Reflectance, SolidTexture, Texture, rgb
 from datagen.scene.textures import evaluate_texture
 
 if TYPE_CHECKING:
@@ -222,25 +222,19 @@ def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.nda
 
 
 def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> Plugin:
-    match color:
-        case SolidTexture() | ImageTexture():
-            return _bitmap(linear_texels(scene, mesh, color))
-        case _:
-            return rgb(color)
+    import mitsuba as mi
+
+    if not isinstance(color, Texture):
+        return rgb(color)
+    # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
+    pixels = np.ascontiguousarray(np.flipud(linear_texels(scene, mesh, color)), np.float32)
+    return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "wrap_mode": "clamp"}
 
 
 def _texture_size(mesh: Mesh) -> int:
     """The power of two that gives texels of about TEXEL_SIZE, if the mesh filled its atlas."""
     wanted = float(face_areas(mesh).sum()) ** 0.5 / TEXEL_SIZE
     return int(np.clip(2 ** np.ceil(np.log2(wanted)), MIN_TEXTURE_SIZE, MAX_TEXTURE_SIZE))
-
-
-def _bitmap(linear: Float32[np.ndarray, "tex_h tex_w 3"]) -> Plugin:
-    import mitsuba as mi
-
-    # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
-    pixels = np.ascontiguousarray(np.flipud(linear), np.float32)
-    return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "wrap_mode": "clamp"}
 
 
 # Light from infinitely far

@@ -18,6 +18,7 @@ Import this module after `use_mitsuba`.
 # Dr.Jit's stubs do not know that a registry array can be reinterpreted, nor what `@dr.syntax` makes of a loop.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from typing import Any
 
 import drjit as dr
@@ -28,6 +29,7 @@ from jaxtyping import Float32
 from datagen.render.caustics import CausticMap, Spot
 from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
 from datagen.render.sobol import SobolPoints
+from datagen.scene.materials import Surface
 from datagen.scene.media import (
     LAST_PLACE,
     RAY_OFFSET,
@@ -54,28 +56,50 @@ GUIDED_SHARE = 0.5
 class PathTracer:
     """Unidirectional path tracing with multiple importance sampling. Cameras and lights are in air.
 
-    There is no Russian roulette: it costs more in noise than it saves.
+    There is no Russian roulette: it costs more in noise than it saves. The attributes are the kernel's options and
+    lookup tables; tables of shapes are by registry id. Not a dataclass: Dr.Jit 1.5 would treat it as loop state and
+    assign its fields.
     """
 
     def __init__(
         self,
         scene: "mi.Scene",
         media: Media,
-        roughness: Float32[np.ndarray, "object"],
-        tint: Float32[np.ndarray, "object 3"],
+        surfaces: Sequence[Surface],
         *,
         max_depth: int,
         has_lamps: bool,
         aims: bool,
     ) -> None:
         """Args:
-        roughness: GGX alpha of the surface of each object that is solid glass; 0 is smooth.
-        tint: share of the light not reflected that this surface transmits.
+        surfaces: of each object that is solid glass; others are smooth and white.
         has_lamps: whether there are emitters besides the environment.
         aims: whether emitters are sampled at each rough vertex, too.
         """
-        self._scene = scene
-        self.tables = Tables(scene, media, roughness, tint, max_depth=max_depth, has_lamps=has_lamps, aims=aims)
+        # A shape's registry id differs from its place in the scene and changes between loads, hence tables by id.
+        ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
+
+        def by_id(values: np.ndarray, missing: float) -> np.ndarray:
+            table = np.full((ids.max() + 1, *values.shape[1:]), missing, values.dtype)
+            table[ids[: len(values)]] = values
+            return table.ravel()
+
+        roughness = np.array([surface.roughness for surface in surfaces], np.float32)
+        tint = np.array([surface.color for surface in surfaces], np.float32)
+        offsets = [_ray_offset(shape) for shape in scene.shapes()]
+        self.scene, self.media = scene, media
+        self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
+        self.offset = mi.Float(by_id(np.array(offsets, np.float32), 0))
+        self.lamp_offset = max(offsets[len(media.rank) :], default=0.0)
+        self.has_rough_glass, self.alpha = bool(roughness.any()), mi.Float(by_id(roughness, 0))
+        self.has_tint, self.tint = bool((tint != 1).any()), mi.Float(by_id(tint, 1))
+        self.rank = mi.Int32(by_id(media.rank, -1))
+        self.disperses = bool(media.parts_colors.any())
+        self.parts_colors = mi.Bool(media.parts_colors)
+        self.ior = mi.Float(media.iors.ravel() if self.disperses else media.ior)
+        self.absorption = mi.Float(media.absorption.ravel())
+        self.caustics: CausticMap | None = None
+        """Set it before the first picture (render/photons.py)."""
 
     def render(
         self, sensor: "mi.Sensor", *, width: int, height: int, spp: int, seed: int
@@ -91,55 +115,11 @@ class PathTracer:
         place = mi.Point2f(mi.Float(pixel % width), mi.Float(pixel // width))
         place += points.sample_2d(scramble, index, mi.UInt32(0), mi.Bool(True))
         ray, _ = sensor.sample_ray(0, 0, place / mi.Point2f(width, height), mi.Point2f(0.5))
-        colors = _share_out_channels(index, spp, scramble) if self.tables.disperses else None
-        radiance = _trace(self._scene, mi.Ray3f(ray), points, scramble, index, colors, self.tables)
+        colors = _share_out_channels(index, spp, scramble) if self.disperses else None
+        radiance = _trace(self.scene, mi.Ray3f(ray), points, scramble, index, colors, self)
         dr.eval(radiance)
         channels = [np.array(channel).reshape(height, width, spp) for channel in radiance]
         return np.stack([channel.mean(axis=2, dtype=np.float64) for channel in channels], axis=-1).astype(np.float32)
-
-
-class Tables:
-    """The kernel's options and lookup tables: the rank of a shape by its registry id, and the media.
-
-    Not a dataclass: Dr.Jit 1.5 would treat it as loop state and assign its fields.
-    """
-
-    def __init__(
-        self,
-        scene: "mi.Scene",
-        media: Media,
-        roughness: Float32[np.ndarray, "object"],
-        tint: Float32[np.ndarray, "object 3"],
-        *,
-        max_depth: int,
-        has_lamps: bool,
-        aims: bool,
-    ) -> None:
-        # A shape's registry id differs from its place in the scene and changes between loads, hence a table by id.
-        ids = np.array(dr.reinterpret_array(mi.UInt32, scene.shapes_dr()))
-        rank = np.full(ids.max() + 1, -1, np.int32)
-        rank[ids[: len(media.rank)]] = media.rank
-        alpha = np.zeros(ids.max() + 1, np.float32)
-        alpha[ids[: len(roughness)]] = roughness
-        offsets = [_ray_offset(shape) for shape in scene.shapes()]
-        offset = np.zeros(ids.max() + 1, np.float32)
-        offset[ids] = offsets
-        self.offset, self.lamp_offset = mi.Float(offset), max(offsets[len(media.rank) :], default=0.0)
-        tints = np.ones((ids.max() + 1, 3), np.float32)
-        tints[ids[: len(tint)]] = tint
-        self.media = media
-        self.has_rough_glass = bool(roughness.any())
-        self.alpha = mi.Float(alpha)
-        self.has_tint = bool((tint != 1).any())
-        self.tint = mi.Float(tints.ravel())
-        self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
-        self.rank = mi.Int32(rank)
-        self.disperses = bool(media.parts_colors.any())
-        self.parts_colors = mi.Bool(media.parts_colors)
-        self.ior = mi.Float(media.iors.ravel() if self.disperses else media.ior)
-        self.absorption = mi.Float(media.absorption.ravel())
-        self.caustics: CausticMap | None = None
-        """Set it before the first picture (render/photons.py)."""
 
 
 def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:

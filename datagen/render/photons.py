@@ -12,7 +12,7 @@ import numpy as np
 
 from datagen.render.caustics import CausticMap
 from datagen.render.path_integrator import (
-    Tables,
+    PathTracer,
     is_matt,
     meet_glass,
     part_colors,
@@ -28,16 +28,16 @@ NUM_PHOTONS = 1 << 20
 PHOTON_SEED = 0x5EED
 
 
-def map_caustics(scene: "mi.Scene", tables: Tables) -> CausticMap | None:
+def map_caustics(tables: PathTracer) -> CausticMap | None:
     """A map of caustics from photons that the sampled lights send to glass and mirrors; None if none arrives."""
-    lit = [shape for shape in scene.shapes() if not shape.is_emitter() and not is_matt(shape.bsdf())]
+    lit = [shape for shape in tables.scene.shapes() if not shape.is_emitter() and not is_matt(shape.bsdf())]
     if not lit:
         return None
     # Small things get more than their share, since their caustics are no less visible.
     areas = np.array([float(np.array(shape.surface_area()).item()) for shape in lit])
     counts = np.ceil(NUM_PHOTONS * np.sqrt(areas) / np.sqrt(areas).sum()).astype(int)
     arrivals = [
-        _send_photons(scene, tables, shape, count, area / count, index)
+        _send_photons(tables, shape, count, area / count, index)
         for index, (shape, count, area) in enumerate(zip(lit, counts.tolist(), areas.tolist(), strict=True))
     ]
     p, d, power = (np.concatenate(part, axis=-1) for part in zip(*arrivals, strict=True))
@@ -46,16 +46,14 @@ def map_caustics(scene: "mi.Scene", tables: Tables) -> CausticMap | None:
     return CausticMap(mi.Point3f(p), mi.Vector3f(d), mi.Float(power), _sampler(len(lit), len(power)))
 
 
-def _send_photons(
-    scene, tables, shape, count: int, area: float, seed: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _send_photons(tables, shape, count: int, area: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Photons that the lights send to points on a shape: places (3, n) of arrival, directions back, and power."""
     sampler = _sampler(seed, count)
     aim = mi.SurfaceInteraction3f(shape.sample_position(0, sampler.next_2d()), dr.zeros(mi.Color0f))
-    ds, light = scene.sample_emitter_direction(aim, sampler.next_2d(), False)
+    ds, light = tables.scene.sample_emitter_direction(aim, sampler.next_2d(), False)
     power = light * dr.abs_dot(ds.d, aim.n) * area
     ray = mi.Ray3f(ds.p + ds.n * tables.lamp_offset, -ds.d)
-    p, d, power, has_arrived = _trace_photons(scene, ray, power, sampler, tables)
+    p, d, power, has_arrived = _trace_photons(tables.scene, ray, power, sampler, tables)
     dr.eval(p, d, power, has_arrived)
     kept = np.array(has_arrived) & (np.array(dr.mean(power)) > 0)
     return np.array(p)[:, kept], np.array(d)[:, kept], np.array(dr.mean(power))[kept]

@@ -56,15 +56,12 @@ class Renderer:
 
         scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
         materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
-        media = find_media(materials, meshes)
         has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
-        self._scene = load_scene_mitsuba(scene, aims_at_sky=aims_at_sky)
         surfaces = [material.surface() if material.medium else NO_GLASS for material in materials]
         self._tracer = PathTracer(
-            self._scene,
-            media,
-            np.array([surface.roughness for surface in surfaces], np.float32),
-            np.array([surface.color for surface in surfaces], np.float32),
+            load_scene_mitsuba(scene, aims_at_sky=aims_at_sky),
+            find_media(materials, meshes),
+            surfaces,
             max_depth=max_depth,
             has_lamps=has_lamps,
             aims=has_lamps or aims_at_sky,
@@ -72,7 +69,7 @@ class Renderer:
         if has_lamps:
             from datagen.render.photons import map_caustics
 
-            self._tracer.tables.caustics = map_caustics(self._scene, self._tracer.tables)
+            self._tracer.caustics = map_caustics(self._tracer)
 
     def radiance(self, cameras: Cameras, view: int, *, spp: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
         """Linear radiance of one view."""
@@ -91,9 +88,10 @@ def render_view(
     """
     halves = [np.zeros((cameras.height, cameras.width, 3)) for _ in range(2)]
     drawn, passes, wanted = 0, 0, spp
+    most = min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
     while True:
         while drawn < wanted:
-            count = min(_pass_spp(cameras), max(1, (wanted - drawn) // 2))
+            count = min(most, max(1, (wanted - drawn) // 2))
             for half in range(2):
                 seed = derive_seed(view_seed, half, passes)
                 image = renderer.radiance(cameras, view, spp=count, seed=seed)
@@ -131,10 +129,6 @@ def picture_bytes(truth: Truth) -> bytes:
 def radiance_bytes(truth: Truth) -> bytes:
     """The EXR: linear R, G, B and the half difference as noise.R, noise.G, noise.B, all half floats."""
     return encode_exr(truth.radiance, truth.half_difference)
-
-
-def _pass_spp(cameras: Cameras) -> int:
-    return min(MAX_SPP_PER_PASS, max(1, MAX_PATHS_PER_PASS // (cameras.width * cameras.height)))
 
 
 def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:

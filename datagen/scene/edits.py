@@ -16,7 +16,7 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import Scene, SceneObject
+from datagen.scene.description import Scene
 from datagen.scene.materials import Dielectric, Diffuse, Vector, as_vector
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose
@@ -100,77 +100,53 @@ def edits_name(edits: tuple[Edit, ...]) -> str:
 
 def edit_scene(scene: Scene, edits: tuple[Edit, ...]) -> EditedScene:
     """The checked scene after all edits, applied in order."""
-    edited = EditedScene(scene=scene, copies={}, offsets={})
+    objects = {item.name: item for item in scene.objects}
+    copies: dict[str, str] = {}
+    offsets: dict[str, Vector] = {}
+
+    def move(name: str, offset: Float[np.ndarray, "3"]) -> None:
+        item = objects[name]
+        material = item.material.moved(as_vector(offset))
+        objects[name] = dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material)
+        offsets[name] = as_vector(offsets.get(name, (0.0, 0.0, 0.0)) + offset)
+
     for edit in edits:
-        there = [item.name for item in edited.scene.objects if is_there(item.mesh)]
+        where, offset = f"edit {describe_edit(edit)!r}", np.array(edit.offset or (0.0, 0.0, 0.0))
+        there = [name for name, item in objects.items() if is_there(item.mesh)]
         for name in edit.objects:
-            choose(f"edit {describe_edit(edit)!r}: object", name, there)
-        edited = _edited(edited, edit)
+            choose(f"{where}: object", name, there)
+        match edit.verb, edit.objects:
+            case "remove", (name,):
+                objects[name] = dataclasses.replace(objects[name], mesh=no_mesh())
+            case "move", (name,):
+                move(name, offset)
+            case "duplicate", (name,):
+                first = copies.get(name, name)
+                copy = next(free for count in range(1, 256) if (free := f"{first}_copy{count}") not in objects)
+                objects[copy], copies[copy] = dataclasses.replace(objects[name], name=copy), first
+                offsets[copy] = offsets.get(name, (0.0, 0.0, 0.0))
+                move(copy, offset)
+            case "glass", (name,):
+                material = GREY if objects[name].material.is_glass else CLEAR_GLASS
+                objects[name] = dataclasses.replace(objects[name], material=material)
+            case "swap", (one, other):  # Each moves so that the centre of its base is where the other's was.
+                offset = _foot(objects[other].mesh) - _foot(objects[one].mesh)
+                move(one, offset)
+                move(other, -offset)
+            case _:  # All glass: a depth sensor could measure glass that is painted matt grey.
+                glass = [name for name in there if objects[name].material.is_glass]
+                if not glass:
+                    raise HyalineError(f"{where}: the scene has no glass; expected some, or another edit")
+                for name in glass:
+                    gone = dataclasses.replace(objects[name], mesh=no_mesh())
+                    painted = dataclasses.replace(objects[name], material=GREY)
+                    objects[name] = gone if edit.verb == "no-glass" else painted
+        scene = dataclasses.replace(scene, objects=tuple(objects.values()))
         try:
-            check_scene(edited.scene)
+            check_scene(scene)
         except HyalineError as error:
-            raise HyalineError(f"edit {describe_edit(edit)!r}: {error}") from error
-    return edited
-
-
-def _edited(edited: EditedScene, edit: Edit) -> EditedScene:
-    """The scene after one edit, unchecked."""
-    items, offset = [_find(edited, name) for name in edit.objects], np.array(edit.offset or (0.0, 0.0, 0.0))
-    match edit.verb:
-        case "remove":
-            return _with_object(edited, dataclasses.replace(items[0], mesh=no_mesh()))
-        case "move":
-            return _moved(edited, items[0].name, offset)
-        case "duplicate":
-            return _duplicated(edited, items[0], offset)
-        case "glass":
-            material = GREY if items[0].material.is_glass else CLEAR_GLASS
-            return _with_object(edited, dataclasses.replace(items[0], material=material))
-        case "swap":  # Each moves so that the centre of its base is where the other's was.
-            offset = _foot(items[1].mesh) - _foot(items[0].mesh)
-            return _moved(_moved(edited, items[0].name, offset), items[1].name, -offset)
-        case "no-glass" | "opaque-glass":  # A depth sensor could measure glass that is painted matt grey.
-            glass = [item for item in edited.scene.objects if is_there(item.mesh) and item.material.is_glass]
-            if not glass:
-                raise HyalineError(
-                    f"edit {describe_edit(edit)!r}: the scene has no glass; expected some, or another edit"
-                )
-            for item in glass:
-                gone = dataclasses.replace(item, mesh=no_mesh())
-                painted = dataclasses.replace(item, material=GREY)
-                edited = _with_object(edited, gone if edit.verb == "no-glass" else painted)
-            return edited
-
-
-def _duplicated(edited: EditedScene, original: SceneObject, offset: Float[np.ndarray, "3"]) -> EditedScene:
-    first = edited.copies.get(original.name, original.name)
-    names = {item.name for item in edited.scene.objects}
-    name = next(name for count in range(1, 256) if (name := f"{first}_copy{count}") not in names)
-    with_copy = EditedScene(
-        scene=dataclasses.replace(
-            edited.scene, objects=(*edited.scene.objects, dataclasses.replace(original, name=name))
-        ),
-        copies={**edited.copies, name: first},
-        offsets={**edited.offsets, name: edited.offsets.get(original.name, (0.0, 0.0, 0.0))},
-    )
-    return _moved(with_copy, name, offset)
-
-
-def _find(edited: EditedScene, name: str) -> SceneObject:
-    return next(item for item in edited.scene.objects if item.name == name)
-
-
-def _with_object(edited: EditedScene, changed: SceneObject) -> EditedScene:
-    objects = tuple(changed if item.name == changed.name else item for item in edited.scene.objects)
-    return dataclasses.replace(edited, scene=dataclasses.replace(edited.scene, objects=objects))
-
-
-def _moved(edited: EditedScene, name: str, offset: Float[np.ndarray, "3"]) -> EditedScene:
-    item = _find(edited, name)
-    material = item.material.moved(as_vector(offset))
-    moved = _with_object(edited, dataclasses.replace(item, mesh=moved_mesh(item.mesh, offset), material=material))
-    before = edited.offsets.get(name, (0.0, 0.0, 0.0))
-    return dataclasses.replace(moved, offsets={**edited.offsets, name: as_vector(before + offset)})
+            raise HyalineError(f"{where}: {error}") from error
+    return EditedScene(scene=scene, copies=copies, offsets=offsets)
 
 
 def moved_mesh(mesh: Mesh, offset: Vector | Float[np.ndarray, "3"]) -> Mesh:

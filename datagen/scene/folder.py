@@ -66,13 +66,6 @@ class _SceneFile:
     or, in a dataset, beside its folder."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _OneMaterial:
-    """A material of any kind, as a record."""
-
-    material: Material
-
-
 def save_scene(scene: Scene, folder: Path) -> None:
     """Writes `scene.json`, `meshes/*.ply` and image textures; `load_scene` returns the same scene."""
     for relative, data in scene_files(scene).items():
@@ -124,7 +117,7 @@ def open_scene(dataset: Dataset, geometry: str = TRUTH) -> Scene:
     scene = load_scene(dataset.root / "scene", is_checked=True, cameras=lambda: listed_cameras(dataset))
     where = f"{geometry_root(dataset.root, geometry) / 'proxies.json'}: materials"
     materials = {
-        name: from_json(_OneMaterial, {"material": value}, where=f"{where}: {name}").material
+        name: cast(Material, from_json(cast(type, Material), value, where=f"{where}: {name}"))
         for name, value in read_materials(dataset, geometry).items()
     }
     return with_materials(scene, materials)
@@ -210,11 +203,6 @@ def with_materials(scene: Scene, materials: Mapping[str, Material]) -> Scene:
         for item in scene.objects
     ]
     return dataclasses.replace(scene, objects=tuple(objects))
-
-
-def material_json(material: Material) -> Json:
-    """A material as scene.json has it, for `write_proxies`."""
-    return cast(dict[str, Json], to_json(_OneMaterial(material=material)))["material"]
 
 
 def _parse_scene(data: dict[str, Json], path: Path) -> _SceneFile:

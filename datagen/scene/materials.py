@@ -64,6 +64,10 @@ class SolidTexture:
             check_range("texture color", color, 0, 1)
         check_positive("texture scale", self.scale)
 
+    def moved(self, offset: Vector) -> Self:
+        """The texture of an object moved by an offset in metres."""
+        return dataclasses.replace(self, origin=as_vector(np.add(self.origin, offset)))
+
 
 @checked
 @dataclass(frozen=True, kw_only=True)
@@ -177,10 +181,7 @@ class Optics(ABC):
     def moved(self, offset: Vector) -> Self:
         """The material of an object moved by an offset in metres: its procedural textures move with it."""
         solids = {name: value for name, value in self.textures().items() if isinstance(value, SolidTexture)}
-        origins = {name: as_vector(np.add(value.origin, offset)) for name, value in solids.items()}
-        return self.with_fields(
-            {name: dataclasses.replace(value, origin=origins[name]) for name, value in solids.items()}
-        )
+        return self.with_fields({name: value.moved(offset) for name, value in solids.items()})
 
 
 def rgb(color: Color) -> Plugin:

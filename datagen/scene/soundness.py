@@ -65,15 +65,14 @@ def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
     """
     check_name(scene.name, where="scene name")
     check_names(scene)
-    there, solids = _there(scene), _solids(scene)
+    there, solids = [item for item in scene.objects if is_there(item.mesh)], _solids(scene)
     if not there:
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one with a mesh")
     for item in there:
-        check_material(item.material, where=f"scene {scene.name}: object {item.name}")
-    for item in there:
-        check_mesh(item.mesh, where=f"scene {scene.name}: object {item.name}")
+        check_material(item.material, where=_place(scene, item))
+        check_mesh(item.mesh, where=_place(scene, item))
     for item in solids:
-        check_closed(item.mesh, where=f"scene {scene.name}: object {item.name}")
+        check_closed(item.mesh, where=_place(scene, item))
     _check_nesting(scene, solids)
     if is_checked:
         return
@@ -82,20 +81,19 @@ def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
     _check_units(scene, there, cameras)
     _check_normals(scene, there)
     for item in solids:
-        check_solid(item.mesh, where=f"scene {scene.name}: object {item.name}")
+        check_solid(item.mesh, where=_place(scene, item))
     check_cameras_outside(scene, cameras)
     _check_contact(scene, there)
     _check_overlaps(scene, solids)
 
 
-def _there(scene: Scene) -> list[SceneObject]:
-    """The objects that no edit removed."""
-    return [item for item in scene.objects if is_there(item.mesh)]
-
-
 def _solids(scene: Scene) -> list[SceneObject]:
-    """Those of glass or liquid, whose meshes are closed."""
-    return [item for item in _there(scene) if item.material.medium is not None]
+    """The objects of glass or liquid, whose meshes are closed, less those that an edit removed."""
+    return [item for item in scene.objects if is_there(item.mesh) and item.material.medium is not None]
+
+
+def _place(scene: Scene, item: SceneObject) -> str:
+    return f"scene {scene.name}: object {item.name}"
 
 
 def check_names(scene: Scene) -> None:
@@ -148,19 +146,18 @@ def _check_units(scene: Scene, there: list[SceneObject], cameras: Float[np.ndarr
             f"{MIN_DISTANCE:g} to {MAX_DISTANCE:g}: lengths are metres, scale meshes, textures and cameras"
         )
     for item in there:
-        where = f"scene {scene.name}: object {item.name}"
         low, high = (bound(item.mesh.vertices, axis=0).astype(np.float64) for bound in (np.min, np.max))
         size = float((high - low).max())
         nearest = float(np.linalg.norm(np.maximum(np.maximum(low - cameras, cameras - high), 0), axis=-1).min())
         if size < SMALLEST * nearest:
             raise HyalineError(
-                f"{where}: is {size:.3g} m large and at least {nearest:.3g} m from every camera, too "
+                f"{_place(scene, item)}: is {size:.3g} m large and at least {nearest:.3g} m from every camera, too "
                 "small to be seen; lengths are metres, scale it or remove it"
             )
         is_around = ((low <= rig.target) & (rig.target <= high)).all()
         if float((high - low).min()) > LARGEST * rig.radius and not is_around:
             raise HyalineError(
-                f"{where}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from their "
+                f"{_place(scene, item)}: is {size:.3g} m large, and the cameras are {rig.radius:.3g} m from their "
                 "target; lengths are metres, scale it (by 0.001 if it was modelled in millimetres)"
             )
 
@@ -169,13 +166,12 @@ def _check_normals(scene: Scene, there: list[SceneObject]) -> None:
     for item in there:
         if count := count_without_normal(item.mesh):
             raise HyalineError(
-                f"scene {scene.name}: object {item.name}: {count} vertex normals are 0; expected unit vectors, compute "
-                "its normals again"
+                f"{_place(scene, item)}: {count} vertex normals are 0; expected unit vectors, compute its normals again"
             )
         if (share := opposing_share(item.mesh)) > MAX_OPPOSING:
             raise HyalineError(
-                f"scene {scene.name}: object {item.name}: {100 * share:.1f} % of the vertex normals point to the back "
-                f"of their faces; expected at most {100 * MAX_OPPOSING:g} %, compute its normals again"
+                f"{_place(scene, item)}: {100 * share:.1f} % of the vertex normals point to the back of their faces; "
+                f"expected at most {100 * MAX_OPPOSING:g} %, compute its normals again"
             )
 
 
@@ -184,7 +180,7 @@ def check_cameras_outside(scene: Scene, places: Float[np.ndarray, "place 3"]) ->
     for item in _solids(scene):
         if (place := _inside(item.mesh, places)) is not None:
             raise HyalineError(
-                f"scene {scene.name}: object {item.name}: a camera is inside this glass, at "
+                f"{_place(scene, item)}: a camera is inside this glass, at "
                 f"({', '.join(f'{value:.3g}' for value in place)}), but rays must start in air; move it or the "
                 "cameras, or scale it if it was not modelled in metres"
             )
@@ -240,7 +236,7 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
         share = float(np.isfinite(_distances(small.mesh, large.mesh, TOLERANCE, points)).mean())
         if share > MAX_TOUCHING:
             raise HyalineError(
-                f"scene {scene.name}: object {small.name}: {100 * share:.1f} % of its surface lies in faces of "
+                f"{_place(scene, small)}: {100 * share:.1f} % of its surface lies in faces of "
                 f"{large.name}, and one of them is glass; leave a gap of a millimetre, or extend one into the other"
             )
 

@@ -81,13 +81,13 @@ class Peeler:
         num_layers: int,
     ) -> Hits:
         """The first `num_layers` hits of any number of rays from one origin, or one each, along unit directions."""
-        count = len(directions)
-        if count == 0:  # Dr.Jit would end the process.
-            return _no_hits(num_layers)
         import drjit as dr
         import mitsuba as mi
 
-        is_coherent = origin.ndim == 1
+        count, is_coherent = len(directions), origin.ndim == 1
+        if count == 0:  # Dr.Jit would end the process.
+            index, number = np.zeros((num_layers, 0), np.int32), np.zeros((num_layers, 0, 2), np.float32)
+            return Hits(shape=index, prim=index, barycentric=number, t=number[..., 0], has_more=np.zeros(0, bool))
         # Opaque values; otherwise every camera would be recorded as a kernel of its own.
         start = [dr.opaque(mi.Float, float(value)) for value in origin] if is_coherent else to_columns(origin)
         along = mi.Vector3f(*to_columns(directions))
@@ -139,17 +139,6 @@ class Peeler:
             hits.shape, hits.prim, hits.barycentric, self._object_id, self._first_face, self._corner_uv, uv, object_id
         )
         return uv, object_id
-
-
-def _no_hits(num_layers: int) -> Hits:
-    index, number = np.zeros((num_layers, 0), np.int32), np.zeros((num_layers, 0), np.float32)
-    return Hits(
-        shape=index,
-        prim=index,
-        barycentric=np.zeros((num_layers, 0, 2), np.float32),
-        t=number,
-        has_more=np.zeros(0, bool),
-    )
 
 
 @numba.njit

@@ -203,18 +203,11 @@ def look_up_tint(tables: TintTables, shape, uv, active) -> "mi.Color3f":
     total = mi.Color3f(0)
     for row_step in range(2):
         for column_step in range(2):
-            column = _within(mi.Int32(low[0]) + column_step, width)
-            row = _within(mi.Int32(low[1]) + row_step, height)
-            index = first + row * width + column
+            column = dr.clip(mi.Int32(low[0]) + column_step, 0, mi.Int32(width) - 1)
+            row = dr.clip(mi.Int32(low[1]) + row_step, 0, mi.Int32(height) - 1)
+            index = first + mi.UInt32(row) * width + mi.UInt32(column)
             texel = mi.Color3f(*(dr.gather(mi.Float, channel, index, active) for channel in tables.texels))
             share_x = shares[0] if column_step else 1 - shares[0]
             share_y = shares[1] if row_step else 1 - shares[1]
             total += texel * (share_x * share_y)
     return total
-
-
-def _within(index, size) -> "mi.UInt32":
-    import drjit as dr
-    import mitsuba as mi
-
-    return mi.UInt32(dr.clip(index, 0, mi.Int32(size) - 1))

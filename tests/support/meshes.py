@@ -76,3 +76,14 @@ def chart_map(mesh: Mesh, size: int) -> Int32[np.ndarray, "tex_h tex_w"]:
         inside = weights.min(axis=-1) >= 0
         charts[texel[inside]] = chart_of_face[face[inside]]
     return charts.reshape(size, size)
+
+
+def gutter_violations(mesh: Mesh, size: int) -> int:
+    """Pairs of neighbouring texels (of eight) that different charts cover."""
+    charts = chart_map(mesh, size)
+    count = 0
+    for rows, columns in ((1, 0), (0, 1), (1, 1), (1, -1)):
+        one = charts[: size - rows, max(0, -columns) : size - max(0, columns)]
+        other = charts[rows:, max(0, columns) : size - max(0, -columns)]
+        count += int(((one >= 0) & (other >= 0) & (one != other)).sum())
+    return count

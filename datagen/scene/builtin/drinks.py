@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Color, Dielectric, Diffuse, Plastic, SolidTexture
@@ -43,10 +42,9 @@ _on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="drinks",
-        description=BUILT_IN_SCENES["drinks"],
         objects=(*_room(), *_whisky(), *_lemonade(), *_wine(), *_carafe(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.56, 0.63, 0.74),
@@ -175,6 +173,7 @@ def _things() -> list[SceneObject]:
     board = SolidTexture(pattern="wood", colors=((0.70, 0.54, 0.34), (0.48, 0.32, 0.18)), scale=0.03, axis="x")
     height = 0.016
     lemon = turned(deformed(ball(0.029), _lemon), (0, 0, 1), 35)
+    lime = turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110)
     slab = turned(rounded_box((0.20, 0.13, height), bevel=0.004), (0, 0, 1), 12)
     napkin = turned(rounded_box((0.17, 0.17, 0.004), bevel=0.0012), (0, 0, 1), -18)
     return [
@@ -182,13 +181,7 @@ def _things() -> list[SceneObject]:
         _on_table("board", moved(slab, (0, 0, height / 2)), Plastic(color=board, roughness=0.3), 0.33, 0.17),
         _on_table("lemon", resting(lemon, (0, 0, height + GAP)), Plastic(color=peel, roughness=0.2), 0.37, 0.15),
         _on_table("orange", resting(ball(0.036), (0, 0, height + GAP)), Plastic(color=zest, roughness=0.2), 0.28, 0.19),
-        _on_table(
-            "lime",
-            resting(turned(deformed(ball(0.024), _lemon), (0, 0, 1), 110), (0, 0, 0.005)),
-            Plastic(color=(0.16, 0.36, 0.06), roughness=0.2),
-            -0.21,
-            -0.19,
-        ),
+        _on_table("lime", resting(lime, (0, 0, 0.005)), Plastic(color=(0.16, 0.36, 0.06), roughness=0.2), -0.21, -0.19),
     ]
 
 

@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, SolidTexture
@@ -36,10 +35,9 @@ _on_table = partial(put_enlarged, GENEROUS, TABLE_TOP)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="glass_table",
-        description=BUILT_IN_SCENES["glass_table"],
         objects=(*_room(), *_furniture(), *_glassware(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.58, 0.66, 0.78),
@@ -88,15 +86,10 @@ def _room() -> list[SceneObject]:
 
 
 def _furniture() -> list[SceneObject]:
+    green = Dielectric(ior=1.52, absorption=(8.0, 2.4, 5.0))
     oak = SolidTexture(pattern="wood", colors=((0.58, 0.37, 0.19), (0.33, 0.18, 0.08)), scale=0.035, axis="x")
     return [
-        slab(
-            "table_top",
-            (1.0, 0.7, 0.018),
-            (0, 0, TABLE_TOP - 0.009),
-            Dielectric(ior=1.52, absorption=(8.0, 2.4, 5.0)),
-            bevel=0.003,
-        ),
+        slab("table_top", (1.0, 0.7, 0.018), (0, 0, TABLE_TOP - 0.009), green, bevel=0.003),
         SceneObject(name="table_frame", mesh=_table_frame(), material=Plastic(color=oak, roughness=0.2)),
         SceneObject(name="chair", mesh=_chair(), material=Plastic(color=(0.06, 0.30, 0.32), roughness=0.15)),
     ]
@@ -160,6 +153,7 @@ def _things() -> list[SceneObject]:
     )
     vase = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.004, floor=0.006), crease_deg=30)
     trefoil = np.add(knot(0.036, 0.015, count=180), (0, 0, 0.0236))
+    brass = Conductor(color=(0.90, 0.66, 0.33), roughness=0.18)
     books = [
         ("book_blue", (0.21, 0.150, 0.030), 12.0, Diffuse(color=cloth)),
         ("book_red", (0.19, 0.135, 0.024), -7.0, Diffuse(color=(0.55, 0.09, 0.07))),
@@ -176,13 +170,7 @@ def _things() -> list[SceneObject]:
         _on_table("pear", pear, Plastic(color=glaze, roughness=0.12), -0.31, 0.16),
         _on_table("mug", turned(mug, (0, 0, 1), -60), Plastic(color=stripes, roughness=0.1), -0.30, -0.20),
         _on_table("vase", vase, Plastic(color=marble, roughness=0.08), 0.14, 0.20),
-        _on_table(
-            "knot",
-            tube(trefoil, 0.0085, segments=20, is_loop=True),
-            Conductor(color=(0.90, 0.66, 0.33), roughness=0.18),
-            0.36,
-            -0.19,
-        ),
+        _on_table("knot", tube(trefoil, 0.0085, segments=20, is_loop=True), brass, 0.36, -0.19),
     ]
 
 

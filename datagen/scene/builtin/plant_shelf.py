@@ -5,7 +5,6 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic, SolidTexture
@@ -34,10 +33,9 @@ BOARD = 0.022
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="plant_shelf",
-        description=BUILT_IN_SCENES["plant_shelf"],
         objects=(*_room(), *_plants(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.66, 0.72, 0.80),
@@ -194,17 +192,8 @@ def _glass() -> list[SceneObject]:
     vase = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.0045, floor=0.012), segments=80)
     dome = filleted([(0, 0.262, 0), (0.082, 0.262, 0.079), (0.082, 0, 0.0016), (0.0785, 0, 0.0016),
                      (0.0785, 0.2585, 0.0755), (0, 0.2585, 0)], segments=14)  # fmt: skip
-    bottle_side = filleted(
-        [
-            (0, 0, 0),
-            (0.040, 0, 0.006),
-            (0.040, 0.15, 0.03),
-            (0.013, 0.185, 0.02),
-            (0.013, 0.235, 0.01),
-            (0.016, 0.25, 0),
-        ],
-        segments=8,
-    )
+    bottle_side = filleted([(0, 0, 0), (0.040, 0, 0.006), (0.040, 0.15, 0.03), (0.013, 0.185, 0.02),
+                            (0.013, 0.235, 0.01), (0.016, 0.25, 0)], segments=8)  # fmt: skip
     bottle = lathe(walled(bottle_side, wall=0.003, floor=0.008), segments=72)
     green = Dielectric(ior=1.5, absorption=(90.0, 18.0, 60.0))
     return [
@@ -225,17 +214,14 @@ def _things() -> list[SceneObject]:
         for z in 0.021 * np.arange(8)
     ]
     basket = merged([*rings, moved(cylinder(0.132, 0.012), (0, 0, 0.004))])
+    teal = Plastic(color=(0.10, 0.36, 0.46), roughness=0.12)
     bowl_side = filleted([(0, 0, 0), (0.034, 0, 0.004), (0.080, 0.055, 0.05), (0.086, 0.075, 0)], segments=8)
     things = [
         _on_board("cactus", moved(deformed(ball(0.05), _ribbed), (0, 0, 0.0)), Plastic(color=ribs), 0.10, 0.20, 1),
         _on_board("basket", basket, Diffuse(color=reed), -0.30, 0.21, 0),
         _on_board("bowl", lathe(walled(bowl_side, wall=0.005, floor=0.006)), Plastic(color=veins), 0.42, 0.20, 2),
         _on_board("box", rounded_box((0.30, 0.20, 0.16), bevel=0.012), Plastic(color=dots), 0.25, 0.22, 0),
-        SceneObject(
-            name="can",
-            mesh=moved(_watering_can(), (-0.88, -0.10, GAP)),
-            material=Plastic(color=(0.10, 0.36, 0.46), roughness=0.12),
-        ),
+        SceneObject(name="can", mesh=moved(_watering_can(), (-0.88, -0.10, GAP)), material=teal),
     ]
     x = -0.50
     for name, size, color, lean in (
@@ -265,17 +251,8 @@ def _watering_can() -> Mesh:
     handle = curved(
         [(-0.0835, 0, 0.18), (-0.13, 0, 0.23), (-0.20, 0, 0.17), (-0.16, 0, 0.07), (-0.099, 0, 0.05)], count=28
     )
-    return turned(
-        merged(
-            [
-                lathe(walled(body, wall=0.005, floor=0.006), segments=72),
-                tube(spout, np.linspace(0.019, 0.011, 20)),
-                tube(handle, 0.008),
-            ]
-        ),
-        (0, 0, 1),
-        -35,
-    )
+    vessel = lathe(walled(body, wall=0.005, floor=0.006), segments=72)
+    return turned(merged([vessel, tube(spout, np.linspace(0.019, 0.011, 20)), tube(handle, 0.008)]), (0, 0, 1), -35)
 
 
 def _on_board(name: str, mesh: Mesh, material: Material, x: float, y: float, level: int) -> SceneObject:

@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
@@ -13,6 +12,7 @@ from datagen.scene.modelling import (
     ball,
     deformed,
     filleted,
+    grid_faces,
     lathe,
     merged,
     moved,
@@ -32,10 +32,9 @@ _in_basin = partial(put_on, BOTTOM)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="pool",
-        description=BUILT_IN_SCENES["pool"],
         objects=(*_basin(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.20, 0.34, 0.62),
@@ -129,8 +128,7 @@ def _water() -> Mesh:
     top = np.stack([x, y, LEVEL + _ripples(x, y)], axis=-1)
     bottom = np.stack([x, y, np.full_like(x, BOTTOM - REACH)], axis=-1)
     at = np.arange(count * count).reshape(count, count)
-    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[1:, :-1], at[1:, 1:], at[:-1, 1:]))
-    surface = np.concatenate([np.stack([a, b, c], axis=-1), np.stack([a, c, d], axis=-1)])
+    surface = grid_faces(count, count)
     border = np.concatenate([at[:-1, 0], at[-1, :-1], at[:0:-1, -1], at[0, :0:-1]])
     following, below = np.roll(border, -1), count * count
     sides = np.concatenate(

@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
@@ -37,10 +36,9 @@ FANCY = Dielectric(ior=1.62, dispersion=4.0)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="prism_bench",
-        description=BUILT_IN_SCENES["prism_bench"],
         objects=(*_bench(), *_glass(), *_things()),
         environment=SoftEnvironment(
             zenith=(0.015, 0.02, 0.03),
@@ -79,6 +77,7 @@ def make() -> Scene:
 
 def _bench() -> list[SceneObject]:
     walnut = SolidTexture(pattern="wood", colors=((0.24, 0.14, 0.08), (0.11, 0.06, 0.035)), scale=0.07, axis="y")
+    below = BENCH_TOP - 0.06
     floor = moved(cylinder(4.0, 0.05, bevel=0.004, segments=128), (0, 0, -0.05))
     sheet = turned(rounded_box((0.86, 0.70, SHEET - GAP), bevel=0.0008), (0, 0, 1), -6)
     sheet = moved(sheet, (0, 0, BENCH_TOP + (SHEET + GAP) / 2))
@@ -86,13 +85,7 @@ def _bench() -> list[SceneObject]:
         SceneObject(name="floor", mesh=floor, material=Diffuse(color=(0.06, 0.065, 0.08))),
         slab("bench", (1.9, 1.4, 0.06), (0, 0, BENCH_TOP - 0.03), Plastic(color=walnut, roughness=0.3), bevel=0.006),
         SceneObject(name="sheet", mesh=sheet, material=Diffuse(color=(0.72, 0.71, 0.69))),
-        slab(
-            "foot",
-            (1.2, 0.8, BENCH_TOP - 0.06 - 2 * GAP),
-            (0, 0, (BENCH_TOP - 0.06) / 2),
-            Diffuse(color=(0.10, 0.11, 0.13)),
-            bevel=0.006,
-        ),
+        slab("foot", (1.2, 0.8, below - 2 * GAP), (0, 0, below / 2), Diffuse(color=(0.10, 0.11, 0.13)), bevel=0.006),
     ]
 
 
@@ -118,16 +111,14 @@ def _things() -> list[SceneObject]:
     stripes = SolidTexture(pattern="stripes", colors=((0.85, 0.82, 0.74), (0.08, 0.09, 0.12)), scale=0.022, axis="z")
     path = knot(0.040, 0.016, count=320)
     block = turned(rounded_box((0.05, 0.05, 0.11), bevel=0.004), (0, 0, 1), 30)
+    brass = Conductor(color=(0.92, 0.68, 0.36), roughness=0.15)
     red = Plastic(color=(0.62, 0.05, 0.04), roughness=0.08)
     return [
         _on_bench("screen", _screen(), Diffuse(color=(0.03, 0.03, 0.035)), -0.23, 0.20),
-        _on_bench(
-            "knot", tube(path, 0.009, segments=32, is_loop=True), Conductor(color=(0.92, 0.68, 0.36), roughness=0.15),
-            0.33, -0.13,
-        ),
+        _on_bench("knot", tube(path, 0.009, segments=32, is_loop=True), brass, 0.33, -0.13),
         _on_bench("striped_block", block, Plastic(color=stripes, roughness=0.1), -0.34, 0.00),
         _on_bench("red_ball", ball(0.036), red, 0.20, -0.24),
-    ]  # fmt: skip
+    ]
 
 
 def _screen() -> Mesh:

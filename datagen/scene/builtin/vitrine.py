@@ -5,7 +5,6 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Diffuse, Plastic, SolidTexture, ThinDielectric
@@ -33,10 +32,9 @@ _inside = partial(put_on, PLINTH_TOP)
 
 
 def make() -> Scene:
-    """The scene, not unwrapped yet."""
+    """The scene, not unwrapped or described yet."""
     return Scene(
         name="vitrine",
-        description=BUILT_IN_SCENES["vitrine"],
         objects=(*_room(), *_case(), *_sculptures()),
         environment=SoftEnvironment(
             zenith=(0.66, 0.70, 0.76),
@@ -72,6 +70,7 @@ def make() -> Scene:
 def _room() -> list[SceneObject]:
     terrazzo = SolidTexture(pattern="speckle", colors=((0.58, 0.56, 0.53), (0.28, 0.20, 0.17)), scale=0.055)
     ash = SolidTexture(pattern="wood", colors=((0.62, 0.47, 0.32), (0.40, 0.27, 0.16)), scale=0.06, axis="x")
+    varnish = Plastic(color=ash, roughness=0.2)
     first = SolidTexture(pattern="stripes", colors=((0.75, 0.30, 0.16), (0.82, 0.70, 0.46)), scale=0.30, axis="x")
     second = SolidTexture(pattern="marble", colors=((0.12, 0.28, 0.42), (0.85, 0.78, 0.62)), scale=0.45)
     paintings = [
@@ -88,13 +87,7 @@ def _room() -> list[SceneObject]:
         SceneObject(name="painting_stripes", mesh=paintings[0], material=Diffuse(color=first)),
         SceneObject(name="painting_marble", mesh=paintings[1], material=Diffuse(color=second)),
         SceneObject(name="urn", mesh=moved(urn, (1.15, 1.45, GAP)), material=Plastic(color=bands, roughness=0.2)),
-        slab(
-            "plinth",
-            (1.0, 0.66, PLINTH_TOP - GAP),
-            (0, 0, (PLINTH_TOP + GAP) / 2),
-            Plastic(color=ash, roughness=0.2),
-            bevel=0.008,
-        ),
+        slab("plinth", (1.0, 0.66, PLINTH_TOP - GAP), (0, 0, (PLINTH_TOP + GAP) / 2), varnish, bevel=0.008),
     ]
 
 
@@ -146,24 +139,15 @@ def _sculptures() -> list[SceneObject]:
     heights = [(0.048, float(z)) for z in np.linspace(0, 0.34, 48)]
     pillar = deformed(lathe([(0.0, 0.0), *heights, (0.0, 0.34)], segments=64), _twist)
     bowl_side = filleted([(0, 0, 0), (0.040, 0, 0.004), (0.046, 0.012, 0.02), (0.105, 0.075, 0.03), (0.112, 0.10, 0)])
-    totem = merged(
-        [
-            moved(ball(radius, subdivisions=3), (0, 0, z))
-            for radius, z in ((0.060, 0.060), (0.046, 0.150), (0.034, 0.217), (0.024, 0.266))
-        ]
-    )
+    bowl = lathe(walled(bowl_side, wall=0.006, floor=0.008), segments=72)
+    balls = ((0.060, 0.060), (0.046, 0.150), (0.034, 0.217), (0.024, 0.266))
+    totem = merged([moved(ball(radius, subdivisions=3), (0, 0, z)) for radius, z in balls])
     gem = deformed(ball(0.072, subdivisions=1), lambda p: p * [1, 1, 1.25], crease_deg=5)
     egg = deformed(ball(0.055), lambda p: p * (1 - 1.6 * p[:, 2:]) * [1, 1, 1.32])
     return [
         _inside("knot", upright, Plastic(color=(0.72, 0.12, 0.08), roughness=0.08), 0.16, 0.09),
         _inside("pillar", pillar, Plastic(color=(0.03, 0.34, 0.40), roughness=0.15), -0.10, 0.13),
-        _inside(
-            "bowl",
-            lathe(walled(bowl_side, wall=0.006, floor=0.008), segments=72),
-            Plastic(color=veined, roughness=0.1),
-            0.07,
-            -0.11,
-        ),
+        _inside("bowl", bowl, Plastic(color=veined, roughness=0.1), 0.07, -0.11),
         _inside("totem", totem, Plastic(color=spots, roughness=0.15), -0.30, 0.04),
         _inside("gem", turned(gem, (1, 0.3, 0), 25), Conductor(color=(0.92, 0.60, 0.48), roughness=0.25), 0.32, -0.08),
         _inside("egg", egg, Plastic(color=chess, roughness=0.1), -0.16, -0.12),

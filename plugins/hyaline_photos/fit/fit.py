@@ -28,9 +28,9 @@ from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import PROXIES, holding
-from datagen.disk.records import Json
+from datagen.disk.records import Json, to_json
 from datagen.scene.description import Scene
-from datagen.scene.folder import material_json, open_scene, with_materials
+from datagen.scene.folder import open_scene, with_materials
 from datagen.scene.materials import Diffuse
 from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
@@ -117,7 +117,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         )
         found = work.run()
         with holding(root, PROXIES, within=dataset.root):
-            materials = {name: material_json(each) for name, each in assumed.items()}
+            materials = {name: to_json(each) for name, each in assumed.items()}
             write_geometry(dataset, geometry, meshes, materials, found)
         folder.finish(summary(dataset, found))
     if has_layers(dataset):

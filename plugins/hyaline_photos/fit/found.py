@@ -12,8 +12,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import write_proxies
 from datagen.data.meshes import MIN_AREA, Mesh, face_areas
 from datagen.data.paths import FITTED, TRUTH
-from datagen.disk.records import Json
-from datagen.scene.folder import material_json
+from datagen.disk.records import Json, to_json
 from hyaline_photos.fit.boxes import Box
 from hyaline_photos.fit.hull import HullShape
 from hyaline_photos.fit.search import ABSORPTIONS, LAST, NUMBERS, STEPS, TINT_REACH, WORTH_IT, Found, reach_of
@@ -95,7 +94,7 @@ def write_geometry(
             has_area = face_areas(mesh) >= MIN_AREA
             meshes[each - 1] = dataclasses.replace(mesh, faces=mesh.faces[has_area])
             assignment[each - 1] = FITTED
-            materials[dataset.objects[each - 1].name] = material_json(material)
+            materials[dataset.objects[each - 1].name] = to_json(material)
     write_proxies(dataset, geometry, tuple(meshes), (None,) * len(meshes), tuple(assignment), materials)
 
 

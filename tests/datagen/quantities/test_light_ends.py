@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 from support.traced_dataset import SLAB, glass_scene, write_traced_dataset
 
 from datagen.data.cameras import Camera, Cameras, look_at
@@ -77,18 +78,6 @@ def test_flow_is_snells_displacement_behind_a_slab(ends: tuple[Camera, LightEnds
     assert np.abs(found.attenuation - share)[inside].max() < 1e-4
 
 
-def at(image: np.ndarray, place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A picture at places (column, row) between the centres of its pixels, and which of them it has."""
-    height, width = image.shape[:2]
-    low = np.floor(place - 0.5).astype(int)
-    has = (low >= 0).all(axis=-1) & (low[..., 0] < width - 1) & (low[..., 1] < height - 1)
-    column, row = np.moveaxis(np.where(has[..., None], low, 0), -1, 0)
-    x, y = np.moveaxis(place - 0.5 - low, -1, 0)[..., None]
-    top = image[row, column] * (1 - x) + image[row, column + 1] * x
-    bottom = image[row + 1, column] * (1 - x) + image[row + 1, column + 1] * x
-    return top * (1 - y) + bottom * y, has
-
-
 def test_the_rendered_twin_without_glass_warped_by_the_flow_and_dimmed_is_the_rendered_truth() -> None:
     use_mitsuba()
     from datagen.render.truth import Renderer
@@ -106,8 +95,9 @@ def test_the_rendered_twin_without_glass_warped_by_the_flow_and_dimmed_is_the_re
     surfaces = Surfaces(scene=glass, meshes=tuple(item.mesh for item in glass.objects))
     ends = find_light_ends(cameras[0], surfaces.tracer, surfaces.is_glass)
     rows, columns = np.indices(ends.object_id.shape) + 0.5
-    background, has = at(twin, np.stack([columns, rows], axis=-1) + ends.flow)
-    behind = has & (np.abs(ends.flow).max(axis=-1) > 0.05) & (ends.object_id == 1)
+    places = [rows + ends.flow[..., 1] - 0.5, columns + ends.flow[..., 0] - 0.5]
+    background = np.stack([map_coordinates(twin[..., c], places, order=1, cval=np.nan) for c in range(3)], axis=-1)
+    behind = np.isfinite(background[..., 0]) & (np.abs(ends.flow).max(axis=-1) > 0.05) & (ends.object_id == 1)
     assert behind.sum() > 1000
     # What does not come through mirrors the sky, which is equal all over.
     mirrored = (1 - ends.attenuation) * sky

@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from support.scenes import rendered, scene_of
-from support.synthetic import look_at, quad
+from support.scenes import camera_at, rendered, scene_of
+from support.synthetic import quad
 
-from datagen.data.cameras import Cameras
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Card, Lobe, SceneObject, SoftEnvironment
 from datagen.scene.materials import Diffuse
+from datagen.scene.rig import towards
 
 use_mitsuba()
 
@@ -20,32 +20,30 @@ GREY = SoftEnvironment(zenith=(0.2, 0.2, 0.2), horizon=(0.2, 0.2, 0.2), ground=(
 BOX = Card(direction=(2.0, 0.0, 0.0), size_deg=(40.0, 10.0), radiance=(3.0, 2.0, 1.0), softness_deg=1.0)
 
 
-def towards(azimuth_deg: float, elevation_deg: float) -> np.ndarray:
-    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
-    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-
-
 def seen(sky: SoftEnvironment, azimuth_deg: float, elevation_deg: float) -> list[float]:
-    return radiance_of_environment(sky, towards(azimuth_deg, elevation_deg)).tolist()
+    return radiance_of_environment(sky, np.array(towards(azimuth_deg, elevation_deg))).tolist()
 
 
-def test_a_card_shines_within_its_width_and_height_and_nowhere_else() -> None:
-    sky = dataclasses.replace(GREY, cards=(BOX,))
-    for place in ((0, 0), (19, 0), (-19, 0), (0, 4), (0, -4)):
-        assert seen(sky, *place) == pytest.approx([3, 2, 1])
-    for place in ((21, 0), (-21, 0), (0, 6), (0, -6), (180, 0), (0, 90)):
-        assert seen(sky, *place) == pytest.approx([0.2] * 3)
-    assert seen(sky, 20, 0) == pytest.approx([1.6, 1.1, 0.6])  # Half in, in the middle of its edge.
+@pytest.mark.parametrize(
+    ("roll_deg", "inside", "outside"),
+    [
+        (0.0, [(0, 0), (19, 0), (-19, 0), (0, 4), (0, -4)], [(21, 0), (-21, 0), (0, 6), (0, -6), (180, 0), (0, 90)]),
+        (90.0, [(0, 19)], [(19, 0)]),
+        # Seen from the scene, +y is left of who looks along +x: anticlockwise, its right end goes up.
+        (45.0, [(-10, 10)], [(10, 10)]),
+    ],
+)
+def test_a_card_shines_within_its_width_and_height_and_nowhere_else(
+    roll_deg: float, inside: list[tuple[float, float]], outside: list[tuple[float, float]]
+) -> None:
+    sky = dataclasses.replace(GREY, cards=(dataclasses.replace(BOX, roll_deg=roll_deg),))
+    for places, radiance in ((inside, [3, 2, 1]), (outside, [0.2] * 3)):
+        for place in places:
+            assert seen(sky, *place) == pytest.approx(radiance)
 
 
-def test_a_card_turns_about_its_middle() -> None:
-    upright = dataclasses.replace(GREY, cards=(dataclasses.replace(BOX, roll_deg=90.0),))
-    assert seen(upright, 0, 19) == pytest.approx([3, 2, 1])
-    assert seen(upright, 19, 0) == pytest.approx([0.2] * 3)
-    # Seen from the scene, +y is left of who looks along +x: anticlockwise, its right end goes up.
-    tilted = dataclasses.replace(GREY, cards=(dataclasses.replace(BOX, roll_deg=45.0),))
-    assert seen(tilted, -10, 10) == pytest.approx([3, 2, 1])
-    assert seen(tilted, 10, 10) == pytest.approx([0.2] * 3)
+def test_a_card_is_half_in_in_the_middle_of_its_edge() -> None:
+    assert seen(dataclasses.replace(GREY, cards=(BOX,)), 20, 0) == pytest.approx([1.6, 1.1, 0.6])
 
 
 def test_a_dark_card_hides_what_is_behind_it_and_the_last_one_counts() -> None:
@@ -68,12 +66,9 @@ def test_the_truth_is_lit_by_a_card_as_its_irradiance_says() -> None:
     card = Card(direction=(0.5, 0.0, 1.0), size_deg=(12.0, 12.0), radiance=(20.0, 20.0, 20.0), softness_deg=1.0)
     sky = SoftEnvironment(zenith=(0, 0, 0), horizon=(0, 0, 0), ground=(0, 0, 0), cards=(card,))
     floor = SceneObject(name="floor", mesh=quad(0.0), material=Diffuse(color=(0.5, 0.5, 0.5)))
-    view = Cameras(
-        world_from_camera=look_at(np.array((0.0, -0.6, 0.8)), np.zeros(3))[None], fov_x=0.1, width=8, height=8
-    )
     height, azimuth = np.meshgrid((np.arange(1000) + 0.5) / 1000, np.radians(np.arange(0, 360, 0.25)))
     across = np.sqrt(1 - height**2)  # Of equal heights, all places of a sphere count the same.
     d = np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=-1)
     irradiance = 2 * np.pi * (radiance_of_environment(sky, d)[..., 0] * height).mean()
-    found = rendered(scene_of(floor, environment=sky), view, spp=256).mean()
+    found = rendered(scene_of(floor, environment=sky), camera_at((0.0, -0.6, 0.8), fov_x=0.1), spp=256).mean()
     assert found == pytest.approx(0.5 * irradiance / np.pi, rel=0.02)

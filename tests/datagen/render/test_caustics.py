@@ -53,9 +53,9 @@ def test_following_caustics_changes_no_mean_and_less_noise(
     pose = look_at(np.array((1.8, 1.2, 0.5)), np.array((0.2, 0, -0.2)))[None]
     cameras = Cameras(world_from_camera=pose, fov_x=0.6, width=16, height=16)
     renderer = Renderer(scene, max_depth=16)
-    assert renderer._tracer.tables.caustics is not None
+    assert renderer._tracer.caustics is not None
     guided = pictures(renderer, cameras, 0)
-    renderer._tracer.tables.caustics = None
+    renderer._tracer.caustics = None
     plain = pictures(renderer, cameras, 1000)
     regions = [runs.reshape(RUNS, 4, 4, 4, 4, 3).mean(axis=(2, 4)) for runs in (guided, plain)]
     error = np.sqrt(sum(run.var(axis=0, ddof=1) / RUNS for run in regions))
@@ -68,21 +68,6 @@ def test_following_caustics_changes_no_mean_and_less_noise(
     assert spread < 0.01 * whole[1].mean(), "the test is sharp enough to see a percent"
     gain = plain.var(axis=0).mean() / guided.var(axis=0).mean()
     assert gain > 1.3
-
-
-@pytest.mark.parametrize("most", [0, 50, (1 << 37) - 1])
-def test_power_is_summed_by_entry_in_the_order_of_the_photons(most: int) -> None:
-    from datagen.render.caustics import _sum_by_entry
-
-    rng = np.random.default_rng(0)
-    entries = rng.integers(0, most, 1000, endpoint=True).astype(np.uint64)
-    power = rng.random(1000).astype(np.float32)
-    found, powers = _sum_by_entry(entries, power)
-    expected: dict[int, float] = {}
-    for entry, share in zip(entries.tolist(), power.tolist()):
-        expected[entry] = expected.get(entry, 0.0) + share
-    assert dict(zip(found.tolist(), powers.tolist(), strict=True)) == expected
-    assert found.tolist() == sorted(expected)
 
 
 def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_states() -> None:

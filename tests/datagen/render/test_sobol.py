@@ -82,7 +82,7 @@ from datagen.render.sobol import SobolPoints
 read = np.load
 
 def disturbed(*args, **options):
-    {disturbance}
+    os.kill(os.getpid(), signal.SIGINT)
     return read(*args, **options)
 
 np.load = disturbed
@@ -97,19 +97,7 @@ print("points differ:", (np.diff(table.astype(np.int64), axis=1) > 0).all())
 
 
 @pytest.mark.promise("R11")
-@pytest.mark.parametrize(
-    ("disturbance", "said"),
-    [
-        ("os.kill(os.getpid(), signal.SIGINT)", "Stopped stopped"),
-        pytest.param(
-            "raise MemoryError",
-            "HyalineError SciPy could not read its direction numbers for Sobol's points; run the command again",
-            marks=pytest.mark.full,
-        ),
-    ],
-)
-def test_a_ctrl_c_while_scipy_prepares_is_neither_lost_nor_makes_all_points_alike(disturbance: str, said: str) -> None:
+def test_a_ctrl_c_while_scipy_prepares_is_neither_lost_nor_makes_all_points_alike() -> None:
     """SciPy drops what is raised there and goes on with zeros: pictures as of one sample a pixel."""
-    program = FIRST_POINTS.format(disturbance=disturbance)
-    answer = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert answer.stdout.splitlines() == [said, "points differ: True"]
+    answer = subprocess.run([sys.executable, "-c", FIRST_POINTS], capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines() == ["Stopped stopped", "points differ: True"]

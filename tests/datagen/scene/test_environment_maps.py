@@ -10,10 +10,10 @@ import OpenEXR
 import pytest
 import trimesh
 from support.meshes import mesh_of
-from support.synthetic import look_at, synthetic_scene
+from support.scenes import camera_at
+from support.synthetic import synthetic_scene
 
 from benchmarks.sky import radiance_of_map, radiance_of_sky
-from datagen.data.cameras import Cameras
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import EnvironmentMap, Lobe, Scene, SceneObject, SoftEnvironment
@@ -101,12 +101,10 @@ def test_a_bright_texel_shines_from_where_the_convention_says_in_mitsuba_and_by_
     by_formula = radiance_of_sky(scene, directions)
     si = mi.SurfaceInteraction3f()
     environment = load_scene_mitsuba(scene).environment()
-    brightest = []
     si.wi = mi.Vector3f(*(-directions.T).astype(np.float32))
     found = np.array(environment.eval(si)).T
-    brightest.append(directions[found[:, 0] > 2])
-    brightest.append(directions[by_formula[:, 0] > 2])
-    for lit in brightest:
+    for radiance in (found, by_formula):
+        lit = directions[radiance[:, 0] > 2]
         middle = lit.mean(axis=0) / np.linalg.norm(lit.mean(axis=0))
         # Half a texel, 6 degrees, and at the poles as much again: Mitsuba's rows reach from pole to pole.
         assert math.degrees(math.acos(middle @ expected / np.linalg.norm(expected))) < 13
@@ -132,17 +130,11 @@ def test_a_radiance_picture_is_read_to_its_8_bits_as_mitsuba_reads_it(tmp_path: 
     assert (np.abs(found - radiance).max(axis=-1) <= radiance.max(axis=-1) / 127).all()
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda data: data[: len(data) // 2], "damaged|cannot be read"),
-        (lambda data: b"PK" + data, "damaged|cannot be read"),
-        (lambda data: data[:8], "damaged|cannot be read"),
-    ],
-)
-def test_a_broken_map_is_refused_in_one_line(change: object, message: str) -> None:
-    with pytest.raises(HyalineError, match=message):
-        read_map(change(exr_bytes(spotted(3, 3))), where="sky.exr")  # type: ignore[operator]
+def test_a_broken_map_is_refused_in_one_line() -> None:
+    data = exr_bytes(spotted(3, 3))
+    for broken in (data[: len(data) // 2], b"PK" + data, data[:8]):
+        with pytest.raises(HyalineError, match=r"damaged|cannot be read"):
+            read_map(broken, where="sky.exr")
     for broken in (hdr_bytes(spotted(3, 3), is_compressed=True)[:-3], b"#?RADIANCE\n\n-Y 16 +X 99999999\n", b"#?\n"):
         with pytest.raises(HyalineError, match=r"sky\.hdr: .*(damaged|expected|not a Radiance)"):
             read_map(broken, where="sky.hdr")
@@ -177,23 +169,15 @@ def test_truth_and_light_paths_see_one_map_through_glass(tmp_path: Path) -> None
     directions = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
     radiance = radiance_of_map(coarse, directions, 0.0).astype(np.float32)
     scene = scene_under(tmp_path, radiance, scale=1.5, rotation_deg=70.0)
-    pose = look_at(np.array((1.0, 0.5, 0.3)), np.zeros(3))[None]
-    cameras = Cameras(world_from_camera=pose, fov_x=0.5, width=16, height=16)
+    cameras = camera_at((1.0, 0.5, 0.3), fov_x=0.5, size=16)
     truth = Renderer(scene, max_depth=16).radiance(cameras, 0, spp=1024, seed=0)
     tracer = LightPathTracer(tuple(item.mesh for item in scene.objects), tuple(item.material for item in scene.objects))
-    seen = np.zeros((16 * 16, 3))
-    for _ in range(16):
-        jitter = rng.random((16, 16, 2))
-        column, row = np.meshgrid(np.arange(16), np.arange(16))
-        focal = 8 / math.tan(0.25)
-        x, y = (column + jitter[..., 0] - 8) / focal, (8 - row - jitter[..., 1]) / focal
-        d = np.stack([x, y, -np.ones_like(x)], axis=-1).reshape(-1, 3) @ pose[0, :3, :3].T
-        d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
-        paths = tracer.trace(np.tile(pose[0, :3, 3].astype(np.float32), (256, 1)), d, Limits(8, max_vertices=1))
-        sky = radiance_of_sky(scene, paths.end_direction.astype(np.float64))
-        seen += (paths.end_throughput * sky).sum(axis=0) / 16
-    error = np.abs(seen.reshape(16, 16, 3) - truth)
-    assert error.mean() < 0.02 * truth.mean()
+    origin, directions = dataclasses.replace(cameras, width=96, height=96)[0].rays()
+    rays = directions.reshape(-1, 3)
+    paths = tracer.trace(np.tile(origin, (len(rays), 1)), rays, Limits(8, max_vertices=1))
+    light = paths.end_throughput * radiance_of_sky(scene, paths.end_direction.astype(np.float64))
+    seen = light.sum(axis=0).reshape(16, 6, 16, 6, 3).mean(axis=(1, 3))
+    assert np.abs(seen - truth).mean() < 0.02 * truth.mean()
 
 
 @pytest.mark.parametrize("sharpness", [8.0, 300.0, 3000.0, pytest.param(60000.0, marks=pytest.mark.full)])

@@ -19,15 +19,11 @@ from datagen.scene.modelling import (
     filled,
     filleted,
     lathe,
-    merged,
-    moved,
-    rotation,
     rounded_box,
     shaded,
     sheet,
     transformed,
     tube,
-    turned,
     walled,
 )
 from datagen.scene.textures import PATTERNS, evaluate_texture, fractal_noise, value_noise
@@ -152,22 +148,6 @@ def test_creases_split_a_box_and_leave_a_ball_whole() -> None:
     assert np.einsum("vi,vi->v", again.normals, again.vertices).min() > 0.9999
 
 
-def test_moving_turning_and_merging_keep_the_parts() -> None:
-    box = rounded_box((1, 2, 3), bevel=0.1)
-    both = merged([box, moved(turned(box, (0, 0, 1), 90), (10, 0, 0))])
-    assert signed_volume(both) == pytest.approx(2 * signed_volume(box), rel=1e-5)
-    extent = np.ptp(both.vertices[len(box.vertices) :], axis=0)
-    np.testing.assert_allclose(extent, [2, 1, 3], atol=1e-5)
-    np.testing.assert_allclose(rotation((0, 0, 1), 90) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
-
-
-def test_sheet_faces_along_the_cross_product_of_its_edges() -> None:
-    mesh = sheet((0, 0, 0), (2, 0, 0), (0, 3, 0), cells=(4, 5))
-    np.testing.assert_allclose(corner_cosines(mesh), 1, atol=1e-6)
-    np.testing.assert_array_equal(mesh.normals, np.tile([0, 0, 1], (len(mesh.vertices), 1)))
-    assert len(mesh.faces) == 40
-
-
 # Solid textures
 
 RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.1, 0.9)
@@ -196,12 +176,8 @@ def test_checker_and_stripes_repeat_after_scale_and_swap_after_half(pattern: str
     np.testing.assert_allclose(evaluate_texture(texture, points() + np.array([0.25, 0, 0])), here, atol=1e-6)
     there = evaluate_texture(texture, points() + np.array([0.125, 0, 0]))
     np.testing.assert_allclose(here + there, np.broadcast_to(np.add(RED, BLUE), here.shape), atol=1e-6)
-
-
-def test_stripes_run_across_their_axis_only() -> None:
-    texture = SolidTexture(pattern="stripes", colors=(RED, BLUE), scale=0.25, axis="z")
-    flat = points() * [1, 1, 0]
-    assert np.ptp(evaluate_texture(texture, flat), axis=0).max() == 0
+    if pattern == "stripes":  # Across their axis only.
+        assert np.ptp(evaluate_texture(texture, points() * [0, 1, 1]), axis=0).max() == 0
 
 
 def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
@@ -217,20 +193,12 @@ def test_noise_is_continuous_bounded_and_known_at_lattice_points() -> None:
 GOLDEN = (0.0, 0.027354258112609386, 0.2896695521194488)
 
 
-def test_a_baked_texture_is_kept_and_a_damaged_one_is_baked_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_baked_texture_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     mesh, scene = sheet((0, 0, 0), (0.1, 0, 0), (0, 0.1, 0), cells=(3, 2)), synthetic_scene()
     texture = SolidTexture(pattern="marble", colors=(RED, BLUE), scale=0.1)
     expected = bake_texture(texture, mesh, 128)
-    for _ in range(2):
-        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
-        (kept,) = (tmp_path / "hyaline" / "textures").iterdir()
-    data = kept.read_bytes()
-    for damaged in (data[:-50], data[:9999] + bytes([data[9999] ^ 1]) + data[10000:]):
-        kept.write_bytes(damaged)
-        np.testing.assert_array_equal(linear_texels(scene, mesh, texture), expected)
-        assert kept.read_bytes() == data
-    linear_texels(scene, mesh, dataclasses.replace(texture, scale=0.2))
-    assert len(list((tmp_path / "hyaline" / "textures").iterdir())) == 2
+    for count, scale in enumerate((0.1, 0.1, 0.2)):
+        found = linear_texels(scene, mesh, dataclasses.replace(texture, scale=scale))
+        assert np.array_equal(found, expected) == (scale == 0.1)
+        assert len(list((tmp_path / "hyaline" / "textures").iterdir())) == max(1, count)

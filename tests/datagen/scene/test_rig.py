@@ -5,12 +5,13 @@ import json
 import re
 import typing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.cameras import Lens, look_at
 from datagen.data.config import DatasetConfig, SplitConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.transforms import TRANSFORMS_FILES
@@ -141,20 +142,11 @@ def test_a_spline_passes_through_every_test_view(dataset: Dataset) -> None:
     np.testing.assert_allclose(rotations @ rotations.transpose(0, 2, 1), np.tile(np.eye(3), (9, 1, 1)), atol=1e-12)
 
 
-class Aside:
-    """A dataset whose lens has its principal point aside."""
-
-    def __init__(self, dataset: Dataset, lens: Cameras) -> None:
-        self.objects, self.home, self._lens = dataset.objects, dataset, lens
-
-    def cameras(self, split: str) -> Cameras:
-        return self._lens
-
-
 @pytest.mark.parametrize(("path", "center"), [("spline", (2, 6)), ("orbit", None)])
 def test_a_principal_point_stays_where_it_is_in_the_picture(
     dataset: Dataset, path: str, center: tuple[int, int] | None
 ) -> None:
     lens = dataset.cameras("interpolating")
-    aside = Aside(dataset, dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4)))
+    lens = dataclasses.replace(lens, center=(lens.width / 4, 3 * lens.height / 4))
+    aside = SimpleNamespace(objects=dataset.objects, home=dataset, cameras=lambda _: lens)
     assert make_path(aside, path, 3, width=8, height=8).center == center  # type: ignore[arg-type]

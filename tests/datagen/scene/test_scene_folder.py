@@ -1,21 +1,17 @@
 """Tests the scene record and its folder: what users bring, good and bad."""
 
-import dataclasses
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene, save_scene
-from datagen.scene.materials import Dielectric, Diffuse, ImageTexture
-from datagen.scene.modelling import ball, merged, moved
-from datagen.scene.soundness import check_scene
+from datagen.scene.materials import Diffuse, ImageTexture
 
 
 def edit(folder: Path, change: object) -> None:
@@ -39,8 +35,6 @@ def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) ->
 
 def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
     save_scene(synthetic_scene(), tmp_path)
-    import trimesh
-
     (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box((1, 1, 0.5)).export(file_type="ply"))
     mesh = load_scene(tmp_path).objects[1].mesh
     assert mesh.uv.min() >= 0
@@ -76,33 +70,3 @@ def test_a_bad_scene_gets_one_line_that_names_place_and_value(tmp_path: Path, ch
     edit(tmp_path, change)
     with pytest.raises(HyalineError, match=message):
         load_scene(tmp_path)
-
-
-def glass_scene(*glass: tuple[Mesh, Dielectric]) -> Scene:
-    objects = tuple(SceneObject(name=f"g{i}", mesh=mesh, material=material) for i, (mesh, material) in enumerate(glass))
-    return dataclasses.replace(synthetic_scene(), objects=objects)
-
-
-def test_more_dielectrics_with_priorities_than_a_ray_can_tell_apart_are_refused() -> None:
-    balls = [moved(ball(0.4, subdivisions=1), (i, 0, 0)) for i in range(33)]
-    check_scene(glass_scene(*((mesh, Dielectric()) for mesh in balls)))
-    check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls[:32]))))
-    with pytest.raises(HyalineError, match="33 dielectrics of different priority; expected at most 32"):
-        check_scene(glass_scene(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(balls))))
-
-
-def test_too_many_dielectrics_may_not_overlap_even_where_all_have_one_priority() -> None:
-    block = (ball(1.2, subdivisions=2), Dielectric())
-    drops = [(moved(ball(0.02, subdivisions=1), (i / 20 - 0.8, 0, 0)), Dielectric(ior=1.33)) for i in range(32)]
-    check_scene(glass_scene(block, *drops[:31]))
-    with pytest.raises(HyalineError, match="overlap, and there are 33 dielectrics; where any overlap, expected at mo"):
-        check_scene(glass_scene(block, *drops))
-
-
-def test_a_drink_that_ends_exactly_on_its_glass_is_refused() -> None:
-    bubble = ball(0.8, subdivisions=2)
-    inside_out = dataclasses.replace(bubble, faces=np.ascontiguousarray(bubble.faces[:, ::-1]), normals=-bubble.normals)
-    shell = merged([ball(1.0, subdivisions=2), inside_out])
-    with pytest.raises(HyalineError, match=r"objects g0 and g1 share 320 faces; extend one into the other"):
-        check_scene(glass_scene((shell, Dielectric()), (bubble, Dielectric(ior=1.33))))
-    check_scene(glass_scene((shell, Dielectric()), (ball(0.85, subdivisions=2), Dielectric(ior=1.33))))

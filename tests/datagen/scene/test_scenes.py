@@ -3,11 +3,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.meshes import chart_map
+from support.meshes import gutter_violations
 
 from datagen.data.meshes import Mesh, face_corners
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.atlas import coverage
-from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.builtin import make_scene
 from datagen.scene.description import Scene
 from datagen.scene.folder import load_scene, save_scene, scene_files
 from datagen.scene.soundness import check_scene
@@ -15,7 +16,7 @@ from datagen.scene.soundness import check_scene
 _made: dict[str, Scene] = {}
 
 
-@pytest.fixture(params=SCENES)
+@pytest.fixture(params=BUILT_IN_SCENES)
 def scene(request: pytest.FixtureRequest) -> Scene:
     """Each built-in scene, made once a session."""
     if request.param not in _made:
@@ -46,14 +47,7 @@ def test_atlases_do_not_overlap_and_charts_keep_a_gutter(scene: Scene) -> None:
         counts = coverage(item.mesh, 512)
         assert counts.max() == 1, (item.name, int((counts > 1).sum()))
         assert (counts > 0).mean() > 0.12, item.name
-        charts = chart_map(item.mesh, 512)
-        for one, other in (
-            (charts[1:], charts[:-1]),
-            (charts[:, 1:], charts[:, :-1]),
-            (charts[1:, 1:], charts[:-1, :-1]),
-            (charts[1:, :-1], charts[:-1, 1:]),
-        ):
-            assert not ((one >= 0) & (other >= 0) & (one != other)).any(), item.name
+        assert gutter_violations(item.mesh, 512) == 0, item.name
 
 
 def test_a_scene_is_made_again_byte_for_byte() -> None:
@@ -65,7 +59,10 @@ def test_a_scene_is_made_again_byte_for_byte() -> None:
 @pytest.mark.parametrize(
     "scene",
     # These two have all kinds of materials; the others only have more faces.
-    [pytest.param(name, marks=() if name in ("prism_bench", "vitrine") else pytest.mark.full) for name in SCENES],
+    [
+        pytest.param(name, marks=() if name in ("prism_bench", "vitrine") else pytest.mark.full)
+        for name in BUILT_IN_SCENES
+    ],
     indirect=True,
 )
 def test_saving_and_loading_gives_the_same_scene(scene: Scene, tmp_path: Path) -> None:

@@ -8,10 +8,9 @@ import pytest
 import trimesh
 from support.meshes import box, mesh_of
 from support.reference import fresnel_reflectance
-from support.scenes import DUSK, WHITE, rendered, scene_of
-from support.synthetic import look_at, quad
+from support.scenes import DUSK, WHITE, camera_at, rendered, scene_of, seen_along
+from support.synthetic import quad
 
-from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import radiance_of_environment
@@ -52,15 +51,6 @@ def traced(mesh: Mesh, material: Material, direction: tuple[float, float, float]
     return LightPathTracer((mesh,), (material,)).trace_ends(-3 * d, d, Limits(**limits))
 
 
-def seen(
-    direction: tuple[float, float, float], *objects: SceneObject, sky: SoftEnvironment, spp: int = 1 << 13
-) -> np.ndarray:
-    """Mean radiance of truth along one ray to the origin."""
-    place = -3 * np.array(direction) / np.linalg.norm(direction)
-    view = Cameras(world_from_camera=look_at(place, np.zeros(3))[None], fov_x=1e-3, width=2, height=2)
-    return rendered(scene_of(*objects, environment=sky), view, spp=spp).mean(axis=(0, 1))
-
-
 @pytest.mark.parametrize("angle_deg", [0.0, 12.0, 30.0])
 def test_a_prism_sends_each_colour_where_snells_law_says(angle_deg: float) -> None:
     """In light paths; and the truth sees, in each colour, the light that lies in that colour's direction."""
@@ -88,7 +78,7 @@ def test_a_prism_sends_each_colour_where_snells_law_says(angle_deg: float) -> No
     sky = dataclasses.replace(BLACK, lobes=(Lobe(direction=tuple(ends[2]), radiance=(5, 5, 5), sharpness=4000.0),))
     expected = [share * radiance_of_environment(sky, way)[c] for c, (way, share) in enumerate(zip(ends, shares))]
     assert expected[0] < 0.6 * expected[2]
-    found = seen(direction, SceneObject(name="prism", mesh=prism(), material=FLINT), sky=sky)
+    found = seen_along(direction, SceneObject(name="prism", mesh=prism(), material=FLINT), environment=sky, spp=1 << 13)
     # The rows of the sky's map are a sixth as wide as the lamp.
     assert found == pytest.approx(expected, rel=0.06)
 
@@ -100,9 +90,7 @@ def test_truth_and_light_paths_of_each_colour_are_those_of_glass_with_that_colou
     ball = mesh_of(trimesh.creation.icosphere(4, 0.5))
     floor = SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.5, 0.4)))
     sky = dataclasses.replace(DUSK, lobes=(Lobe(direction=(1, 1, 1), radiance=(9, 7, 5), sharpness=60),))
-    view = Cameras(
-        world_from_camera=look_at(np.array((1.2, 0.6, 0.7)), np.zeros(3))[None], fov_x=0.5, width=8, height=8
-    )
+    view = camera_at((1.2, 0.6, 0.7), fov_x=0.5)
 
     def picture(material: Material, spp: int) -> np.ndarray:
         scene = scene_of(SceneObject(name="ball", mesh=ball, material=material), floor, environment=sky)
@@ -125,10 +113,7 @@ def test_truth_and_light_paths_of_each_colour_are_those_of_glass_with_that_colou
 def test_colours_are_shared_out_without_changing_their_mean(spp: int) -> None:
     """However few samples a pixel has: a white furnace stays white in the mean over pixels."""
     slab = SceneObject(name="slab", mesh=box((40.0, 40.0, 0.2)), material=dataclasses.replace(FLINT, ior="diamond"))
-    view = Cameras(
-        world_from_camera=look_at(np.array((0.0, 0.5, 3.0)), np.zeros(3))[None], fov_x=0.6, width=96, height=96
-    )
-    found = rendered(scene_of(slab, environment=WHITE), view, spp=2 * spp)
+    found = rendered(scene_of(slab, environment=WHITE), camera_at((0.0, 0.5, 3.0), fov_x=0.6, size=96), spp=2 * spp)
     assert found.mean(axis=(0, 1)) == pytest.approx(np.ones(3), abs=2e-4 if spp > 2 else 0.03)
 
 

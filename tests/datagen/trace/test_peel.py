@@ -12,8 +12,9 @@ from support.synthetic import pixel_rays, quad, trace
 
 from datagen.data.layers import quantize_uv, round_mantissa
 from datagen.data.meshes import Mesh
+from datagen.data.paths import BUILT_IN_SCENES
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.builtin import SCENES, make_scene
+from datagen.scene.builtin import make_scene
 from datagen.scene.rig import make_cameras
 
 VARIANT = use_mitsuba()
@@ -66,7 +67,7 @@ def test_random_scenes_peel_like_brute_force(seed: int) -> None:
 @pytest.mark.parametrize(
     "name",
     # Nested drinks; the other scenes have faces of the same kinds.
-    [pytest.param(name, marks=() if name == "drinks" else pytest.mark.full) for name in sorted(SCENES)],
+    [pytest.param(name, marks=() if name == "drinks" else pytest.mark.full) for name in sorted(BUILT_IN_SCENES)],
 )
 @pytest.mark.promise("R9")
 def test_the_built_in_scenes_peel_like_brute_force(name: str) -> None:
@@ -122,26 +123,19 @@ def test_every_ray_enters_and_leaves_closed_meshes_and_convex_ones_once() -> Non
     assert once.mean() < 1e-4 if VARIANT == "cuda_ad_rgb" else not once.any()
 
 
-def test_layers_come_in_order_and_are_empty_only_at_the_end() -> None:
-    cameras = make_cameras(RIG, config(views=3))["train"]
-    layers, _ = Peeler(random_meshes(np.random.default_rng(2), 9)).peel(cameras, 1, 6)
-    empty = layers.object_id == 0
-    assert not (empty[:-1] & ~empty[1:]).any()
-    assert (np.diff(layers.depth, axis=0)[~empty[1:]] > 0).all()
-    assert (layers.depth[empty] == 0).all()
-    assert (layers.uv[empty] == 0).all()
-
-
-def test_fewer_layers_are_the_first_ones_and_the_rest_is_reported() -> None:
+def test_layers_come_in_order_and_fewer_are_the_first_ones_and_the_rest_is_reported() -> None:
     cameras = make_cameras(RIG, config(views=3))["train"]
     peeler = Peeler(random_meshes(np.random.default_rng(3), 9))
     many, none_left = peeler.peel(cameras, 0, 20)
     few, share = peeler.peel(cameras, 0, 3)
     assert none_left == 0
-    assert share == pytest.approx((many.object_id[3] > 0).mean())
-    assert share > 0
+    assert share == pytest.approx((many.object_id[3] > 0).mean()) and share > 0
     for name in ("uv", "object_id", "depth"):
         assert np.array_equal(getattr(few, name), getattr(many, name)[:3])
+    empty = many.object_id == 0
+    assert not (empty[:-1] & ~empty[1:]).any()
+    assert (np.diff(many.depth, axis=0)[~empty[1:]] > 0).all()
+    assert not many.depth[empty].any() and not many.uv[empty].any()
 
 
 def test_no_rays_have_no_hits() -> None:

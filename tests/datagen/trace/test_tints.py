@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 from scipy.ndimage import map_coordinates
-from support.scenes import DUSK, rendered
-from support.synthetic import look_at, synthetic_scene
+from support.scenes import DUSK, camera_at, rendered
+from support.synthetic import synthetic_scene
 
-from datagen.data.cameras import Cameras
 from datagen.data.images import linear_from_srgb
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import Scene, SceneObject
@@ -50,26 +49,22 @@ def mirrored(scene: Scene, *, own_uv: bool = True) -> tuple[np.ndarray, np.ndarr
 
 
 def test_light_paths_mirror_the_colour_that_the_image_has_there(tmp_path: Path) -> None:
-    places, found = mirrored(scene_of(Conductor(color=ImageTexture(path="picture.png"), roughness=0.0), tmp_path))
+    scene = scene_of(Conductor(color=ImageTexture(path="picture.png"), roughness=0.0), tmp_path)
+    places, found = mirrored(scene)
     linear = linear_from_srgb(PICTURE / 255.0)
     u, v = (0.5 + places[:, :2] / 2).T
     spots = [(1 - v) * 6 - 0.5, u * 9 - 0.5]
     expected = [map_coordinates(linear[..., channel], spots, order=1, mode="nearest") for channel in range(3)]
     assert found == pytest.approx(np.stack(expected, axis=-1), abs=2e-4)
+    # Proxies have other uv: metal has its mean there.
+    _, found = mirrored(scene, own_uv=False)
+    assert found == pytest.approx(np.tile(linear.mean(axis=(0, 1)), (len(found), 1)), rel=0.03)
 
 
 def test_a_pattern_carved_from_space_tints_metal_too(tmp_path: Path) -> None:
     places, found = mirrored(scene_of(Conductor(color=STRIPES, roughness=0.0), tmp_path))
     expected = evaluate_texture(STRIPES, places)
     assert np.quantile(np.abs(found - expected), 0.9) < 0.02  # But for the softening of edges by texels.
-
-
-def test_on_proxies_metal_has_the_mean_of_its_image(tmp_path: Path) -> None:
-    _, found = mirrored(
-        scene_of(Conductor(color=ImageTexture(path="picture.png"), roughness=0.0), tmp_path), own_uv=False
-    )
-    expected = linear_from_srgb(PICTURE / 255.0).mean(axis=(0, 1))
-    assert found == pytest.approx(np.tile(expected, (len(found), 1)), rel=0.03)
 
 
 @pytest.mark.parametrize("kind", ["mirror", "rough metal", "plastic"])
@@ -83,8 +78,7 @@ def test_pictures_on_metal_and_plastic_look_as_in_mitsuba(kind: str, tmp_path: P
         "plastic": Plastic(color=image, roughness=0.2),
     }
     scene = scene_of(materials[kind], tmp_path)
-    pose = look_at(np.array([0.5, -2.2, 2.0]), np.zeros(3))[None]
-    cameras = Cameras(world_from_camera=pose, fov_x=0.7, width=48, height=48)
+    cameras = camera_at((0.5, -2.2, 2.0), fov_x=0.7, size=48)
     ours = rendered(scene, cameras, spp=256)
 
     Image.fromarray(PICTURE[::-1]).save(tmp_path / "upright.png")  # Mitsuba has v = 0 in the first row.

@@ -8,9 +8,8 @@ import pytest
 import trimesh
 from PIL import Image
 from support.meshes import mesh_of
-from support.scenes import scene_of
+from support.scenes import camera_at, scene_of
 
-from datagen.data.cameras import Cameras, look_at
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.description import SceneObject
@@ -21,9 +20,7 @@ from datagen.trace.surface_tables import Limits
 BALL = mesh_of(trimesh.creation.icosphere(3, 0.5))
 WHITE_PNG = io.BytesIO()
 Image.new("RGB", (4, 4), (255, 255, 255)).save(WHITE_PNG, format="PNG")
-CAMERAS = Cameras(
-    world_from_camera=look_at(np.array((0.3, -3.0, 0.4)), np.zeros(3))[None], fov_x=0.4, width=12, height=12
-)
+CAMERAS = camera_at((0.3, -3.0, 0.4), fov_x=0.4, size=12)
 MATERIALS: dict[str, tuple[Material, float]] = {
     "an index of 1": (Dielectric(ior=1.0), 0.9999),
     "an index of 1, with dispersion": (Dielectric(ior=1.0, dispersion=1.0), 0.9999),
