@@ -6,16 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
-from datagen.data.paths import (
-    BUILD,
-    BUILT_IN_SCENES,
-    TRUTH,
-    find_dataset,
-    train_command,
-)
+from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices
-from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
+from datagen.terminal.command import hush, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
@@ -62,21 +56,11 @@ def build(
         scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
             random: glassware generated from --seed. random-0007 is the random scene of seed 7.
     """
-    from datagen.builder.build_command import build_scenes, count_missing
+    from datagen.builder.build_command import build_scenes
 
     hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
-    if choices.json:
-        tell_json(
-            {
-                "datasets": [
-                    {"dataset": str(made.root), "views": {**made.num_views}, "missing": count_missing(made)[0]}
-                    for made in built
-                ]
-            }
-        )
-    else:
-        _tell_roots(built)
+    _tell_roots(built)
     if choices.shard is None:
         next_command(shlex.join(["proxies", "make", str(built[-1].root), "--kind", "ellipsoid"]))
 
