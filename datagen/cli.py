@@ -14,7 +14,7 @@ from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
 if TYPE_CHECKING:
-    from datagen.data.dataset import Dataset
+    pass
 
 
 def main() -> None:
@@ -60,7 +60,8 @@ def build(
 
     hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
-    _tell_roots(built)
+    for one in built:
+        tell(str(one.root))
     if choices.shard is None:
         next_command(shlex.join(["proxies", "make", str(built[-1].root), "--kind", "ellipsoid"]))
 
@@ -75,13 +76,9 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
     from datagen.data.dataset import open_dataset
 
     made = add_variants(open_dataset(find_dataset(dataset)), choices)
-    _tell_roots(made)
+    for one in made:
+        tell(str(one.root))
     next_command(shlex.join(["model", "predict", "RUN", "--variant", made[-1].name]))
-
-
-def _tell_roots(datasets: "list[Dataset]") -> None:
-    for dataset in datasets:
-        tell(str(dataset.root))
 
 
 def peel(

@@ -34,7 +34,6 @@ from datagen.data.geometries import (
 from datagen.data.images import png_bytes, srgb_from_linear
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root, layers_root, view_name
-from datagen.data.ply import write_ply
 from datagen.data.variants import (
     ANGLES,
     EDIT_MASKS_FOLDER,
@@ -231,13 +230,6 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
         mesh = meshes[originals[name]]
         return moved_mesh(mesh, edited.offsets[name]) if name in edited.offsets else mesh
 
-    wanted = tuple(map(mesh_of, originals))
-    try:
-        found = [sha256(write_ply(mesh)) for mesh in read_meshes(variant, geometry)]
-        if found == [sha256(write_ply(mesh)) for mesh in wanted]:
-            return
-    except HyalineError:
-        pass  # Not made yet, or damaged.
     statistics = {record.object: record.statistics for record in read_proxy_records(base, geometry)}
     kinds = read_assignment(base, geometry)
     if kinds is not None:
@@ -251,7 +243,7 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
         if original in materials and after[name] == before[original]  # Else the edit has given it another.
     }
     of_variant = tuple(statistics[original] for original in originals.values())
-    write_proxies(variant, geometry, wanted, of_variant, kinds, materials)
+    write_proxies(variant, geometry, tuple(map(mesh_of, originals)), of_variant, kinds, materials)
 
 
 # Edit masks: where an edit shows in the pictures of its dataset, found from both truths, pixel by pixel

@@ -377,7 +377,7 @@ def open_dataset(root: Path) -> Dataset:
     if not path.is_file() and (root / "records").is_dir():
         raise DamagedError(f"{path}: is lost; restore it, or make the dataset in another folder")
     if not path.is_file():
-        raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
+        raise HyalineError(f"{root}: no dataset; {where_datasets_are()}")
     head, seal = read_head(root)
     parent = None if head.variant is None else open_dataset(root.parent.parent)
     if head.variant is not None and parent is not None and parent.seal != head.variant.of:

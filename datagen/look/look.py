@@ -6,13 +6,10 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
-from datagen.data.layers import record_path_of_layers
-from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import MAKE_AGAIN
 from datagen.look.drawings import (
-    Picture,
     draw_cameras,
     draw_light_paths,
     find_light_paths,
@@ -113,7 +110,7 @@ def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
     for split in dataset.splits:
         for view in _shown(dataset, split):
             try:
-                stored = _stored(dataset, split, view)
+                stored = stored_pictures(dataset.view(split, view))
             except HyalineError:  # Listed among what is damaged.
                 continue
             what = f"{split} view {view}"
@@ -125,17 +122,6 @@ def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
             parts.append(tag("details", summary, tag("div", *figures, class_="choice sheet"), open=not parts))
             break
     return parts
-
-
-def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
-    """The pictures of one view; raises if anything cannot be read."""
-    with_layers = [
-        geometry
-        for geometry in list_geometries(dataset)
-        if record_path_of_layers(layers_root(dataset.root, geometry), split, view).is_file()
-    ]
-    proxies = tuple(geometry for geometry in with_layers if geometry != TRUTH)
-    return stored_pictures(dataset.view(split, view), has_layers=TRUTH in with_layers, proxies=proxies)
 
 
 def _light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
