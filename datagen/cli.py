@@ -9,7 +9,7 @@ from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, Shard
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices
-from datagen.terminal.command import hush, next_command, run, say, say_all, tell
+from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
@@ -175,11 +175,25 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
         quiet: Print no remarks.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
-    from datagen.builder.verify import tell_findings, verify_dataset
+    from json import dumps
+
+    from datagen.builder.verify import verify_dataset
+    from datagen.disk.storage import MAKE_AGAIN
 
     hush(quiet)
     root = find_dataset(dataset)
-    tell_findings(root, verify_dataset(root), as_json=json)
+    files, problems, remarks = verify_dataset(root)
+    say_all(remarks)
+    if json:
+        result = {"dataset": str(root), "verified": len(files), "problems": problems, "remarks": remarks}
+        print(dumps(result, indent=2))
+    else:
+        for problem in problems:
+            tell(problem)
+    if problems:
+        fail(f"{root}: {len(problems)} problems, listed above; {MAKE_AGAIN}")
+    if not json:
+        tell(f"{root}: {len(files)} files verified")
 
 
 def scenes() -> None:

@@ -44,7 +44,6 @@ from datagen.data.variants import (
     evenly,
     list_variants,
     open_variant,
-    scale_name,
     variant_root,
 )
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
@@ -104,7 +103,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         chosen = poses.world_from_camera[evenly(count, there.views)]
         cameras[split] = dataclasses.replace(poses.fitted(size), world_from_camera=chosen)
     config = dataclasses.replace(base.config, resolution=size, **sizes)
-    return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
+    return Plan(name=f"x{scale}", config=config, cameras=cameras, objects=base.objects)
 
 
 def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:

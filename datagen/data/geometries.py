@@ -136,7 +136,7 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     if not (root / PROXIES.head).is_file():
         check_has_meshes(dataset)
         if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
-            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {TRUTH})
+            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {kind})
         raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):

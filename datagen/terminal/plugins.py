@@ -32,7 +32,6 @@ PARTS = {
     "proxies": (*_GENERATE, "pymeshlab"),
     "model": (*_GENERATE, "torch"),
     "view": ("viser",),
-    "tensorboard": ("tensorboard",),
     "cluster": ("submitit",),
 }
 """The modules that each extra adds to what reads datasets and scores pictures (pyproject.toml has their versions)."""
