@@ -5,31 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.builder.synthetic import (
-    HEIGHTS,
-    look_at,
-    quad,
-    shade,
-    synthetic_scene,
-    trace,
-    write_synthetic_dataset,
-)
+from datagen.builder.synthetic import HEIGHTS, look_at, quad, shade, synthetic_scene, trace, write_synthetic_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 
-__all__ = [
-    "HEIGHTS",
-    "look_at",
-    "pixel_rays",
-    "quad",
-    "shade",
-    "synthetic_scene",
-    "trace",
-    "write_predictions",
-    "write_synthetic_dataset",
-]
+__all__ = ["HEIGHTS", "look_at", "quad", "shade", "synthetic_scene", "trace", "write_synthetic_dataset"]
 
 
 def pixel_rays(cameras: Cameras, view: int) -> tuple[np.ndarray, np.ndarray]:
