@@ -6,21 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
-from datagen.data.paths import (
-    BUILD,
-    BUILT_IN_SCENES,
-    TRUTH,
-    find_dataset,
-    train_command,
-)
+from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices
-from datagen.terminal.command import hush, next_command, run, say, say_all, tell, tell_json
+from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
 if TYPE_CHECKING:
-    from datagen.data.dataset import Dataset
+    pass
 
 
 def main() -> None:
@@ -62,21 +56,12 @@ def build(
         scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
             random: glassware generated from --seed. random-0007 is the random scene of seed 7.
     """
-    from datagen.builder.build_command import build_scenes, count_missing
+    from datagen.builder.build_command import build_scenes
 
     hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
-    if choices.json:
-        tell_json(
-            {
-                "datasets": [
-                    {"dataset": str(made.root), "views": {**made.num_views}, "missing": count_missing(made)[0]}
-                    for made in built
-                ]
-            }
-        )
-    else:
-        _tell_roots(built)
+    for one in built:
+        tell(str(one.root))
     if choices.shard is None:
         next_command(shlex.join(["proxies", "make", str(built[-1].root), "--kind", "ellipsoid"]))
 
@@ -91,13 +76,9 @@ def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) ->
     from datagen.data.dataset import open_dataset
 
     made = add_variants(open_dataset(find_dataset(dataset)), choices)
-    _tell_roots(made)
+    for one in made:
+        tell(str(one.root))
     next_command(shlex.join(["model", "predict", "RUN", "--variant", made[-1].name]))
-
-
-def _tell_roots(datasets: "list[Dataset]") -> None:
-    for dataset in datasets:
-        tell(str(dataset.root))
 
 
 def peel(
@@ -194,11 +175,25 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
         quiet: Print no remarks.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
-    from datagen.builder.verify import tell_findings, verify_dataset
+    from json import dumps
+
+    from datagen.builder.verify import verify_dataset
+    from datagen.disk.storage import MAKE_AGAIN
 
     hush(quiet)
     root = find_dataset(dataset)
-    tell_findings(root, verify_dataset(root), as_json=json)
+    files, problems, remarks = verify_dataset(root)
+    say_all(remarks)
+    if json:
+        result = {"dataset": str(root), "verified": len(files), "problems": problems, "remarks": remarks}
+        print(dumps(result, indent=2))
+    else:
+        for problem in problems:
+            tell(problem)
+    if problems:
+        fail(f"{root}: {len(problems)} problems, listed above; {MAKE_AGAIN}")
+    if not json:
+        tell(f"{root}: {len(files)} files verified")
 
 
 def scenes() -> None:

@@ -7,7 +7,7 @@ from jaxtyping import UInt8
 from PIL import Image
 
 from datagen.data.config import TEST_SPLITS
-from datagen.data.dataset import Dataset, View, has_layers
+from datagen.data.dataset import Dataset, View
 from datagen.disk.records import checked
 from datagen.terminal.plugins import naming_parts
 from hyaline.runs import Run
@@ -38,7 +38,7 @@ def show(item: Scene | Dataset | View | Run) -> Image.Image:
     if isinstance(item, View):
         from datagen.look.drawings import stored_pictures
 
-        return _in_a_row(list(stored_pictures(item, has_layers=has_layers(item.dataset)).values()))
+        return _in_a_row(list(stored_pictures(item).values()))
     views = [item.dataset.view(split, 0) for split in TEST_SPLITS]
     return _in_a_row([picture for view in views for picture in (view.image, item.prediction(view))])
 

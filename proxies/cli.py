@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from datagen.data.paths import BUILD, DATA_ROOT, MIXED, ProxyKind, find_dataset, list_datasets, train_command
 from datagen.disk.errors import HyalineError, UsageError
-from datagen.terminal.command import fail, next_command, run
+from datagen.terminal.command import fail, next_command, run, tell
 from datagen.terminal.parsing import CommandGroup, group
 
 if TYPE_CHECKING:
@@ -96,29 +96,16 @@ def _datasets(given: str | None) -> "list[Dataset]":
 
 
 def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport, ...]") -> None:
-    from rich.box import SIMPLE_HEAD
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from datagen.disk.errors import printable
-
-    # Names may hold square brackets, which rich would take for mark-up.
-    title = Text(printable(f"{geometry} proxies of {dataset.root}"))
-    table = Table("object", "kind", title=title, box=SIMPLE_HEAD, title_justify="left")
-    for name in ("triangles", "volume / hull", "mean distance", "max distance", "inside"):
-        table.add_column(name, justify="right", no_wrap=True)
+    tell(f"{geometry} proxies of {dataset.root}")
+    rows: list[tuple[str, ...]] = [
+        ("object", "kind", "triangles", "volume / hull", "mean distance", "max distance", "inside")
+    ]
     for report in reports:
         numbers = report.statistics
-        table.add_row(
-            report.object,
-            report.kind,
-            str(report.triangles),
-            f"{numbers.volume_ratio:.3f}",
-            f"{1000 * numbers.mean_distance:.2f} mm",
-            f"{1000 * numbers.max_distance:.2f} mm",
-            "-" if report.inside_share is None else f"{100 * report.inside_share:.4g} %",
-        )
-    console = Console()
-    # In a pipe there is no width to fit; cut-off names would be of no use there.
-    (console if console.is_terminal else Console(width=160)).print(table)
+        distances = (f"{1000 * value:.2f} mm" for value in (numbers.mean_distance, numbers.max_distance))
+        inside = "-" if report.inside_share is None else f"{100 * report.inside_share:.4g} %"
+        row = report.object, report.kind, str(report.triangles), f"{numbers.volume_ratio:.3f}", *distances, inside
+        rows.append(row)
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        tell("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())

@@ -1,6 +1,5 @@
 """Making a dataset: for every view render, commit, peel, commit; goes on where it was stopped."""
 
-import contextlib
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -135,9 +134,7 @@ def build_dataset(
     if config.train.views < 1:
         raise HyalineError(f"views: are {config.train.views}; expected at least 1 training view")
     with holding(root, DATASET, shared=shard is not None):
-        cameras = None if overwrite else _stored_cameras(scene, root, config)
-        if cameras is None:
-            cameras = cameras_within(scene, make_cameras(scene.cameras, config))
+        cameras = cameras_within(scene, make_cameras(scene.cameras, config))
         dataset = open_or_start(scene, root, config, cameras, overwrite=overwrite)
         meshes_hash = geometry_hash(dataset, TRUTH)
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.
@@ -146,20 +143,6 @@ def build_dataset(
         render_dataset(dataset, workers=workers, shard=shard)
     peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
     return dataset
-
-
-def _stored_cameras(scene: Scene, root: Path, config: DatasetConfig) -> dict[Split, Cameras] | None:
-    """The cameras that a scene's rig placed for an intact dataset of the same configuration, if there is one."""
-    with contextlib.suppress(HyalineError):
-        stored = open_dataset(root)
-        files = {path: sha256(data) for path, data in head_contents(scene_files(scene), {}).items()}
-        if (
-            stored.config == config
-            and not isinstance(scene.cameras, CameraList)
-            and files.items() <= stored.files.items()
-        ):
-            return {split: stored.cameras(split) for split in SPLITS}
-    return None
 
 
 def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:

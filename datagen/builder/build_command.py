@@ -15,9 +15,9 @@ from datagen.builder.choices import (
 )
 from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.layers import check_settings, record_path_of_layers
-from datagen.data.paths import DATA_ROOT, TRUTH, layers_root
-from datagen.data.variants import TWINS, list_variants, open_variant
+from datagen.data.layers import check_settings
+from datagen.data.paths import DATA_ROOT, TRUTH
+from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
@@ -95,33 +95,11 @@ def _build_scene(
         shard=part,
     )
     peel_variants(made, workers=choices.workers, shard=part)
-    missing, total = (0, 0) if part is None else count_missing(made)
     if part is not None:
-        left = f"; {missing} of {total} pictures and layers are for the other parts to make"
-        say(f"{root}: part {part} is done{left if missing else ', and with it the dataset'}")
-    if not missing:
+        say(f"{root}: part {part} is done; the same command without --shard makes what other parts left")
+    else:
         say_all(summary(made, TRUTH))
     return made
-
-
-def count_missing(dataset: Dataset) -> tuple[int, int]:
-    """How many views, and sets of layers of views, are not committed yet, and how many there are in all.
-
-    Counts the records, which are written last; only a build without a part reads every byte. Variants count, too, but
-    for edits, which one machine makes.
-    """
-    variants = [open_variant(dataset, name) for name in list_variants(dataset.root)]
-    paths = [
-        path
-        for one in (dataset, *(variant for variant in variants if variant.edit is None))
-        for split in one.splits
-        for view in one.views(split)
-        for path in (
-            view.record_path,
-            record_path_of_layers(layers_root(one.root, TRUTH), split, view.index),
-        )
-    ]
-    return sum(not path.is_file() for path in paths), len(paths)
 
 
 def _build_seeds_in_jobs(

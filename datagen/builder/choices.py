@@ -44,8 +44,6 @@ class BuildChoices:
     builds the rest."""
     quiet: bool = False
     """Print no progress and no remarks."""
-    json: bool = False
-    """Print the result as JSON: datasets, each with dataset, views and missing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,8 +147,7 @@ class FilmChoices:
     path: str = "orbit"
     """The camera's path: orbit, or spline (through the interpolating test views)."""
     out: Path | None = None
-    """File to write: .webp, .mp4 (needs the extra `video`), or a folder for one PNG per frame. Default:
-    DATASET-RUN.webp, or DATASET-truth.webp."""
+    """File to write: .webp, or .mp4 (needs the extra `video`). Default: DATASET-RUN.webp, or DATASET-truth.webp."""
     frames: int = 48
     """Number of pictures."""
     fps: float = 24.0

@@ -1,4 +1,4 @@
-"""Films through a dataset's scene: their cameras, their path-traced pictures, and a WebP, an MP4 or PNGs of them."""
+"""Films through a dataset's scene: their cameras, their path-traced pictures, and a WebP or an MP4 of them."""
 
 import io
 import itertools
@@ -15,8 +15,7 @@ from datagen.builder.choices import FilmChoices
 from datagen.data.cameras import Cameras
 from datagen.data.config import check_spp
 from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
-from datagen.data.paths import view_name
+from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import refuse_file
 from datagen.disk.storage import commit, read_regular
@@ -62,14 +61,8 @@ def check_film(out: Path, fps: float, *, overwrite: bool) -> None:
     """Raises if the film cannot be written, before anything is rendered."""
     if not 0 < fps <= MAX_FPS:
         raise HyalineError(f"--fps: is {fps}; expected more than 0, at most {MAX_FPS:g} frames a second")
-    if out.suffix not in ("", ANIMATED, MOVIE):
-        raise HyalineError(
-            f"{out}: {out.suffix!r} is no kind of film; expected {ANIMATED} or {MOVIE}, or a folder for a PNG a frame"
-        )
-    if out.suffix == "":
-        if out.exists() and not overwrite and (not out.is_dir() or any(out.iterdir())):
-            raise HyalineError(f"{out}: is not an empty folder; pass --overwrite to replace frames, or choose another")
-        return
+    if out.suffix not in (ANIMATED, MOVIE):
+        raise HyalineError(f"{out}: {out.suffix!r} is no kind of film; expected {ANIMATED} or {MOVIE}")
     refuse_file(out, overwrite=overwrite)
     if out.suffix == MOVIE:
         try:
@@ -83,16 +76,9 @@ def check_film(out: Path, fps: float, *, overwrite: bool) -> None:
 def write_film(out: Path, pictures: Iterable[Picture], fps: float) -> None:
     """Writes a film of pictures of one size; call `check_film` first.
 
-    A file gets its name when it is complete. WebP loops for ever. PNGs are written as they are drawn.
+    The file gets its name when it is complete. WebP loops for ever.
     """
-    if out.suffix == "":
-        number = 0
-        for number, picture in enumerate(pictures, start=1):
-            commit(out / f"{view_name(number - 1)}.png", png_bytes(picture))
-        while (left := out / f"{view_name(number)}.png").exists():  # Of a longer film.
-            left.unlink()
-            number += 1
-    elif out.suffix == MOVIE:
+    if out.suffix == MOVIE:
         commit(out, _mp4_bytes(iter(pictures), fps))
     else:
         first, *others = map(Image.fromarray, pictures)

@@ -52,17 +52,6 @@ def synthetic_scene() -> Scene:
     )
 
 
-def pixel_rays(cameras: Cameras, view: int) -> tuple[np.ndarray, np.ndarray]:
-    """Origin (3,) and unit directions (h, w, 3) of the rays through pixel centres."""
-    focal = 0.5 * cameras.width / np.tan(cameras.fov_x / 2)
-    x = (np.arange(cameras.width) + 0.5 - cameras.width / 2) / focal
-    y = -(np.arange(cameras.height) + 0.5 - cameras.height / 2) / focal
-    local = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
-    matrix = cameras.world_from_camera[view]
-    directions = local @ matrix[:3, :3].T
-    return matrix[:3, 3], directions / np.linalg.norm(directions, axis=-1, keepdims=True)
-
-
 def trace(origin: np.ndarray, directions: np.ndarray, num_layers: int) -> Layers:
     """The straight layers of pane and floor, for cameras above both."""
     h, w = directions.shape[:2]
@@ -136,7 +125,7 @@ def write_synthetic_dataset(
     for split in SPLITS:
         stored = dataset.cameras(split)
         for view in range(config.split(split).views):
-            layers = trace(*pixel_rays(stored, view), num_layers)
+            layers = trace(*stored[view].rays(), num_layers)
             picture = shade(layers)
             exr = encode_exr(linear_from_srgb(picture / 255).astype(np.float32), noise)
             files = {".png": png_bytes(picture), ".exr": exr}

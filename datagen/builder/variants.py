@@ -34,7 +34,6 @@ from datagen.data.geometries import (
 from datagen.data.images import png_bytes, srgb_from_linear
 from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.data.paths import TRUTH, geometry_root, layers_root, view_name
-from datagen.data.ply import write_ply
 from datagen.data.variants import (
     ANGLES,
     EDIT_MASKS_FOLDER,
@@ -45,7 +44,6 @@ from datagen.data.variants import (
     evenly,
     list_variants,
     open_variant,
-    scale_name,
     variant_root,
 )
 from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
@@ -105,7 +103,7 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         chosen = poses.world_from_camera[evenly(count, there.views)]
         cameras[split] = dataclasses.replace(poses.fitted(size), world_from_camera=chosen)
     config = dataclasses.replace(base.config, resolution=size, **sizes)
-    return Plan(name=scale_name(scale), config=config, cameras=cameras, objects=base.objects)
+    return Plan(name=f"x{scale}", config=config, cameras=cameras, objects=base.objects)
 
 
 def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:
@@ -231,13 +229,6 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
         mesh = meshes[originals[name]]
         return moved_mesh(mesh, edited.offsets[name]) if name in edited.offsets else mesh
 
-    wanted = tuple(map(mesh_of, originals))
-    try:
-        found = [sha256(write_ply(mesh)) for mesh in read_meshes(variant, geometry)]
-        if found == [sha256(write_ply(mesh)) for mesh in wanted]:
-            return
-    except HyalineError:
-        pass  # Not made yet, or damaged.
     statistics = {record.object: record.statistics for record in read_proxy_records(base, geometry)}
     kinds = read_assignment(base, geometry)
     if kinds is not None:
@@ -251,7 +242,7 @@ def _write_proxies(base: Dataset, variant: Dataset, edit: SceneEdit, geometry: s
         if original in materials and after[name] == before[original]  # Else the edit has given it another.
     }
     of_variant = tuple(statistics[original] for original in originals.values())
-    write_proxies(variant, geometry, wanted, of_variant, kinds, materials)
+    write_proxies(variant, geometry, tuple(map(mesh_of, originals)), of_variant, kinds, materials)
 
 
 # Edit masks: where an edit shows in the pictures of its dataset, found from both truths, pixel by pixel

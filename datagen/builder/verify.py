@@ -19,8 +19,7 @@ from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import EDIT_MASKS_FOLDER, VARIANTS_FOLDER, edit_mask_files
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES
-from datagen.disk.storage import MAKE_AGAIN, is_name, read_regular, sha256
-from datagen.terminal.command import fail, say_all, tell, tell_json
+from datagen.disk.storage import is_name, read_regular, sha256
 
 NAMED = 3
 """Number of files that are named if more have the same problem."""
@@ -45,21 +44,6 @@ def verify_dataset(root: Path) -> Findings:
         path = root / VARIANTS_FOLDER / name
         search.add_record(path / DATASET.head, path, lambda path=path: search.add_dataset(open_dataset(path)))
     return search.findings(withheld=sum(dataset.num_views[split] for split in dataset.withheld))
-
-
-def tell_findings(root: Path, found: Findings, *, as_json: bool) -> None:
-    """Prints them as lines or as one JSON object, and exits with status 1 if there are problems."""
-    say_all(found.remarks)
-    if as_json:
-        lists = {"problems": found.problems, "remarks": found.remarks}
-        tell_json({"dataset": str(root), "verified": len(found.files), **lists})
-    else:
-        for problem in found.problems:
-            tell(problem)
-    if found.problems:
-        fail(f"{root}: {len(found.problems)} problems, listed above; {MAKE_AGAIN}")
-    if not as_json:
-        tell(f"{root}: {len(found.files)} files verified")
 
 
 class _Search:

@@ -54,7 +54,7 @@ from datagen.data.config import (
     unknown_license,
 )
 from datagen.data.images import decode_exr, decode_png, read_npy
-from datagen.data.layers import Layers, LayerStore, glass_mask, open_layers
+from datagen.data.layers import Layers, LayerStore, open_layers
 from datagen.data.paths import HIDDEN, TRUTH, layers_root, where_datasets_are
 from datagen.data.transforms import TRANSFORMS_FILES, parse_transforms
 from datagen.disk.errors import DamagedError, HyalineError, shown
@@ -321,7 +321,8 @@ class View:
         """
         if (given := self.imported_mask) is not None and takes_imported_masks(self.dataset):
             return given
-        return glass_mask(self.object_ids(), np.array([False, *(item.is_glass for item in self.dataset.objects)]))
+        is_glass = np.array([False, *(item.is_glass for item in self.dataset.objects)])
+        return is_glass[self.object_ids()[0]]
 
     def file(self, ending: str) -> str:
         """Where the file with an ending is, by path relative to the dataset."""
@@ -377,7 +378,7 @@ def open_dataset(root: Path) -> Dataset:
     if not path.is_file() and (root / "records").is_dir():
         raise DamagedError(f"{path}: is lost; restore it, or make the dataset in another folder")
     if not path.is_file():
-        raise HyalineError(f"{root}: no dataset; {where_datasets_are(root)}")
+        raise HyalineError(f"{root}: no dataset; {where_datasets_are()}")
     head, seal = read_head(root)
     parent = None if head.variant is None else open_dataset(root.parent.parent)
     if head.variant is not None and parent is not None and parent.seal != head.variant.of:

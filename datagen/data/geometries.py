@@ -9,7 +9,6 @@ each object's stand-in. Fitted glass is stored likewise, as kind `fitted` or `fi
 has the materials that were found, by object.
 """
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -136,10 +135,8 @@ def read_proxy_records(dataset: Dataset, kind: str) -> tuple[ProxyRecord, ...]:
     root = geometry_root(dataset.root, kind)
     if not (root / PROXIES.head).is_file():
         check_has_meshes(dataset)
-        made = list_geometries(dataset)
-        is_known = kind.partition("-")[0] in (*PROXY_KINDS, MIXED, FITTED)
-        if not is_known or difflib.get_close_matches(kind, made, n=1, cutoff=0.5):
-            choose("geometry", kind, made if is_known else {*made, *PROXY_KINDS})
+        if kind.partition("-")[0] not in (*PROXY_KINDS, MIXED, FITTED):
+            choose("geometry", kind, {*list_geometries(dataset), *PROXY_KINDS} - {kind})
         raise HyalineError(f"{root / PROXIES.head}: no {kind} proxies; make them with `{MAKERS[is_fitted(kind)]}`")
     head, _ = _read_head(root)
     if (head.kind, head.dataset) != (kind, dataset.seal):

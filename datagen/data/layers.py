@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from jaxtyping import Bool, Float32, UInt8, UInt16
+from jaxtyping import Float32, UInt8, UInt16
 
 from datagen.data.config import Resolution, Split
 from datagen.data.paths import TRUTH, layers_root
@@ -254,20 +254,6 @@ def npy_header(dtype: np.dtype, shape: tuple[int, ...]) -> bytes:
     text = f"{{'descr': '{dtype.str}', 'fortran_order': False, 'shape': {shape}, }}"
     text = text.ljust(math.ceil((len(text) + 11) / 64) * 64 - 11) + "\n"
     return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
-
-
-def glass_mask(object_id: UInt8[np.ndarray, "layer h w"], is_glass: Bool[np.ndarray, " id"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose centre ray meets glass before anything opaque.
-
-    Args:
-        is_glass: by object id; False for 0, which means empty.
-    """
-    in_front = np.ones(object_id.shape[1:], bool)
-    sees_glass = np.zeros_like(in_front)
-    for ids in object_id:
-        in_front &= is_glass[ids]
-        sees_glass |= in_front
-    return sees_glass
 
 
 def quantize_uv(uv: Float32[np.ndarray, "*shape 2"]) -> UInt16[np.ndarray, "*shape 2"]:

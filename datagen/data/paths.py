@@ -1,6 +1,5 @@
 """Where the parts of a dataset lie, and where commands look for datasets."""
 
-import difflib
 import re
 import shlex
 from pathlib import Path
@@ -91,10 +90,7 @@ def train_command(root: Path, geometry: str = TRUTH) -> str:
     return shlex.join([*words, *([] if geometry == TRUTH else ["--geometry", geometry])])
 
 
-def where_datasets_are(root: Path) -> str:
+def where_datasets_are() -> str:
     """What to do about a folder without a dataset."""
-    places = list_datasets()
-    if near := difflib.get_close_matches(root.name, [place.name for place in places], n=1):
-        return f"did you mean {shlex.quote(near[0])}?"
-    there = ", ".join(shlex.quote(str(place)) for place in places)
+    there = ", ".join(shlex.quote(str(place)) for place in list_datasets())
     return f"there is {there}" if there else f"make one with `{BUILD}`"

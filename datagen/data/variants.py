@@ -47,11 +47,6 @@ def variant_root(root: Path, name: str) -> Path:
     return root / VARIANTS_FOLDER / check_name(name, where="variant")
 
 
-def scale_name(scale: int) -> str:
-    """The name of the variant with pictures `scale` times as wide and high."""
-    return f"x{scale}"
-
-
 def list_variants(root: Path) -> list[str]:
     """Names of all variants of the dataset in a folder, sorted."""
     heads = root.glob(f"{VARIANTS_FOLDER}/*/dataset.json")

@@ -15,9 +15,10 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 from datagen.data.cameras import Camera
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, View
-from datagen.data.geometries import read_meshes
+from datagen.data.geometries import list_geometries, read_meshes
+from datagen.data.layers import record_path_of_layers
 from datagen.data.meshes import is_there
-from datagen.data.paths import TRUTH
+from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.pages.charts import COLORS
@@ -27,8 +28,6 @@ from datagen.trace.light_path import TracedPaths
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from datagen.trace.light_path import TracedPaths
 
 Picture = UInt8[np.ndarray, "h w 3"]
 
@@ -57,15 +56,19 @@ SKY_REACH = 0.3
 SKY = "sky"
 
 
-def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = ()) -> dict[str, Picture]:
-    """Pictures of a view by name; the view's own picture comes first.
+def stored_pictures(view: View) -> dict[str, Picture]:
+    """Pictures of all that is stored of a view, by name: its own, what its layers show, and proxies laid over it.
 
-    Args:
-        has_layers: whether the true geometry's straight layers are stored; everything but the picture needs them.
-        proxies: geometries with stored straight layers; their first layer is laid over the picture.
+    Raises if anything cannot be read.
     """
+    dataset, split, index = view.dataset, view.split, view.index
+    peeled = [
+        geometry
+        for geometry in list_geometries(dataset)
+        if record_path_of_layers(layers_root(dataset.root, geometry), split, index).is_file()
+    ]
     pictures = {"picture": view.image}
-    if not has_layers:
+    if TRUTH not in peeled:
         if (mask := view.imported_mask) is not None:
             pictures["glass"] = np.where(mask[..., None], view.image, view.image // 5)
         if (depth := view.imported_depth) is not None:
@@ -82,7 +85,7 @@ def stored_pictures(view: View, *, has_layers: bool, proxies: tuple[str, ...] = 
     for number, ids in enumerate(layers.object_id):
         if ids.any():
             pictures[f"layer {number}"] = colors[ids]
-    for geometry in proxies:
+    for geometry in peeled[1:]:
         ids = view.object_ids(geometry)[0]
         pictures[geometry] = (0.55 * view.image + 0.45 * colors[ids]).astype(np.uint8)
     return pictures
@@ -228,16 +231,36 @@ def find_light_paths(dataset: Dataset) -> tuple[View, list[DrawnPath]] | None:
     if found is None:
         return None
     view, origin, pixels, traced, chosen = found
-    paths = [
-        _path_of(number, ray, branch, (int(pixels[ray, 0]), int(pixels[ray, 1])), origin, traced, dataset)
-        for number, ray in enumerate(chosen, 1)
-        for branch in (0, 1)
-    ]
+
+    def path_of(number: int, ray: int, *, is_reflected: bool) -> DrawnPath | None:
+        branch = int(is_reflected)
+        ids, has_left = traced.object_id[branch, :, ray], bool(traced.has_left[branch, ray])
+        names = [dataset.objects[item - 1].name for item in ids[ids > 0]]
+        points = [origin, *traced.position[branch, ids > 0, ray]]
+        if is_reflected:
+            if not names and not has_left:
+                return None
+            names = [dataset.objects[traced.object_id[0, 0, ray] - 1].name, *names]
+            points = [origin, traced.position[0, 0, ray], *points[1:]]
+        if has_left:
+            reach = SKY_REACH * float(np.linalg.norm(points[1] - origin))
+            points.append(points[-1] + reach * traced.end_direction[branch, ray])
+            names.append(SKY)
+        return DrawnPath(
+            ray=number,
+            pixel=(int(pixels[ray, 0]), int(pixels[ray, 1])),
+            points=np.array(points, np.float64),
+            through=", ".join(dict.fromkeys(names[:-1])),
+            end=names[-1],
+            is_reflected=is_reflected,
+        )
+
+    paths = [path_of(number, ray, is_reflected=kind) for number, ray in enumerate(chosen, 1) for kind in (False, True)]
     return view, [path for path in paths if path is not None]
 
 
 def _scores(
-    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: "TracedPaths", surfaces: Surfaces
+    camera: Camera, pixels: Int[np.ndarray, "ray 2"], traced: TracedPaths, surfaces: Surfaces
 ) -> Float[np.ndarray, " ray"]:
     """0 for rays that miss the glass, else a little more than the distance in widths from the pixel to the ray's end in
     the picture, if that is seen."""
@@ -259,35 +282,3 @@ def _choose(pixels: Int[np.ndarray, "ray 2"], score: Float[np.ndarray, " ray"]) 
         chosen.append(int(score.argmax()))
         score = np.where(np.linalg.norm(pixels - pixels[chosen[-1]], axis=1) < np.ptp(pixels) / 8, 0, score)
     return chosen
-
-
-def _path_of(
-    number: int,
-    ray: int,
-    branch: int,
-    pixel: tuple[int, int],
-    origin: Float[np.ndarray, "3"],
-    traced: "TracedPaths",
-    dataset: Dataset,
-) -> DrawnPath | None:
-    """The refracted (0) or the reflected branch (1) of a ray, if there is one."""
-    ids, has_left = traced.object_id[branch, :, ray], bool(traced.has_left[branch, ray])
-    names = [dataset.objects[item - 1].name for item in ids[ids > 0]]
-    points = [origin, *traced.position[branch, ids > 0, ray]]
-    if branch:
-        if not names and not has_left:
-            return None
-        first = traced.position[0, 0, ray]
-        names, points = [dataset.objects[traced.object_id[0, 0, ray] - 1].name, *names], [origin, first, *points[1:]]
-    if has_left:
-        reach = SKY_REACH * float(np.linalg.norm(points[1] - origin))
-        points.append(points[-1] + reach * traced.end_direction[branch, ray])
-        names.append(SKY)
-    return DrawnPath(
-        ray=number,
-        pixel=pixel,
-        points=np.array(points, np.float64),
-        through=", ".join(dict.fromkeys(names[:-1])),
-        end=names[-1],
-        is_reflected=branch == 1,
-    )

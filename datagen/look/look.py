@@ -6,20 +6,16 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries
-from datagen.data.layers import record_path_of_layers
-from datagen.data.paths import TRUTH, layers_root
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import MAKE_AGAIN
 from datagen.look.drawings import (
-    Picture,
     draw_cameras,
     draw_light_paths,
     find_light_paths,
     object_colors,
     stored_pictures,
 )
-from datagen.pages.charts import Line, line_chart
 from datagen.pages.html import Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.pages.pictures import Gallery
 from datagen.quantities import surfaces_of
@@ -57,7 +53,9 @@ def look_page(dataset: Dataset) -> bytes:
             anchor("cameras"), lambda: draw_cameras(dataset), label=CAMERAS, caption=CAMERAS
         ),
         "Stored with a view": lambda: join([tag("p", STORED, class_="note"), *_stored_views(dataset, gallery)]),
-        "Noise of the truth": lambda: _noise_chart(dataset),
+        "Noise of the truth": lambda: definitions(
+            [(f"noise ceiling {split}", _decibels(dataset, split)) for split in dataset.splits]
+        ),
         "Objects": lambda: _objects(dataset),
         "What it is": lambda: definitions(_facts(dataset)),
         "Missing or damaged": lambda: join([problems if count else None, tag("p", end)]),
@@ -113,7 +111,7 @@ def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
     for split in dataset.splits:
         for view in _shown(dataset, split):
             try:
-                stored = _stored(dataset, split, view)
+                stored = stored_pictures(dataset.view(split, view))
             except HyalineError:  # Listed among what is damaged.
                 continue
             what = f"{split} view {view}"
@@ -125,17 +123,6 @@ def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
             parts.append(tag("details", summary, tag("div", *figures, class_="choice sheet"), open=not parts))
             break
     return parts
-
-
-def _stored(dataset: Dataset, split: Split, view: int) -> dict[str, Picture]:
-    """The pictures of one view; raises if anything cannot be read."""
-    with_layers = [
-        geometry
-        for geometry in list_geometries(dataset)
-        if record_path_of_layers(layers_root(dataset.root, geometry), split, view).is_file()
-    ]
-    proxies = tuple(geometry for geometry in with_layers if geometry != TRUTH)
-    return stored_pictures(dataset.view(split, view), has_layers=TRUTH in with_layers, proxies=proxies)
 
 
 def _light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
@@ -166,17 +153,9 @@ def _table(titles: tuple[str, ...], rows: list[list[Part]], *, head: int) -> Mar
     return tag("div", tag("table", top, tag("tbody", *map(line, rows))), class_="scroll", tabindex=0)
 
 
-def _noise_chart(dataset: Dataset) -> Markup:
-    if dataset.imported is not None:
-        return tag("p", "The pictures were imported, so their noise is unknown.")
-    lines = []
-    for split in dataset.splits:
-        built = [view for view in dataset.views(split) if view.record_path.is_file()]
-        ceilings = [(float(view.index), view.record.ceiling_db) for view in built]
-        known = tuple((index, ceiling) for index, ceiling in ceilings if ceiling is not None)
-        lines.append(Line(name=split, points=known))
-    title = "Noise ceiling: the highest PSNR that a perfect method could reach"
-    return line_chart(tuple(lines), title=title, x_title="view", y_title="PSNR (dB)")
+def _decibels(dataset: Dataset, split: Split) -> str:
+    ceiling = dataset.noise_ceiling_db(split)
+    return UNKNOWN if ceiling is None else f"{ceiling:.1f} dB"
 
 
 def _objects(dataset: Dataset) -> Markup:

@@ -7,7 +7,6 @@ work in hand that it can save in a moment, it holds them back and asks between t
 import codecs
 import contextlib
 import io
-import json
 import os
 import shlex
 import signal
@@ -106,11 +105,6 @@ def fail(message: str, *, status: int = 1) -> NoReturn:
 def tell(line: str) -> None:
     """A line of the result, on stdout."""
     print(printable(line))
-
-
-def tell_json(result: object) -> None:
-    """The result as one JSON object, on stdout."""
-    print(json.dumps(result, indent=2))
 
 
 _is_quiet = False

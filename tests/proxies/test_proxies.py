@@ -6,19 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.reference import winding_numbers
 
-from datagen.data.meshes import (
-    Mesh,
-    check_closed,
-    check_mesh,
-    face_corners,
-    points_on,
-    signed_volume,
-    vertex_normals,
-)
+from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, points_on, signed_volume, vertex_normals
 from datagen.data.paths import ProxyKind
 from proxies import measure
 from proxies.kinds import box, ellipsoid, hull
@@ -227,36 +220,6 @@ CELLS_OF_A_CHART = {"box": 2, "ellipsoid": 32}
 """Of the kinds that lay out their own atlas; xatlas unwraps the others."""
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_ray_that_hits_the_object_hits_its_proxy_first(kind: ProxyKind) -> None:
-    rng = np.random.default_rng(3)
-    if kind == "wrap":
-        truth, proxy = wrap_of(3)
-    else:
-        truth = shapes(3)[0]
-        proxy = fit(kind, make_solid(truth), padding=1e-5)
-    origins = rng.normal(size=(200, 3))
-    origins *= 20 / np.linalg.norm(origins, axis=-1, keepdims=True)
-    targets = points_on(truth, 200).position
-    directions = (targets - origins) / np.linalg.norm(targets - origins, axis=-1, keepdims=True)
-    assert (first_hits(proxy, origins, directions) < first_hits(truth, origins, directions)).all()
-
-
-def first_hits(mesh: Mesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
-    """Distance to the first face by Moeller and Trumbore, all rays against all faces."""
-    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
-    p = np.cross(directions[:, None], c - a)
-    scale = 1 / np.einsum("fi,rfi->rf", b - a, p)
-    offset = origins[:, None] - a
-    s = np.einsum("rfi,rfi->rf", offset, p) * scale
-    q = np.cross(offset, b - a)
-    t = np.einsum("ri,rfi->rf", directions, q) * scale
-    along = np.einsum("fi,rfi->rf", c - a, q) * scale
-    hit = (s >= -1e-9) & (t >= -1e-9) & (s + t <= 1 + 1e-9) & (along > 0)
-    assert hit.any(axis=1).all()
-    return np.where(hit, along, np.inf).min(axis=1)
-
-
 def test_boxes_of_objects_on_one_floor_have_no_two_sides_in_one_plane() -> None:
     cube = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
     truths = tuple(cloud_mesh(cube * 0.5 + [x, 0, z]) for x in (0, 0.5, 1.0) for z in (0, 0.5))
@@ -285,17 +248,8 @@ def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
 def cup() -> Mesh:
     """An open glass: closed, hollow, its wall a tenth as thick as it is wide."""
     profile = np.array([[0, 0], [1, 0], [1, 2], [0.8, 2], [0.8, 0.2], [0, 0.2]])
-    count, angle = 24, np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    rings = [np.c_[r * np.cos(angle), r * np.sin(angle), np.full(count, z)] for r, z in profile[1:-1]]
-    points = np.concatenate([[[0, 0, 0.0], [0, 0, 0.2]], *rings])
-    at, after = np.arange(count), np.roll(np.arange(count), -1)
-    faces = [np.stack([np.zeros(count, int), 2 + after, 2 + at], axis=-1)]
-    for ring in range(3):
-        low, high = 2 + ring * count, 2 + (ring + 1) * count
-        faces += [np.stack([low + at, low + after, high + after], axis=-1)]
-        faces += [np.stack([low + at, high + after, high + at], axis=-1)]
-    faces += [np.stack([np.ones(count, int), 2 + 3 * count + at, 2 + 3 * count + after], axis=-1)]
-    return mesh_of(points, np.concatenate(faces))
+    turned = trimesh.creation.revolve(profile, sections=24)
+    return mesh_of(turned.vertices, turned.faces)
 
 
 @functools.cache

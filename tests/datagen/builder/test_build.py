@@ -16,7 +16,7 @@ from support.synthetic import synthetic_scene, write_synthetic_dataset
 from datagen.builder.build import peel_dataset, summary
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import SPLITS
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import open_dataset
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -52,21 +52,18 @@ def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
 
 
 @pytest.mark.promise("R8")
-def test_neither_workers_nor_another_process_change_a_byte(built: Path, scene_folder: Path, tmp_path: Path) -> None:
+def test_neither_workers_threads_nor_another_process_change_a_byte(
+    built: Path, scene_folder: Path, tmp_path: Path
+) -> None:
     build_whole(scene_folder, tmp_path / "workers", "--workers", "2")
     assert tree(tmp_path / "workers") == tree(built)
-
-
-@pytest.mark.promise("R8")
-def test_one_thread_does_not_change_a_byte(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     program = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from datagen.cli import main; main()"
     arguments = command(scene_folder, tmp_path / "one")[3:]
     subprocess.run([sys.executable, "-c", program, *arguments], check=True, capture_output=True)
     assert tree(tmp_path / "one") == tree(built)
 
 
-def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("datagen.builder.build.cameras_within", None)  # Its cameras are read.
+def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path) -> None:
     before = {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()}
     answer = build(scene_folder, built)
     assert answer.status == 0
@@ -109,8 +106,8 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
 def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_named(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "a b", resolution=8, train_views=2)
     with pytest.raises(HyalineError, match=r"peeled into 4 layers, not 1; pass --overwrite, or --num-layers 4"):
-        _peel(dataset, 1, overwrite=False)
-    _peel(dataset, 1, overwrite=True)
+        peel_dataset(dataset, TRUTH, num_layers=1, overwrite=False)
+    peel_dataset(dataset, TRUTH, num_layers=1, overwrite=True)
     cut = summary(dataset, TRUTH)
     assert cut[3].startswith("rays with more than 1 hits train: ")
     found = re.fullmatch(r"deeper surfaces are not stored in straight layers; `datagen (.*)` stores more", cut[-1])
@@ -119,7 +116,3 @@ def test_where_many_rays_meet_more_than_is_kept_the_command_that_keeps_more_is_n
     again = open_dataset(dataset.root)
     assert again.view("train", 0).layers().uv.shape[0] == 2
     assert [line.rpartition(": ")[2] for line in summary(again, TRUTH)[3:]] == ["0.00 %"] * 3
-
-
-def _peel(dataset: Dataset, num_layers: int, *, overwrite: bool) -> None:
-    peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=overwrite)

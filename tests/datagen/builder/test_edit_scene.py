@@ -14,7 +14,7 @@ from datagen.data.dataset import Dataset
 from datagen.data.geometries import ProxyStatistics, read_meshes, write_proxies
 from datagen.data.meshes import Mesh, is_there
 from datagen.data.paths import TRUTH
-from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, open_variant, read_edit_mask
+from datagen.data.variants import ELSEWHERE, LIGHT, OBJECT, TWINS, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import sha256
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -63,10 +63,6 @@ def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None
     assert [is_there(item.mesh) for item in gone.scene.objects] == [True, False, True]
     assert all(a.mesh is b.mesh for a, b in zip(painted.scene.objects, before.objects, strict=True))
     assert edits_name((parse_edit("no-glass"),)) == "no-glass"
-    with pytest.raises(HyalineError, match="edit 'no-glass': the scene has no glass; expected some"):
-        edit_scene(gone.scene, (parse_edit("no-glass"),))
-    with pytest.raises(HyalineError, match="edit 'no-glass:ball': has 1 parts after the verb; expected no-glass"):
-        parse_edit("no-glass:ball")
 
 
 @pytest.mark.parametrize(
@@ -78,6 +74,7 @@ def test_twins_have_no_glass_or_opaque_glass_and_else_the_same_objects() -> None
         ("move:ball:1,2,nan", r"moves by '1,2,nan'"),
         ("remove:bal", r"edit 'remove:bal': no object 'bal'; did you mean 'ball'\?"),
         ("glass:floor", r"edit 'glass:floor': .* object floor: 4 open edges; glass must be a closed mesh"),
+        ("no-glass:ball", "has 1 parts after the verb; expected no-glass"),
         ("duplicate:ball:0,0,0", r"objects ball and ball_copy1 share 320 faces"),
     ],
 )
@@ -107,9 +104,7 @@ def test_a_moved_object_takes_its_carved_pattern_along() -> None:
         ((0, 0, 0.5 * TOLERANCE), 1),
         ((0, 0, -0.5 * TOLERANCE), 1),
         ((0, 0, 2 * TOLERANCE), 0),
-        ((1.5, 0, 0), 0.25),
         ((2, 0, 0), 0),  # An edge in common.
-        ((2.5, 0, 0), 0),
         ((1.5, -1.5, 0), 1 / 16),
     ],
 )
@@ -144,17 +139,13 @@ def test_an_edit_mask_finds_the_light_that_an_edit_moves_and_no_noise() -> None:
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    dataset = _build(tmp_path_factory.mktemp("edit") / "table")
+    root, config = tmp_path_factory.mktemp("edit") / "table", DatasetConfig.even("table", square(24), 2, spp=32)
+    dataset = build_dataset(table(), root, config, num_layers=4, workers=1, overwrite=False)
     numbers = ProxyStatistics(volume_ratio=1.0, mean_distance=0.0, max_distance=0.0)
     proxies = tuple(moved_mesh(mesh, (0, 0, 0.05)) for mesh in read_meshes(dataset, TRUTH))
     write_proxies(dataset, "box", proxies, (numbers,) * len(proxies))
     peel_dataset(dataset, "box", num_layers=4, overwrite=False)
     return dataset
-
-
-def _build(root: Path) -> Dataset:
-    config = DatasetConfig.even("table", square(24), 2, spp=32)
-    return build_dataset(table(), root, config, num_layers=4, workers=1, overwrite=False)
 
 
 def build(base: Dataset, *texts: str) -> Dataset:
@@ -203,12 +194,5 @@ def test_proxies_are_edited_as_their_objects_are(base: Dataset, after: Dataset) 
     np.testing.assert_array_equal(post.vertices, before[2].vertices)
     np.testing.assert_allclose(copy.vertices, before[2].vertices + np.float32([0.1, 0.6, 0]), atol=1e-6)
     assert {0, 1, 3, 4} == set(np.unique(after.view("interpolating", 0).layers("box").object_id))
-
-
-def test_what_cannot_be_edited_is_refused(base: Dataset, after: Dataset) -> None:
-    with pytest.raises(
-        HyalineError, match=r"is a variant; name the dataset around it, .*, and give all edits of one scene in one"
-    ):
+    with pytest.raises(HyalineError, match="is a variant; name the dataset around it"):
         build(after, "remove:post")
-    with pytest.raises(HyalineError, match=r"no such variant \(there are: .*remove-ball.*\); make it with"):
-        open_variant(base, "remove-sofa")

@@ -58,11 +58,8 @@ def test_a_views_parts_fit_together(dataset: Dataset) -> None:
 @pytest.mark.parametrize(
     "broken",
     [
-        "layers/straight/layers.json",
-        "transforms_train.json",
-        "images/train/0000.exr",
-        "layers/straight/arrays/train/0000.uv.npy.blosc",
-        "dataset.json",
+        *("layers/straight/layers.json", "layers/straight/arrays/train/0000.uv.npy.blosc"),
+        *("transforms_train.json", "images/train/0000.exr", "dataset.json"),
     ],
 )
 def test_a_file_that_is_damaged_is_refused_by_whoever_opens_it_next(
@@ -104,12 +101,9 @@ def test_intrinsics_project_a_pixels_ray_onto_its_centre(center: tuple[float, fl
 @pytest.mark.parametrize(
     ("text", "problem"),
     [
-        ("0", "is 0; expected 1 to 8192"),
         ("-3", "is -3; expected 1 to 8192"),
         (f"20x{MAX_SIDE + 1}", "is 8193; expected 1 to 8192"),
-        ("", "is ''; expected a width and height"),
         ("32x", "is '32x'; expected a width and height"),
-        ("32x24x3", "is '32x24x3'; expected a width and height"),
         ("3.5", "is '3.5'; expected a width and height"),
         ("٣٢", "expected a width and height"),
         ("9" * 5000, "expected a width and height"),

@@ -17,7 +17,6 @@ from datagen.disk.storage import (
     check_relative,
     commit,
     commit_first,
-    file_name,
     find_file,
     one_writer,
     read_regular,
@@ -39,12 +38,6 @@ def test_what_is_no_plain_name_is_refused(text: str) -> None:
 def test_a_path_that_could_lead_elsewhere_is_refused(text: str) -> None:
     with pytest.raises(HyalineError, match="expected a file inside the folder"):
         check_relative(text, where="files")
-
-
-def test_a_files_name_is_one_component_whatever_it_is_made_of() -> None:
-    assert file_name("data/one") == "data_one"
-    assert file_name("../../etc/x\x1b") == "_.._etc_x_"
-    assert file_name("/") == "_" and file_name("...") == "_"
 
 
 def test_links_out_pipes_and_folders_are_no_files(tmp_path: Path) -> None:
@@ -148,3 +141,6 @@ with one_writer(Path({str(tmp_path)!r})):
         other.kill()
     with one_writer(tmp_path):
         assert list(tmp_path.iterdir()) == []
+    refused = pytest.raises(HyalineError, match="another process is writing there")
+    with one_writer(tmp_path, shared=True), one_writer(tmp_path, shared=True), refused, one_writer(tmp_path):
+        pass

@@ -45,20 +45,10 @@ def test_with_an_old_llvm_the_doctor_names_the_remedy_and_rendering_ends_with_it
     assert ended.stderr == "error: Mitsuba: no libLLVM of version 17 or newer here; `unset DRJIT_LIBLLVM_PATH`\n"
 
 
-@pytest.mark.parametrize(
-    ("script", "said"),
-    [
-        ("exec sleep 60", "an NVIDIA driver, but nvidia-smi gave no answer (Command"),
-        ("echo 'NVIDIA H200, 570.1'", "NVIDIA H200, 570.1"),
-        ("exit 9", "none"),
-    ],
-)
-def test_the_doctor_waits_briefly_for_a_gpu(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
-) -> None:
+def test_the_doctor_waits_briefly_for_a_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     driver, program = tmp_path / "libcuda.so.1", tmp_path / "nvidia-smi"
     driver.write_bytes(b"")
-    program.write_text(f"#!/bin/sh\n{script}\n")
+    program.write_text("#!/bin/sh\nexec sleep 60\n")
     program.chmod(0o755)
     monkeypatch.setattr(mitsuba_variant, "DRIVERS", (tmp_path / "missing", driver))
     monkeypatch.setattr(doctor, "LIST_LIMIT_S", 0.5)
@@ -68,7 +58,8 @@ def test_the_doctor_waits_briefly_for_a_gpu(
     mitsuba_variant.cuda_problem.cache_clear()
     answer = call("datagen doctor")
     assert answer.status == 0
-    assert f"GPU        {said}" in answer.out and "; Mitsuba cannot render on it: no OptiX here" in answer.out
+    for part in ("an NVIDIA driver, but nvidia-smi gave no answer (Command", "cannot render on it: no OptiX here"):
+        assert part in answer.out
     monkeypatch.setattr(mitsuba_variant, "_GPU_PROBE", "import time; time.sleep(60)")
     monkeypatch.setattr(mitsuba_variant, "PROBE_LIMIT_S", 0.5)
     assert mitsuba_variant.cuda_problem() == "the test render took more than 0.5 s"

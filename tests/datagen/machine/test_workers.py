@@ -2,20 +2,15 @@
 
 import os
 import shlex
-import shutil
 import signal
 import subprocess
 import sys
 import time
 from pathlib import Path
 
-import pytest
 from support.commands import run
 from support.synthetic import synthetic_scene
 
-from datagen.builder.build import render_dataset
-from datagen.data.dataset import open_dataset
-from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
 
 FLAGS = (
@@ -52,11 +47,5 @@ def test_a_killed_worker_is_one_line_that_counts_missing_views_and_names_the_com
     assert "of 10 views are missing" in error
     assert error.endswith(f"; go on with `datagen {' '.join(words)}`")
     run(shlex.join(["datagen", *words]))
-    dataset = open_dataset(out)
     assert len(list(out.glob("images/train/*.png"))) == 8
     assert {name: (out / "records/train" / name).read_bytes() for name in kept} == kept
-    shutil.rmtree(out / "scene" / "meshes")
-    (out / "images/train/0001.png").unlink()
-    (out / "images/train/0002.png").unlink()
-    with pytest.raises(HyalineError, match=r"meshes/.*\.ply: the file is missing"):
-        render_dataset(dataset, workers=2)  # The workers cannot start: an error of theirs, and no traceback.

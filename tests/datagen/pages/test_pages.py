@@ -1,9 +1,11 @@
 """Tests of pages and their parts: nothing in them breaks out, asks for anything, or grows beyond its room."""
 
 import base64
+import io
 
 import numpy as np
 import pytest
+from PIL import Image
 from support.pages import read_page
 
 from datagen.pages.charts import Line, line_chart
@@ -35,11 +37,6 @@ def test_what_a_page_shows_is_never_markup(text: str) -> None:
 
 
 def test_a_picture_in_a_page_is_what_was_put_in() -> None:
-    import base64
-    import io
-
-    from PIL import Image
-
     image = np.random.default_rng(0).integers(0, 256, (9, 7, 3), np.uint8)
     kind, content = lossless_uri(image).split(",")
     assert kind == "data:image/webp;base64"

@@ -15,10 +15,7 @@ from datagen.terminal.command import run as command_run
 from datagen.terminal.plugins import VERSION
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["datagen build --scene glas_table", "eval report nowhere"],
-)
+@pytest.mark.parametrize("line", ["datagen build --scene glas_table", "eval report nowhere"])
 def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
     alone = subprocess.run([sys.executable, "-m", *line.split()], capture_output=True, text=True, check=False)
     assert Answer(status=alone.returncode, out=alone.stdout, err=alone.stderr) == call(line)
@@ -28,18 +25,12 @@ def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
     ("line", "status", "message"),
     [
         ("datagen build --scene glas_table", 2, "did you mean 'glass_table'?"),
-        (
-            "datagen build --preset dmeo",
-            2,
-            "invalid choice 'dmeo' for argument '--preset'. Expected one of (",
-        ),
+        ("datagen build --preset dmeo", 2, "invalid choice 'dmeo' for argument '--preset'. Expected one of ("),
         ("datagen build --scene ./nowhere", 1, "nowhere/scene.json: the file is missing"),
         ("datagen build --resolution 320x9999", 1, "resolution: is 9999; expected 1 to 8192 pixels"),
-        ("datagen build --views nan", 2, "datagen build: Error parsing --views: "),
         ("datagen build --shard 5/4", 1, "shard: is '5/4'; expected the part and the number of parts, such as 2/4"),
         ("datagen build --count 2", 2, "--family, --count: only for random scenes"),
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
-        ("datagen build --launcher local --shard 1/2", 2, "--launcher: builds all parts; leave out --shard"),
         ("datagen build --launcher slurm --slurm-time 0", 2, "--slurm-time, --slurm-cpus: expected at least 1"),
         ("datagen build --slurm-gpus 2 --shards 3", 2, "--slurm-gpus, --shards: need --launcher"),
         ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
@@ -55,10 +46,7 @@ def test_wrong_input_is_answered_with_the_way_out(line: str, status: int, messag
     assert answer.out == ""
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["datagen", "proxies make", "model train", "eval report"],
-)
+@pytest.mark.parametrize("line", ["datagen", "proxies make", "model train", "eval report"])
 def test_every_command_tells_its_version(line: str) -> None:
     assert call(f"{line} --version") == Answer(status=0, out=f"hyaline {VERSION}\n", err="")
     assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)

@@ -8,11 +8,9 @@ import sys
 import tomllib
 from pathlib import Path
 
-import pytest
 from support.synthetic import write_predictions, write_synthetic_dataset
 
-from datagen.disk.errors import HyalineError
-from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION, naming_parts
+from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION
 
 ROOT = Path(__file__).resolve().parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -106,11 +104,3 @@ def test_each_part_has_the_modules_that_pip_would_bring() -> None:
     assert everything >= {name for modules in PARTS.values() for name in modules}
     assert PROJECT["name"] == DISTRIBUTION
     assert re.search(rf"^version: {re.escape(VERSION)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
-
-
-def test_a_module_that_no_part_has_is_a_fault_of_ours() -> None:
-    with pytest.raises(ModuleNotFoundError), naming_parts("model train"):
-        raise ModuleNotFoundError("No module named 'torch.nothing'", name="torch.nothing")
-    told = r'^open_run: needs numba, which .* "hyaline-glass\[generate\]"` brings it$'
-    with pytest.raises(HyalineError, match=told), naming_parts("open_run"):
-        raise ModuleNotFoundError("No module named 'numba'", name="numba")

@@ -13,11 +13,7 @@ from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, Size
 from datagen.disk.errors import UsageError
 from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words, group, parse
 
-PROGRAMS = {
-    "datagen": "datagen.cli",
-    "proxies": "proxies.cli",
-    "model": "model.cli",
-}
+PROGRAMS = ("datagen", "proxies", "model")
 
 
 def every_command() -> list[str]:
@@ -31,12 +27,8 @@ def every_command() -> list[str]:
         loaded = {name: item.load(()) if isinstance(item, Later) else item for name, item in found}
         return [line, *(one for name, item in loaded.items() for one in below(f"{line} {name}", item))]
 
-    found = [
-        line
-        for program, module in PROGRAMS.items()
-        for line in below(program, importlib.import_module(module).commands())
-    ]
-    return [*found, "report"]
+    roots = {program: importlib.import_module(f"{program}.cli").commands() for program in PROGRAMS}
+    return [*(line for program, root in roots.items() for line in below(program, root)), "report"]
 
 
 COMMANDS = every_command()
