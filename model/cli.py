@@ -162,10 +162,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
             if dataset
             else write_synthetic_dataset(place / "data", sees_nothing=True)
         )
-        failed = 0
-        for verdict in check(name, given, place / "runs"):
-            tell(f"{verdict.word:<5} {verdict.name}" + (f": {verdict.why}" if verdict.why else ""))
-            failed += verdict.word == "FAIL"
+        failed = check(name, given, place / "runs")
     if failed:
         raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
 
