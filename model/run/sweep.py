@@ -63,11 +63,6 @@ class Experiment:
     then: tuple[str, ...]
     """Commands on finished runs."""
 
-    @property
-    def lines(self) -> list[str]:
-        """All command lines."""
-        return [*self.needs, *map(command_line, self.runs), *self.then]
-
 
 def list_experiments() -> list[str]:
     """The names of the built-in experiments, and of folders of them."""
@@ -192,7 +187,7 @@ def sweep(
     """
     asked = read_experiment(experiment, datasets=dataset, seeds=seed)
     if dry_run:
-        for line in asked.lines:
+        for line in (*asked.needs, *map(command_line, asked.runs), *asked.then):
             tell(line)
         return say(f"sweep {asked.name}: {len(asked.runs)} runs")
     run_commands(asked, asked.needs)
