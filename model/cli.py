@@ -3,13 +3,13 @@
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from datagen.builder.choices import FilmChoices, LaunchChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import next_command, run, say, tell
-from datagen.terminal.parsing import CommandGroup, Later, group
+from datagen.terminal.parsing import Command, CommandGroup, Later, group
 from datagen.terminal.plugins import absent_commands, commands_of
 from model.methods.protocol import METHODS, about
 from model.run.train_flags import Asked, complete_run, make_command
@@ -30,8 +30,8 @@ def commands() -> CommandGroup:
     by_name = {
         "train": CommandGroup(about=TRAIN, commands=_methods, word="method"),
         "predict": predict,
-        "film": film,
-        "sweep": sweep,
+        "film": Later(_load_film),
+        "sweep": Later(_load_sweep),
         "check-method": check_method,
     }
     return group(
@@ -101,73 +101,45 @@ def predict(
     _end(out, run=run)
 
 
-def film(
-    run: Path,
-    /,
-    *,
-    dataset: str | None = None,
-    device: Device = "auto",
-    choices: FilmChoices = FilmChoices(),  # noqa: B008
-) -> None:
-    """Render a film with a trained run; `datagen film` path-traces the same film.
+def _load_film(_: Sequence[str]) -> Command:
+    from datagen.builder.choices import FilmChoices
 
-    Args:
-        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
-        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
-        device: Where to compute; auto uses a GPU if there is one.
-    """
-    from datagen.builder.film import plan_film, write_film
-    from model.run.run_folder import find_run, open_trained
+    def film(
+        run: Path,
+        /,
+        *,
+        dataset: str | None = None,
+        device: Device = "auto",
+        choices: FilmChoices = FilmChoices(),  # noqa: B008
+    ) -> None:
+        """Render a film with a trained run; `datagen film` path-traces the same film.
 
-    run = find_run(run)
-    record, opened = open_trained(run, dataset)
-    out = choices.out or Path(f"{opened.name}-{run.name}.webp")
-    cameras = plan_film(opened, choices, out)
-    say(f"{run}: rendering {out}")
-    from model.run.predict import film_pictures
+        Args:
+            run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
+            dataset: A dataset's folder, or its name under data/. Default: where the run found it.
+            device: Where to compute; auto uses a GPU if there is one.
+        """
+        from datagen.builder.film import plan_film, write_film
+        from model.run.run_folder import find_run, open_trained
 
-    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-    write_film(out, pictures, choices.fps)
-    tell(str(out))
+        run = find_run(run)
+        record, opened = open_trained(run, dataset)
+        out = choices.out or Path(f"{opened.name}-{run.name}.webp")
+        cameras = plan_film(opened, choices, out)
+        say(f"{run}: rendering {out}")
+        from model.run.predict import film_pictures
+
+        pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+        write_film(out, pictures, choices.fps)
+        tell(str(out))
+
+    return film
 
 
-def sweep(
-    experiment: str,
-    /,
-    *,
-    dataset: tuple[str, ...] = (),
-    seed: tuple[int, ...] = (),
-    jobs: int = 1,
-    dry_run: bool = False,
-    cluster: LaunchChoices = LaunchChoices(),  # noqa: B008
-) -> None:
-    """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
+def _load_sweep(_: Sequence[str]) -> Command:
+    from model.run.sweep import sweep
 
-    The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
-
-    Args:
-        experiment: A file of command lines, whose name ends with .txt (see model/run/sweep.py), - for lines from
-            stdin, paper-tables or one of its parts (table1, table2, square, zero-layer, claims, figure8, deepvoxels,
-            larger), paper-sizes or random.
-        dataset: Train on this existing dataset instead of the file's. May be repeated.
-        seed: Train with this seed instead of the file's. May be repeated.
-        jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as
-            many as fit in memory (about 4 GB each); a run's numbers then differ by rounding.
-        dry_run: Print all commands, and do nothing.
-    """
-    from model.run.sweep import find_devices, finish, read_experiment, run_experiment, train_in_jobs
-
-    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
-    if dry_run:
-        for line in asked.lines:
-            tell(line)
-        return say(f"sweep {asked.name}: {len(asked.runs)} runs")
-    if cluster.launcher is None:
-        failures = run_experiment(asked, devices=find_devices(jobs))
-    else:
-        failures = train_in_jobs(asked, cluster)
-    finish(asked, failures)
-    next_command("eval report")
+    return sweep
 
 
 def check_method(name: str, /, *, dataset: str | None = None) -> None:
@@ -190,10 +162,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
             if dataset
             else write_synthetic_dataset(place / "data", sees_nothing=True)
         )
-        failed = 0
-        for verdict in check(name, given, place / "runs"):
-            tell(f"{verdict.word:<5} {verdict.name}" + (f": {verdict.why}" if verdict.why else ""))
-            failed += verdict.word == "FAIL"
+        failed = check(name, given, place / "runs")
     if failed:
         raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
 

@@ -16,7 +16,6 @@ import dataclasses
 import io
 import os
 import shlex
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeGuard
@@ -237,16 +236,6 @@ def _render_command(folder: Path) -> str:
 def prediction_digests(run: Run, split: Split) -> list[str]:
     """SHA-256 of each of a run's pictures of a split, all verified."""
     return [sha256(_read_bytes(run, split, view)) for view in range(run.dataset.config.split(split).views)]
-
-
-def predictions_sha256(digests: Mapping[Split, Sequence[str]]) -> str:
-    """One hash over the pictures of these splits: of the lines `SPLIT/0000.png SHA-256`, in the given order."""
-    lines = [
-        f"{split}/{view_name(view)}.png {digest}\n"
-        for split, of_split in digests.items()
-        for view, digest in enumerate(of_split)
-    ]
-    return sha256("".join(lines).encode())
 
 
 def _find_dataset(folder: Path, places: list[Path], seal: str | None) -> Dataset:

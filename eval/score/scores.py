@@ -11,6 +11,7 @@ from jaxtyping import Bool, UInt8
 
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask
+from datagen.data.paths import view_name
 from datagen.disk.errors import NumericsError
 from datagen.disk.records import dump_json
 from datagen.disk.storage import sha256
@@ -30,7 +31,6 @@ from eval.score.runs import (
     has_split,
     prediction_digests,
     prediction_path,
-    predictions_sha256,
     read_prediction,
 )
 
@@ -130,8 +130,13 @@ class RunScores:
 
     @property
     def predictions_sha256(self) -> str:
-        """One hash over all pictures."""
-        return predictions_sha256(self.digests)
+        """One hash over all pictures: of the lines `SPLIT/0000.png SHA-256`."""
+        lines = [
+            f"{split}/{view_name(view)}.png {digest}\n"
+            for split, digests in self.digests.items()
+            for view, digest in enumerate(digests)
+        ]
+        return sha256("".join(lines).encode())
 
     def mean(self, key: str, split: Split) -> float | None:
         scores = self.splits[split]

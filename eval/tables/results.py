@@ -25,6 +25,8 @@ from eval.tables.grids import CEILING, Grid
 from eval.tables.scenes import Stored
 
 RESULTS_VERSION = 1
+KNOWN = ("method", "label", "geometry", "knowledge", "num_parameters", "seed")
+"""What a run's record tells."""
 
 Cell = str | int | None
 
@@ -51,12 +53,11 @@ def results_data(
 
 def results_csv(scenes: list[SceneScores]) -> str:
     """One line per run, one per scene for the noise ceiling; empty if not computed."""
-    known = ["method", "label", "geometry", "knowledge", "num_parameters", "seed"]
     scored = [f"{metric.key}_{split}" for metric in METRICS for split in TEST_SPLITS]
     buffer = io.StringIO()
     table = csv.DictWriter(
         buffer,
-        ["scene", "run", *known, *scored, "drop_db", "dataset_seal", "predictions_sha256", "config_sha256"],
+        ["scene", "run", *KNOWN, *scored, "drop_db", "dataset_seal", "predictions_sha256", "config_sha256"],
         lineterminator="\n",
     )
     table.writeheader()
@@ -64,7 +65,7 @@ def results_csv(scenes: list[SceneScores]) -> str:
         place = {"scene": csv_text(scene.title), "dataset_seal": scene.dataset.seal}
         for scores in scene.runs:
             means = {f"{m.key}_{split}": scores.mean(m.key, split) for m in METRICS for split in TEST_SPLITS}
-            about = {key: csv_text(getattr(scores.run.record, key)) for key in known}
+            about = {key: csv_text(getattr(scores.run.record, key)) for key in KNOWN}
             last = {
                 "drop_db": scores.drop_db,
                 "predictions_sha256": scores.predictions_sha256,
@@ -130,12 +131,7 @@ def _run_json(scores: RunScores) -> Json:
     run = scores.run
     return {
         "run": run.name,
-        "method": run.record.method,
-        "label": run.record.label,
-        "geometry": run.record.geometry,
-        "knowledge": run.record.knowledge,
-        "num_parameters": run.record.num_parameters,
-        "seed": run.record.seed,
+        **{key: getattr(run.record, key) for key in KNOWN},
         "config_sha256": describe_run(run),
         "predictions_sha256": scores.predictions_sha256,
         "cpu_seconds": cast(Json, read_costs(run.folder).get("cpu_seconds")),

@@ -5,10 +5,10 @@ import dataclasses
 import io
 import re
 import signal
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 import torch
@@ -20,7 +20,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
 from datagen.scene.folder import open_scene
-from datagen.terminal.command import Stopped
+from datagen.terminal.command import Stopped, tell
 from model.batches.rays import PixelSource, cameras_of
 from model.methods.protocol import METHODS, Inputs, open_inputs
 from model.methods.renderer import Renderer
@@ -35,14 +35,6 @@ MOST_PIXELS = 256
 CPU = torch.device("cpu")
 
 
-class Verdict(NamedTuple):
-    """The result of one check."""
-
-    name: str
-    word: Literal["ok", "skip", "FAIL"]
-    why: str = ""
-
-
 class Skipped(Exception):
     """Why a check does not apply."""
 
@@ -55,10 +47,6 @@ class Subject:
     inputs: Inputs
     folder: Path
 
-    @property
-    def dataset(self) -> Dataset:
-        return self.inputs.dataset
-
     def build(self) -> Renderer:
         return build_renderer(self.config, self.inputs, device=CPU)
 
@@ -67,15 +55,15 @@ class Subject:
 
     def train(self, name: str, device: torch.device = CPU) -> bytes:
         """The weights of a new run in `folder`/`name`, or of one that goes on."""
-        train(self.config, self.dataset, self.folder / name, label=name, device=device)
+        train(self.config, self.inputs.dataset, self.folder / name, label=name, device=device)
         return (self.folder / name / WEIGHTS).read_bytes()
 
     def trained(self) -> Renderer:
-        return load_renderer(self.folder / "first", self.config, self.dataset)
+        return load_renderer(self.folder / "first", self.config, self.inputs.dataset)
 
 
-def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]:
-    """Runs every check of a method, from cheap to expensive.
+def check_method(name: str, dataset: Dataset, folder: Path) -> int:
+    """Runs every check of a method and prints a line for each; the number of those that failed.
 
     Args:
         folder: an empty folder, for runs.
@@ -89,17 +77,20 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> Iterator[Verdict]
         method=name, geometry=TRUTH, net=net.complete(inputs), checkpoint_every=2, evaluate_every=2, **settings
     )
     subject = Subject(config=config, inputs=inputs, folder=folder)
+    failed = 0
     for title, check in CHECKS.items():
+        word, why = "ok", ""
         try:
             with contextlib.redirect_stderr(io.StringIO()):
                 check(subject)
-            yield Verdict(title, "ok")
         except Skipped as skipped:
-            yield Verdict(title, "skip", str(skipped))
-        except HyalineError as error:
-            yield Verdict(title, "FAIL", str(error))
+            word, why = "skip", f": {skipped}"
         except Exception as error:  # A method is other people's code: any exception is the result of the check.
-            yield Verdict(title, "FAIL", f"{type(error).__name__}: {error}")
+            kind = "" if isinstance(error, HyalineError) else f"{type(error).__name__}: "
+            word, why = "FAIL", f": {kind}{error}"
+        tell(f"{word:<5} {title}{why}")
+        failed += word == "FAIL"
+    return failed
 
 
 def _expect(holds: bool, problem: str) -> None:
@@ -121,7 +112,7 @@ def _draws_pictures(subject: Subject) -> None:
     pixels = subject.pixels("interpolating", 0)
     _expect(not bool(pixels.rgb.any()), "load gives a picture's colours although with_images is False")
     colors = predict_colors(subject.build(), pixels)
-    count = subject.dataset.config.resolution.pixels
+    count = subject.inputs.dataset.config.resolution.pixels
     _expect(tuple(colors.shape) == (count, 3), f"render gives {tuple(colors.shape)}; expected ({count}, 3)")
     _expect(colors.dtype == torch.float32, f"render gives {colors.dtype}; expected torch.float32")
     _expect(bool(colors.isfinite().all()), "a rendered colour is not finite")
@@ -130,9 +121,9 @@ def _draws_pictures(subject: Subject) -> None:
 
 
 def _draws_nothing(subject: Subject) -> None:
-    if subject.dataset.config.scene != "synthetic":
+    if subject.inputs.dataset.config.scene != "synthetic":
         raise Skipped("the given dataset may have no empty view")
-    for view in range(subject.dataset.num_views["extrapolating"]):
+    for view in range(subject.inputs.dataset.num_views["extrapolating"]):
         colors = predict_colors(subject.build(), subject.pixels("extrapolating", view))
         _expect(bool(colors.isfinite().all()), f"extrapolating view {view}: a colour is not finite")
 
@@ -166,7 +157,7 @@ def _resumes(subject: Subject) -> None:
 
 def _predicts(subject: Subject) -> None:
     out = subject.folder / "first"
-    render_predictions(out, subject.config, subject.dataset, device=CPU)
+    render_predictions(out, subject.config, subject.inputs.dataset, device=CPU)
     drawn = predict_pixels(subject.trained(), subject.pixels("extrapolating", 0))
     saved = read_png(out / "predictions" / "extrapolating" / "0000.png")
     _expect(np.array_equal(drawn.reshape(saved.shape), saved), "saved and loaded weights render a different picture")
@@ -176,7 +167,7 @@ def _draws_any_camera(subject: Subject) -> None:
     net = subject.config.net
     if not net.draws_cameras:
         raise Skipped("it only draws the views of its dataset (draws_cameras is False)")
-    renderer, camera = subject.trained(), cameras_of(subject.dataset, "extrapolating", [0])
+    renderer, camera = subject.trained(), cameras_of(subject.inputs.dataset, "extrapolating", [0])
     free = predict_colors(renderer, net.load_cameras(subject.inputs, camera))
     stored = predict_colors(renderer, subject.pixels("extrapolating", 0))
     # Layers may have been stored by another machine, where rays along an edge may hit its other side.
@@ -189,7 +180,7 @@ def _has_a_page(subject: Subject) -> None:
     net = subject.config.net
     if not net.page:
         raise Skipped("it has no web page (page is empty)")
-    page = net.draw_page(subject.trained(), open_scene(subject.dataset))
+    page = net.draw_page(subject.trained(), open_scene(subject.inputs.dataset))
     _expect(re.search(r"\bvec3\s+shade\s*\(", page.shader) is not None, "its shader has no function vec3 shade(...)")
     bad = [name for name in page.defines if not re.fullmatch("[A-Z][A-Z0-9_]*", name)]
     _expect(not bad, f"its define {', '.join(bad)} is not a name in capitals")
@@ -201,7 +192,7 @@ def _runs_on_a_gpu(subject: Subject) -> None:
         raise Skipped("torch finds no GPU")
     device = torch.device("cuda")
     subject.train("gpu", device)
-    render_predictions(subject.folder / "gpu", subject.config, subject.dataset, device=device)
+    render_predictions(subject.folder / "gpu", subject.config, subject.inputs.dataset, device=device)
 
 
 CHECKS: dict[str, Callable[[Subject], None]] = {

@@ -35,7 +35,7 @@ from datagen.disk.errors import DamagedError, HyalineError, shown
 from datagen.disk.storage import read_regular
 from datagen.machine.launch import own_command, raise_failures, run_in_jobs
 from datagen.machine.processes import num_cores
-from datagen.terminal.command import choose, say
+from datagen.terminal.command import choose, next_command, say, tell
 from model.methods.protocol import METHODS
 from model.run.train_flags import folder_name, parse_train
 from model.settings import RUNS
@@ -62,11 +62,6 @@ class Experiment:
     """Arguments of `model train`, all different, in the file's order; the last braces of a line vary fastest."""
     then: tuple[str, ...]
     """Commands on finished runs."""
-
-    @property
-    def lines(self) -> list[str]:
-        """All command lines."""
-        return [*self.needs, *map(command_line, self.runs), *self.then]
 
 
 def list_experiments() -> list[str]:
@@ -166,8 +161,50 @@ def _parsed(words: tuple[str, ...], where: str) -> tuple[str, Path]:
 # Running them
 
 
+def sweep(
+    experiment: str,
+    /,
+    *,
+    dataset: tuple[str, ...] = (),
+    seed: tuple[int, ...] = (),
+    jobs: int = 1,
+    dry_run: bool = False,
+    cluster: LaunchChoices = LaunchChoices(),  # noqa: B008
+) -> None:
+    """Train all runs of an experiment file, one process per GPU (or one on the CPU); finished runs are skipped.
+
+    The datasets and proxies that the file names are made first. With --launcher slurm, each run is a Slurm job.
+
+    Args:
+        experiment: A file of command lines, whose name ends with .txt (see model/run/sweep.py), - for lines from
+            stdin, paper-tables or one of its parts (table1, table2, square, zero-layer, claims, figure8, deepvoxels,
+            larger), paper-sizes or random.
+        dataset: Train on this existing dataset instead of the file's. May be repeated.
+        seed: Train with this seed instead of the file's. May be repeated.
+        jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as
+            many as fit in memory (about 4 GB each); a run's numbers then differ by rounding.
+        dry_run: Print all commands, and do nothing.
+    """
+    asked = read_experiment(experiment, datasets=dataset, seeds=seed)
+    if dry_run:
+        for line in (*asked.needs, *map(command_line, asked.runs), *asked.then):
+            tell(line)
+        return say(f"sweep {asked.name}: {len(asked.runs)} runs")
+    run_commands(asked, asked.needs)
+    if cluster.launcher is None:
+        failures = run_experiment(asked, devices=find_devices(jobs))
+    else:  # A job for each run; that of a finished run ends at once.
+        trainings = {command_line(words): ["train", *words] for words in asked.runs}
+        failures = run_in_jobs("model", trainings, RUNS / "jobs", cluster.launcher, cluster.parameters())
+    total = len(asked.runs)
+    say(f"sweep {asked.name}: {total - len(failures)} of {total} runs are finished")
+    raise_failures(f"sweep {asked.name}", failures, total)
+    run_commands(asked, asked.then)
+    next_command("eval report")
+
+
 def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> dict[str, str]:
-    """Makes what the runs need, trains every run that is not finished, and continues past those that fail.
+    """Trains every run that is not finished, and continues past those that fail.
 
     Args:
         devices: one process runs on each at a time, so a device that is named twice runs two; None is the CPU, whose
@@ -176,7 +213,6 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
     Returns:
         Why runs failed, by their command lines, in the experiment's order.
     """
-    run_commands(experiment, experiment.needs)
     free: queue.SimpleQueue[str | None] = queue.SimpleQueue()
     for device in devices:
         free.put(device)
@@ -203,21 +239,6 @@ def run_experiment(experiment: Experiment, *, devices: Sequence[str | None]) -> 
                 child.terminate()
             raise
     return {command_line(words): reason for words, reason in zip(experiment.runs, reasons, strict=True) if reason}
-
-
-def train_in_jobs(experiment: Experiment, launch: LaunchChoices) -> dict[str, str]:
-    """As `run_experiment`, with a job for each run; that of a finished run ends at once."""
-    run_commands(experiment, experiment.needs)
-    jobs = {command_line(words): ["train", *words] for words in experiment.runs}
-    return run_in_jobs("model", jobs, RUNS / "jobs", launch.launcher, launch.parameters())
-
-
-def finish(experiment: Experiment, failures: Mapping[str, str]) -> None:
-    """Reports how many runs are finished; runs what follows them, or raises a HyalineError if any failed."""
-    total = len(experiment.runs)
-    say(f"sweep {experiment.name}: {total - len(failures)} of {total} runs are finished")
-    raise_failures(f"sweep {experiment.name}", failures, total)
-    run_commands(experiment, experiment.then)
 
 
 def command_line(arguments: Sequence[str]) -> str:

@@ -12,6 +12,7 @@ from typing import cast
 
 import numpy as np
 import torch
+from jaxtyping import Int
 from torch import Tensor, nn
 
 from datagen.data.config import Resolution
@@ -24,9 +25,9 @@ from model.methods.patch_losses import Losses
 from model.methods.protocol import Inputs, open_inputs
 from model.methods.renderer import ParameterGroup, Renderer
 from model.nets.texture import NeuralTextures
-from model.run.held_out import HeldOut, choose_held_out, mean_psnr
-from model.run.logs import write_metrics, write_snapshot
+from model.run.logs import Pictures, write_metrics, write_snapshot
 from model.run.optimizer import Optimizer, make_optimizer
+from model.run.predict import predict_pixels
 from model.run.run_folder import (
     CHECKPOINT,
     WEIGHTS,
@@ -42,6 +43,9 @@ from model.state import State, load_state, save_state
 
 CHECKPOINT_EVERY_S = 60.0
 """Longest time between two checkpoints, whatever the number of steps; the result does not depend on it."""
+STRIDE = 2
+"""Every second pixel of every second row is scored: a quarter of the time, for a score that differs by hundredths of a
+decibel."""
 
 
 def train(
@@ -111,6 +115,42 @@ def train(
         f"{sizes['network']:,} parameters in the network and {sizes['textures']:,} in textures"
     )
     take_steps(run, overwrite=overwrite)
+
+
+def choose_held_out(num_views: int, at_most: int) -> list[int]:
+    """The training views that are held out to measure progress: evenly spread, and at most a fifth of all."""
+    number = min(at_most, num_views // 5)
+    return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeldOut:
+    """The pixels of views that are not trained on, with their pictures; a quarter of them measures progress."""
+
+    pixels: PixelSource
+
+    @property
+    def rows(self) -> Int[np.ndarray, "view h w"]:
+        """Row numbers of the scored pixels."""
+        return np.arange(len(self.pixels.rgb)).reshape(-1, *self.pixels.resolution.shape)[:, ::STRIDE, ::STRIDE]
+
+    @property
+    def truth(self) -> Pictures:
+        """The true colours of the scored pixels."""
+        return self.pixels.rgb.cpu().numpy()[self.rows]
+
+    def draw(self, renderer: Renderer) -> Pictures:
+        """The predicted colours of the scored pixels."""
+        if self.pixels.whole_views:
+            return predict_pixels(renderer, self.pixels)[self.rows]
+        return predict_pixels(renderer, self.pixels, torch.from_numpy(self.rows.flatten())).reshape(*self.rows.shape, 3)
+
+
+def mean_psnr(predicted: Pictures, truth: Pictures) -> float:
+    """The mean over views of the PSNR in dB of 8-bit pictures."""
+    error = (predicted.astype(np.float64) - truth) / 255
+    mse = np.square(error).reshape(len(truth), -1).mean(axis=1)
+    return float(np.mean(-10 * np.log10(np.maximum(mse, 1e-12))))
 
 
 @dataclass(kw_only=True, eq=False)

@@ -144,14 +144,18 @@ def test_a_picture_that_is_a_link_to_elsewhere_is_refused(
     assert call(line).status == 0
 
 
+def read_as_prediction(dataset: Dataset, folder: Path, data: bytes) -> np.ndarray:
+    """A PNG as the report reads it from the folder of a foreign method."""
+    path = folder / "synthetic/nerf/predictions/interpolating/0000.png"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(data)
+    return read_prediction(open_run(folder / "synthetic/nerf", dataset.root.parent), "interpolating", 0)
+
+
 @pytest.mark.parametrize("name", ODD)
 def test_an_odd_picture_is_refused_in_one_line(dataset: Dataset, tmp_path: Path, name: str) -> None:
-    path = tmp_path / "synthetic/nerf/predictions/interpolating/0000.png"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(ODD[name])
-    run = open_run(tmp_path / "synthetic/nerf", dataset.root.parent)
-    with pytest.raises(HyalineError, match=f"^{path}: [^\n]*$"):
-        read_prediction(run, "interpolating", 0)
+    with pytest.raises(HyalineError, match=f"^{tmp_path}/synthetic/nerf/[^\n]*/0000.png: [^\n]*$"):
+        read_as_prediction(dataset, tmp_path, ODD[name])
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "P", "RGBA", "LA"])
@@ -159,11 +163,9 @@ def test_opaque_pictures_of_8_bits_are_read_whatever_their_kind(
     dataset: Dataset, picture: np.ndarray, tmp_path: Path, mode: str
 ) -> None:
     image = Image.fromarray(picture).quantize(9) if mode == "P" else Image.fromarray(picture).convert(mode)
-    path = tmp_path / "synthetic/nerf/predictions/interpolating/0000.png"
-    path.parent.mkdir(parents=True)
-    path.write_bytes(with_text(encode(image)))
-    run = open_run(tmp_path / "synthetic/nerf", dataset.root.parent)
-    assert np.array_equal(read_prediction(run, "interpolating", 0), np.asarray(image.convert("RGB")))
+    assert np.array_equal(
+        read_as_prediction(dataset, tmp_path, with_text(encode(image))), np.asarray(image.convert("RGB"))
+    )
 
 
 # What hyaline wrote

@@ -324,12 +324,6 @@ def test_the_sky_learns_at_a_rate_of_its_own_with_each_update(
     assert max(texels.abs().max().item() for texels in learned) == pytest.approx(3 * updates * rate, rel=0.1)
 
 
-def test_a_view_in_which_no_pixel_is_doubtful_is_drawn_once(dataset: Dataset) -> None:
-    renderer = white(LightPathRenderer(LightPathConfig(texture_sizes=(8, 8), stack_hidden=0)))
-    pixels = pixels_of(dataset, render_samples=4, refined_samples=64)
-    assert (predict_colors(renderer, pixels) - 1).abs().max() < 1e-3
-
-
 def test_pixels_whose_rays_differ_are_drawn_with_more_rays_and_the_others_are_not(dataset: Dataset) -> None:
     torch.manual_seed(0)
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(24, 24))).eval()

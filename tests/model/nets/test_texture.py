@@ -71,10 +71,12 @@ def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, nu
     table, uv, object_id, layout = random_case(seed, num_objects, size)
     upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(seed))
     table.requires_grad_()
-    features = look_up(table, uv, object_id, layout)
+    own_uv = uv.clone().requires_grad_()
+    features = look_up(table, own_uv, object_id, layout)
     features.backward(upstream)
 
     images = table.detach().view(num_objects, size, size, 5).permute(0, 3, 1, 2).clone().requires_grad_()
+    uv.requires_grad_()
     grid = torch.stack([2 * uv[..., 0] - 1, 1 - 2 * uv[..., 1]], dim=-1)
     expected = torch.zeros(13, 3, 5)
     for index in range(num_objects):
@@ -88,6 +90,12 @@ def test_lookup_and_its_gradient_equal_grid_sample_for_each_object(seed: int, nu
     torch.testing.assert_close(features, expected, atol=2e-5, rtol=0)
     by_texel = images.grad.permute(0, 2, 3, 1).reshape(-1, 5)
     torch.testing.assert_close(table.grad, by_texel, atol=2e-5, rtol=0)
+    assert own_uv.grad is not None and uv.grad is not None
+    # At a texel's centre and on the border the slope jumps, so rounding decides which side is meant.
+    place = uv.detach() * size - 0.5
+    is_smooth = ((place > 0) & (place < size - 1) & ((place - place.round()).abs() > 1e-4)).all(dim=-1)
+    torch.testing.assert_close(own_uv.grad[is_smooth], uv.grad[is_smooth], atol=2e-4, rtol=1e-4)
+    assert (own_uv.grad[object_id == 0] == 0).all()
 
 
 def test_an_empty_layer_gives_exact_zeros_whatever_its_uv() -> None:
@@ -160,27 +168,6 @@ def test_the_compiled_pyramid_equals_the_one_by_torchs_operations(channels: int)
     assert own_uv.grad is not None and plain_uv.grad is not None
     assert own_uv.grad.abs().max() > 1
     torch.testing.assert_close(own_uv.grad, plain_uv.grad, atol=1e-3, rtol=1e-4)
-
-
-def test_the_gradient_of_uv_equals_that_of_grid_sample() -> None:
-    table, uv, object_id, layout = random_case(5, 2, 9)
-    upstream = torch.randn(13, 3, 5, generator=torch.Generator().manual_seed(5))
-    uv.requires_grad_()
-    look_up(table, uv, object_id, layout).backward(upstream)
-    gradient, uv.grad = uv.grad, None
-
-    images = table.view(2, 9, 9, 5).permute(0, 3, 1, 2)
-    grid = torch.stack([2 * uv[..., 0] - 1, 1 - 2 * uv[..., 1]], dim=-1)
-    for index in range(2):
-        looked_up = functional.grid_sample(
-            images[index : index + 1], grid[None], padding_mode="border", align_corners=False
-        )
-        of_object = (object_id == index + 1)[..., None]
-        (looked_up[0].permute(1, 2, 0) * of_object * upstream).sum().backward(retain_graph=True)
-    assert gradient is not None and uv.grad is not None
-    inside = ((uv > 0.5 / 9) & (uv < 1 - 0.5 / 9)).all(dim=-1)
-    torch.testing.assert_close(gradient[inside], uv.grad[inside], atol=1e-4, rtol=1e-4)
-    assert (gradient[object_id == 0] == 0).all() and (gradient[inside & (object_id > 0)] != 0).any()
 
 
 def test_look_ups_leave_torch_the_threads_that_it_was_told() -> None:

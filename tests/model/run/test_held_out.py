@@ -10,9 +10,8 @@ from support.training import configured
 
 from datagen.data.dataset import Dataset
 from model.methods.protocol import open_inputs
-from model.run.held_out import HeldOut, choose_held_out, mean_psnr
 from model.run.predict import predict_pixels
-from model.run.train import build_renderer
+from model.run.train import HeldOut, build_renderer, choose_held_out, mean_psnr
 
 VIEWS = [1, 3]
 SIZE = 33

@@ -191,27 +191,6 @@ def test_each_device_runs_one_process_at_a_time_and_none_is_idle(
     assert set(busy) == {"0", "GPU-b", "2"}
 
 
-def test_jobs_on_the_cpu_run_side_by_side_and_share_its_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    experiment = read_experiment(write(tmp_path, "model train paper --seed {0,1,2,3}"))
-    monkeypatch.setattr(sweep, "num_cores", lambda: 5)
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    met = threading.Barrier(2, timeout=120)
-    environments: list[dict[str, str]] = []
-
-    def train(_: object, place: str, environment: dict[str, str], children: object, is_stopped: object) -> str:
-        environments.append(environment)
-        met.wait()  # Breaks, and with it the sweep, unless two are there at once.
-        return ""
-
-    monkeypatch.setattr(sweep, "_train_in_child", train)
-    assert sweep.run_experiment(experiment, devices=sweep.find_devices(2)) == {}
-    assert environments == [{"OMP_NUM_THREADS": "2", "NUMBA_NUM_THREADS": "2"}] * 4
-    # More jobs than cores leave each a thread; a single one keeps what its user has set.
-    assert set(sweep.share_of_cores(6).values()) == {"1"} and sweep.share_of_cores(1) == {}
-    with pytest.raises(HyalineError, match="jobs: is 0; expected at least 1"):
-        sweep.find_devices(0)
-
-
 @pytest.mark.parametrize(
     ("visible", "count", "jobs", "devices"),
     [
@@ -228,7 +207,12 @@ def test_devices_are_those_that_may_be_seen(
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
+    monkeypatch.setattr(sweep, "num_cores", lambda: 5)
     assert sweep.find_devices(jobs) == devices
+    with pytest.raises(HyalineError, match="jobs: is 0; expected at least 1"):
+        sweep.find_devices(0)
+    # More jobs than cores leave each a thread; a single one keeps what its user has set.
+    assert [sweep.share_of_cores(jobs).get("OMP_NUM_THREADS") for jobs in (1, 2, 6)] == [None, "2", "1"]
 
 
 def test_a_sweep_in_jobs_has_one_for_each_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
