@@ -73,7 +73,6 @@ from hyaline_import.staging import (
 from hyaline_import.surfaces import (
     Shape,
     closed,
-    edge_tilt_deg,
     made_sound,
     mend_surface,
     mesh_of,
@@ -313,12 +312,6 @@ def scene_object(name: str, part: ForeignObject, world: World, chosen: Material 
         material = ThinDielectric(ior=material.surface().ior)
     if choices.crease is not None:
         mesh = with_new_normals(mesh, crease_deg=choices.crease)
-    elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
-        remarks.note(
-            name,
-            f"its normals lie up to {tilt_deg:.0f} degrees off its faces, so that light bends at its edges as in a "
-            "lens; --crease 30 shades them as edges",
-        )
     return SceneObject(name=name, mesh=mesh, material=material)
 
 
