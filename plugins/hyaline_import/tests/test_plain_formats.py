@@ -184,7 +184,7 @@ def test_glass_with_a_picture_has_its_mean_colour_and_that_is_said(tmp_path: Pat
     pane = done["thing"].material
     assert isinstance(pane, ThinDielectric) and pane.tint == pytest.approx((1, 0.503, 0), abs=1e-3)
     assert "thing: has an image where only one colour can be; drawn in its mean colour" in done.err
-    assert "m: has an image for map_d, which is left out" in done.err
+    assert "m: has map_d, which is left out" in done.err
 
 
 @pytest.mark.parametrize(
@@ -195,7 +195,7 @@ def test_glass_with_a_picture_has_its_mean_colour_and_that_is_said(tmp_path: Pat
         ("Kd 0.2 0.3 0.4\nNs 98\nillum 2\nd 1", {"base_color": (0.2, 0.3, 0.4), "roughness": 0.02**0.25}, ""),
         ("Pr 0.25\nPm 1", {"roughness": 0.25, "metallic": 1.0}, ""),
         ("Ni 1.0\nd 0.1", {"ior": 1.5}, "is glass with an index of refraction of 1; drawn with 1.5"),
-        ("Pc 0.5", {}, "has a clear coat, which is left out"),
+        ("Pc 0.5", {}, "has pc, which is left out"),
     ],
 )
 def test_a_material_of_an_mtl_has_its_numbers_and_a_line_for_what_is_left_out(
