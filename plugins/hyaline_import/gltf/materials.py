@@ -26,14 +26,11 @@ from hyaline_import.gltf.file import GltfFile
 from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks
 
-IGNORED = {
-    "KHR_materials_anisotropy": "brushed grain (anisotropy)",
-    "KHR_materials_clearcoat": "a clear coat",
-    "KHR_materials_diffuse_transmission": "diffuse transmission",
-    "KHR_materials_iridescence": "iridescence",
-    "KHR_materials_sheen": "sheen",
-    "KHR_materials_specular": "a specular weight or tint",
+READ = {
+    f"KHR_materials_{name}"
+    for name in ("dispersion", "emissive_strength", "ior", "pbrSpecularGlossiness", "transmission", "unlit", "volume")
 }
+"""Extensions of a material that are read."""
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
@@ -95,7 +92,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
-    left_out = [what for extension, what in IGNORED.items() if extension in entry.extensions]
+    left_out = [name.removeprefix("KHR_materials_") for name in sorted(entry.extensions) if name not in READ]
     left_out += ["a normal map"] * (entry.normal_texture is not None)
     left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
     for what in left_out:
