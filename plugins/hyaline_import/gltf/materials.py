@@ -123,7 +123,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         roughness=clipped(roughness),
         transmission=clipped(transmission.transmission_factor),
         factor_images=tuple(factor_images),
-        ior=_ior(entry, name, remarks),
+        ior=_ior(entry, name),
         is_volume=volume.thickness_factor > 0,
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
@@ -134,13 +134,11 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     return material, use
 
 
-def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
+def _ior(entry: records.Material, name: str) -> float:
     if "KHR_materials_unlit" in entry.extensions and TRANSMISSION not in entry.extensions:
         return 1.0
-    ior = entry.extension("KHR_materials_ior").ior
-    if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
-        remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
-        return 1.5
+    # 0 is the extension's word for a surface that mirrors all, as one of the specular-glossiness model may.
+    ior = entry.extension("KHR_materials_ior").ior or 1.5
     if not 1 <= ior < 10:
         raise HyalineError(f"{entry.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
     return ior
