@@ -196,12 +196,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
-    if len(parts) > MAX_OBJECTS - 1:
-        if not choices.merge:
-            raise HyalineError(
-                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-                "pass --merge to make one of those of a material"
-            )
+    if len(parts) > MAX_OBJECTS - 1:  # The ground is one more.
         parts = merged_by_material(parts, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
