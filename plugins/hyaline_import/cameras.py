@@ -28,7 +28,8 @@ NAMES = ("transforms.json", "transforms_train.json")
 def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
     """The cameras in a folder or a file, in the axes and units of the model that they belong to."""
     if given.is_dir() and has_colmap(given):
-        return read_colmap(given, remarks)
+        listed = colmap_images(given).values()
+        return tuple(_lens(row, remarks, where=where).camera(pose) for row, pose, where in listed)
     if given.is_dir():
         found = next((given / name for name in NAMES if (given / name).is_file()), None)
         if found is None:
@@ -124,11 +125,6 @@ Image = tuple[str, int, tuple[float, ...]]
 def has_colmap(root: Path) -> bool:
     """True where a folder holds a reconstruction."""
     return _place(root) is not None
-
-
-def read_colmap(root: Path, remarks: Remarks) -> tuple[Camera, ...]:
-    """The cameras of a folder, in the order of their pictures' names."""
-    return tuple(_lens(row, remarks, where=where).camera(pose) for row, pose, where in colmap_images(root).values())
 
 
 def colmap_images(root: Path) -> dict[str, tuple[ColmapCamera, Float[np.ndarray, "4 4"], str]]:

@@ -3,8 +3,7 @@ import.json makes ours.
 """
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -27,21 +26,18 @@ def imported_scene(
     path: Path, choices: ImportChoices, *, resolution: Resolution
 ) -> tuple[Scene, list[str], dict[str, Json]]:
     """The scene in a foreign file, the lines to report, and the content of import.json."""
-    with _answer(_import, path, choices, resolution, where=str(path)) as (scene, answer):
-        return scene, cast(list[str], answer["told"]), cast(dict[str, Json], answer["record"])
+    scene, answer = _answer(_import, path, choices, resolution, where=str(path))
+    return scene, cast(list[str], answer["told"]), cast(dict[str, Json], answer["record"])
 
 
 def scene_from(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, list[str]]:
     """The scene, with its images, and the lines to report that a function saves in a process of its own
     (`save_answer`)."""
-    with _answer(function, *arguments, where=where) as (scene, answer):
-        return scene, cast(list[str], answer["told"])
+    scene, answer = _answer(function, *arguments, where=where)
+    return scene, cast(list[str], answer["told"])
 
 
-@contextmanager
-def _answer(
-    function: Callable[..., None], *arguments: object, where: str
-) -> Iterator[tuple[Scene, Mapping[str, Json]]]:
+def _answer(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, Mapping[str, Json]]:
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_checked=True)
@@ -49,7 +45,7 @@ def _answer(
         if isinstance(scene.environment, EnvironmentMap):
             images.add(scene.environment.path)
         baked = {image: (folder / "scene" / image).read_bytes() for image in images}
-        yield dataclasses.replace(scene, folder=None, baked=baked), load_json(folder / "told.json")
+        return dataclasses.replace(scene, folder=None, baked=baked), load_json(folder / "told.json")
 
 
 def save_answer(folder: Path, scene: Scene, told: Sequence[str], **more: Json) -> None:

@@ -29,7 +29,7 @@ MAX_FILE_BYTES = 1 << 29
 MAX_TRIANGLES = 4_000_000
 """The most triangles of a scene, each instance counted."""
 MAX_SURFACES = 20_000
-"""The most instances of surfaces in a file; a scene has at most 255 objects, after --merge."""
+"""The most instances of surfaces in a file; a scene has at most 255 objects, one a material if there are more."""
 MOST_POINTS = 1000
 """Points of a part that must lie inside another; the surfaces of closed parts do not cross."""
 

@@ -73,7 +73,6 @@ from hyaline_import.staging import (
 from hyaline_import.surfaces import (
     Shape,
     closed,
-    edge_tilt_deg,
     made_sound,
     mend_surface,
     mesh_of,
@@ -197,12 +196,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     allow_triangles(sum(len(part.faces) for part in foreign.objects))
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
-    if len(parts) > MAX_OBJECTS - 1:
-        if not choices.merge:
-            raise HyalineError(
-                f"{path}: has {len(parts):,} objects, and a scene has at most {MAX_OBJECTS - 1} besides its ground; "
-                "pass --merge to make one of those of a material"
-            )
+    if len(parts) > MAX_OBJECTS - 1:  # The ground is one more.
         parts = merged_by_material(parts, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
@@ -313,12 +307,6 @@ def scene_object(name: str, part: ForeignObject, world: World, chosen: Material 
         material = ThinDielectric(ior=material.surface().ior)
     if choices.crease is not None:
         mesh = with_new_normals(mesh, crease_deg=choices.crease)
-    elif material.medium is not None and (tilt_deg := edge_tilt_deg(mesh)) > 0:
-        remarks.note(
-            name,
-            f"its normals lie up to {tilt_deg:.0f} degrees off its faces, so that light bends at its edges as in a "
-            "lens; --crease 30 shades them as edges",
-        )
     return SceneObject(name=name, mesh=mesh, material=material)
 
 

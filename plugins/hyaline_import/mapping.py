@@ -49,7 +49,6 @@ UNIFORM = 0.05
 """Standard deviation of an image's values over a surface up to which they are one value."""
 ANGLES, POINTS = 64, 32
 """Directions that light comes from, and facets a side of the square that each of them meets."""
-FACTOR_NAMES = {"metallic": "metalness", "roughness": "roughness", "transmission": "transmission"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +78,7 @@ class Mapper:
             spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
             factor: float = getattr(foreign, use.factor)
             factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
-        told = " and ".join(f"{FACTOR_NAMES[name]} {value:.2f}" for name, value in factors.items())
+        told = " and ".join(f"{name} {value:.2f}" for name, value in factors.items())
         if spread > UNIFORM:
             self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")
         else:

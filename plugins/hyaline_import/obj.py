@@ -5,6 +5,7 @@ Source: the OBJ and MTL specifications of 1995, and MTL's physically based exten
 
 import math
 import re
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -44,14 +45,13 @@ GLASS_MODELS = (4, 6, 7, 9)
 MAX_OPAQUE = 0.9
 """Dissolve from which on a surface is opaque."""
 USUAL_IOR = 1.5
+CORNER = re.compile(r"(-?\d{1,11})(?:/(-?\d{1,11})?)?(?:/(-?\d{1,11})?)?", re.ASCII)
 COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 NUMBER = re.compile(r"(?<=\s)[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=\s)")
 OPTIONS = re.compile(rf"(?:-[a-z]+\s+(?:(?:{NUMBER.pattern}|on|off|[rgbmlz])\s+)*)*")
 """The options before an image's name, with their values."""
-IGNORED = ("map_bump", "bump", "norm", "disp", "map_ks", "map_ke", "map_ns", "map_ps", "map_tr", "refl")
-"""Images that are left out."""
-COATS = {"pc": "a clear coat", "ps": "sheen"}
-"""Weights of what is left out."""
+IGNORED = ("map_bump", "bump", "norm", "disp", "map_ks", "map_ke", "map_ns", "map_ps", "map_tr", "refl", "pc", "ps")
+"""Images and weights (of a clear coat and of sheen) that are left out."""
 FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 Entry = dict[str, list[str]]
 """The words of a material of an MTL by their key."""
@@ -130,24 +130,16 @@ def _find(path: Path, name: str, *, where: str) -> Path | None:
 
 
 def _corner(numbers: Numbers, word: str, *, where: str) -> Corner:
-    parts = word.split("/")
-    if len(parts) > 3 or not parts[0]:
-        raise HyalineError(f"{where}: has the corner {shown(word)}; expected v, v/vt, v//vn or v/vt/vn")
-    parts += [""] * (3 - len(parts))
-    return tuple(_index(part, len(listed), where=where) for part, listed in zip(parts, numbers.values()))
-
-
-def _index(word: str, count: int, *, where: str) -> int:
-    """A place counted from 0; in the file they count from 1, or backwards from the last."""
-    if not word:
-        return -1
-    try:
-        index = int(word) if len(word) < 12 else 0
-    except ValueError:
-        index = 0
-    if index == 0 or not -count <= index <= count:
-        raise HyalineError(f"{where}: names {shown(word)} of {count}; expected 1 to {count}, or -{count} to -1")
-    return index - 1 if index > 0 else count + index
+    """Places counted from 0; in the file they count from 1, or backwards from the last."""
+    counts = [len(listed) for listed in numbers.values()]
+    found = CORNER.fullmatch(word)
+    places = [int(part or 0) for part in found.groups()] if found else [0]
+    if not places[0] or any(not -count <= place <= count for place, count in zip(places, counts)):
+        raise HyalineError(
+            f"{where}: has the corner {shown(word)}; expected v, v/vt, v//vn or v/vt/vn, of {counts[0]} v, {counts[1]} "
+            f"vt and {counts[2]} vn"
+        )
+    return tuple(place + count if place < 0 else place - 1 for place, count in zip(places, counts))
 
 
 def _object(
@@ -189,43 +181,42 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     def number(key: str, default: float) -> float:
         return floats(entry[key], 1, where=f"{where}: {key}")[0] if key in entry else default
 
-    for key, what in COATS.items():
-        if number(key, 0.0) > 0:
-            remarks.approximate(name, f"has {what}, which is left out")
+    def color(key: str, default: float) -> Color:
+        words = entry.get(key, [str(default)])
+        return clipped_color(floats(words if len(words) > 1 else words * 3, 3, where=f"{where}: {key}"))
+
+    image_for = partial(_image, name, entry, path, remarks)
     model = int(number("illum", 2.0))
     transparency, ior = number("tr", 0.0), number("ni", USUAL_IOR)
     # A lone Tr 1 says nothing: MeshLab and OpenMVS write it for opaque scans.
     dissolve = number("d", 1 - transparency if transparency < 1 else 1.0)
     has_picture = bool(entry.get("map_kd"))
-    filtered = _color(entry, "tf", (1.0, 1.0, 1.0), where=where)
+    filtered = color("tf", 1.0)
     is_weight = "tf" in entry and len(set(filtered)) == 1 and any(key in entry for key in PBR_KEYS)
     transmission = max(filtered) if is_weight else 0.0
     is_hinted = transparency > 0 or "ni" in entry or "glass" in name.lower()
     if _is_glass(dissolve, model, is_hinted=is_hinted, is_denied=has_picture or ior <= 1.001):
         transmission = 1.0
     is_glass = transmission >= 0.5
-    told = {f"illum {model}": model in GLASS_MODELS, "Tf": len(set(filtered)) > 1, "Tr": transparency >= 1}
-    if transmission == 0 and any(told.values()) and not has_picture:
-        keys = " and ".join(key for key, is_told in told.items() if is_told)
-        remarks.note(name, f"{keys} alone does not make it glass; drawn opaque, and --material makes it glass")
     if is_glass and not 1.001 < ior < 10:
         remarks.approximate(name, f"is glass with an index of refraction of {ior:g}; drawn with {USUAL_IOR:g}")
-    for key in (key for key in (*IGNORED, *["map_d"] * is_glass) if key in entry):
-        remarks.approximate(name, f"has an image for {key}, which is left out")
+    for key in (*IGNORED, *["map_d"] * is_glass):
+        if "".join(entry.get(key, [])).strip("0."):
+            remarks.approximate(name, f"has {key}, which is left out")
     # Phong's exponent as a microfacet alpha, whose square root is the roughness.
     glossy = math.sqrt(math.sqrt(2 / (max(number("ns", 0.0), 0.0) + 2)))
-    highlight = max(_color(entry, "ks", (1.0, 1.0, 1.0), where=where)) if number("ns", 0.0) > 0 and model > 1 else 0.0
+    highlight = max(color("ks", 1.0)) if number("ns", 0.0) > 0 and model > 1 else 0.0
     is_matt = not is_glass and highlight == 0 and not any(key in entry for key in PBR_KEYS)
-    image = _image(name, entry, path, remarks, key="map_kd")
+    image = image_for("map_kd")
     is_tinted = is_glass and not is_weight
-    base_color = filtered if is_tinted else _color(entry, "kd", (0.7, 0.7, 0.7), where=where)
+    base_color = filtered if is_tinted else color("kd", 0.7)
     if max(base_color) == 0 and (is_tinted or image is not None):
         base_color = (1.0, 1.0, 1.0)  # Rhino writes Tf 0 for any glass, and Maya Kd 0 beside a picture.
-    opacity = None if is_glass else _image(name, entry, path, remarks, key="map_d")
+    opacity = None if is_glass else image_for("map_d")
     factor_images = tuple(
         FactorImage(factor=factor, image=found, channel=0)
         for key, factor in FACTOR_MAPS.items()
-        if (found := _image(name, entry, path, remarks, key=key)) is not None
+        if (found := image_for(key)) is not None
     )
     # An image replaces the factor.
     numbers: dict[Factor, float] = {
@@ -234,7 +225,7 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         **{use.factor: 1.0 for use in factor_images},
     }
     return ForeignMaterial(
-        emission=_color(entry, "ke", (0, 0, 0), where=where),
+        emission=color("ke", 0.0),
         name=name,
         base_color=base_color,
         image=image,
@@ -262,13 +253,6 @@ def _is_glass(dissolve: float, model: int, *, is_hinted: bool, is_denied: bool) 
     return dissolve < MAX_OPAQUE or (model in GLASS_MODELS and not is_denied and (dissolve < 1 or is_hinted))
 
 
-def _color(entry: Entry, key: str, default: tuple[float, float, float], *, where: str) -> Color:
-    if key not in entry:
-        return default
-    words = entry[key] if len(entry[key]) > 1 else entry[key] * 3
-    return clipped_color(floats(words, 3, where=f"{where}: {key}"))
-
-
 def file_named(words: list[str]) -> str:
     """The path that the words of a line name: with or without quotes around it, with either kind of slash."""
     name = " ".join(words)
@@ -277,16 +261,15 @@ def file_named(words: list[str]) -> str:
     return name.replace("\\", "/").removeprefix("./")
 
 
-def _image(name: str, entry: Entry, path: Path, remarks: Remarks, *, key: str) -> ForeignImage | None:
-    words = list(entry.get(key, []))
-    if not words:
+def _image(name: str, entry: Entry, path: Path, remarks: Remarks, key: str) -> ForeignImage | None:
+    if not (words := entry.get(key)):
         return None
     options = OPTIONS.match(" ".join(words))
     assert options is not None, "it matches nothing, too"
     if any(float(value) not in (0, 1) for value in NUMBER.findall(options[0])):
         remarks.approximate(name, f"has an image that options move or scale ({options[0].strip()}), which is left out")
-    words = words[len(options[0].split()) :]
-    found = _find(path, file := file_named(words), where=f"{path}: material {name}")
+    file = file_named(words[len(options[0].split()) :])
+    found = _find(path, file, where=f"{path}: material {name}")
     if found is None:
         remarks.approximate(name, f"has the image {shown(file)}, which is not in its folder; drawn without it")
         return None

@@ -125,10 +125,7 @@ def _open_arc(
     if (~is_open).sum() * step < MIN_BACKDROP_DEG:
         return ALL_AROUND
     # The widest run of open azimuths on the circle.
-    runs = [0] * len(azimuths)
-    for start in range(len(azimuths)):
-        while runs[start] < len(azimuths) and is_open[(start + runs[start]) % len(azimuths)]:
-            runs[start] += 1
+    runs = [int(np.append(np.roll(is_open, -start), False).argmin()) for start in range(len(azimuths))]
     best = int(np.argmax(runs))
     if runs[best] * step < MIN_ARC_DEG:
         remarks.approximate("cameras", "everything is in a closed space; cameras all around see it from outside")

@@ -33,9 +33,6 @@ WELD = 1e-5
 """Distance, as a share of a surface's size, below which vertices may be merged."""
 MAX_CHANGE = 0.05
 """The most that mending or reducing may change a solid's volume; beyond it, it is another shape."""
-EDGE_TILT_DEG = 30.0
-"""Angle between a normal and its face above which an edge counts as smoothed. A ball with eight segments around has 22,
-a smoothly shaded box 55."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,21 +83,6 @@ def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     if not open_edges(mesh):
         mesh = _outward(mesh, remarks, where=where)
     return mesh
-
-
-def edge_tilt_deg(mesh: Mesh) -> float:
-    """The largest angle between a normal and its face in degrees, if edges are shaded smoothly; else 0.
-
-    Facets of a round surface tilt by less than `EDGE_TILT_DEG`; bevelled ones, too, but for a share of `MAX_OPPOSING`.
-    """
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
-    faces = np.cross(b - a, c - a)
-    areas = np.linalg.norm(faces, axis=-1)
-    unit = faces / np.where(areas > 0, areas, 1)[:, None]
-    cosine = np.einsum("fc,fkc->fk", unit, mesh.normals.astype(np.float64)[mesh.faces]).min(axis=-1)
-    tilts = np.degrees(np.arccos(np.clip(cosine, -1, 1)))
-    is_edge = (tilts > EDGE_TILT_DEG) & (areas > 0)
-    return float(tilts[is_edge].max()) if areas[is_edge].sum() > MAX_OPPOSING * areas.sum() else 0.0
 
 
 def _unit(normals: np.ndarray) -> np.ndarray:

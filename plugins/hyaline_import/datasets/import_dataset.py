@@ -82,7 +82,10 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     name = scene_name(folder.resolve())
     given = tuple(ForeignSurface(name=surface_name(file), file=file) for file in choices.mesh)
     surfaces = (*foreign.surfaces, *given)
-    scene, about_scene = find_scene(name, surfaces, cameras, choices) if surfaces else (None, [])
+    scene, about_scene = None, []
+    if surfaces:
+        where = ", ".join(str(surface.file) for surface in surfaces)
+        scene, about_scene = scene_from(_save_scene, name, surfaces, cameras, choices, where=where)
     if scene is not None:
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     config = imported_config(name, size, views)
@@ -152,17 +155,6 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
     return digest.hexdigest()
 
 
-# The scene
-
-
-def find_scene(
-    name: str, surfaces: Sequence[ForeignSurface], cameras: dict[Split, Cameras], choices: DatasetImportChoices
-) -> tuple[Scene, list[str]]:
-    """The scene of some meshes, as far as a dataset without light needs one, and remarks on it."""
-    where = ", ".join(str(surface.file) for surface in surfaces)
-    return scene_from(_save_scene, name, surfaces, cameras, choices, where=where)
-
-
 def _save_scene(
     folder: Path,
     name: str,
@@ -178,7 +170,11 @@ def _save_scene(
         choices=ImportChoices(),
         thins_open=True,
     )
-    parts = [(surface, part) for surface in surfaces for part in read_surface(surface, remarks)]
+    parts: list[tuple[ForeignSurface, ForeignObject]] = []
+    for surface in surfaces:
+        check_ending(surface.file)
+        found = FILES.find(ending_of(surface.file))(surface.file, remarks)
+        parts += [(surface, part) for part in found.objects]
     allow_triangles(sum(len(part.faces) for _, part in parts))
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
@@ -210,12 +206,6 @@ def unlit_scene(name: str, made: Made, world: World, cameras: dict[Split, Camera
         cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
     )
     return made.finished(scene, world, where=name)
-
-
-def read_surface(surface: ForeignSurface, remarks: Remarks) -> tuple[ForeignObject, ...]:
-    """The objects in the file of a mesh."""
-    check_ending(surface.file)
-    return FILES.find(ending_of(surface.file))(surface.file, remarks).objects
 
 
 # Splits

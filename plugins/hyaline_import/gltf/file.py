@@ -328,36 +328,33 @@ class GltfFile:
         return self._arrays[index]
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
+        where, shape = accessor.where, (accessor.count, width)
         if accessor.sparse is not None:
-            raise HyalineError(f"{accessor.where}: is sparse, which is not read; export the file without sparse arrays")
+            raise HyalineError(f"{where}: is sparse, which is not read; export the file without sparse arrays")
         if accessor.count * width > MAX_VALUES:
-            raise HyalineError(f"{accessor.where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
+            raise HyalineError(f"{where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
-        raw = self._rows(accessor, width, dtype)
+        raw = np.zeros(shape, dtype)
+        if accessor.buffer_view is not None:
+            content, stride = self.buffer_view(accessor.buffer_view, where=where)
+            size = width * dtype.itemsize
+            stride = stride or size  # Each row begins that many bytes after the last one.
+            end = accessor.byte_offset + (accessor.count - 1) * stride + size
+            if stride < size or end > len(content):
+                raise HyalineError(
+                    f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
+                )
+            raw = np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
             if not np.isfinite(values).all():
-                raise HyalineError(f"{accessor.where}: holds numbers that are not finite; export the file again")
+                raise HyalineError(f"{where}: holds numbers that are not finite; export the file again")
             return values
         if width == 1 and not accessor.normalized:
             return raw[:, 0].astype(np.int64)
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
-
-    def _rows(self, accessor: Accessor, width: int, dtype: np.dtype) -> np.ndarray:
-        """Rows of numbers in a buffer view; zeros where an array has none."""
-        shape, size, where = (accessor.count, width), width * dtype.itemsize, accessor.where
-        if accessor.buffer_view is None:
-            return np.zeros(shape, dtype)
-        content, stride = self.buffer_view(accessor.buffer_view, where=where)
-        stride = stride or size  # Each row begins that many bytes after the last one.
-        end = accessor.byte_offset + (accessor.count - 1) * stride + size
-        if stride < size or end > len(content):
-            raise HyalineError(
-                f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
-            )
-        return np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:

@@ -26,14 +26,11 @@ from hyaline_import.gltf.file import GltfFile
 from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks
 
-IGNORED = {
-    "KHR_materials_anisotropy": "brushed grain (anisotropy)",
-    "KHR_materials_clearcoat": "a clear coat",
-    "KHR_materials_diffuse_transmission": "diffuse transmission",
-    "KHR_materials_iridescence": "iridescence",
-    "KHR_materials_sheen": "sheen",
-    "KHR_materials_specular": "a specular weight or tint",
+READ = {
+    f"KHR_materials_{name}"
+    for name in ("dispersion", "emissive_strength", "ior", "pbrSpecularGlossiness", "transmission", "unlit", "volume")
 }
+"""Extensions of a material that are read."""
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
@@ -95,7 +92,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
-    left_out = [what for extension, what in IGNORED.items() if extension in entry.extensions]
+    left_out = [name.removeprefix("KHR_materials_") for name in sorted(entry.extensions) if name not in READ]
     left_out += ["a normal map"] * (entry.normal_texture is not None)
     left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
     for what in left_out:
@@ -126,7 +123,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         roughness=clipped(roughness),
         transmission=clipped(transmission.transmission_factor),
         factor_images=tuple(factor_images),
-        ior=_ior(entry, name, remarks),
+        ior=_ior(entry, name),
         is_volume=volume.thickness_factor > 0,
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
@@ -137,13 +134,11 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     return material, use
 
 
-def _ior(entry: records.Material, name: str, remarks: Remarks) -> float:
+def _ior(entry: records.Material, name: str) -> float:
     if "KHR_materials_unlit" in entry.extensions and TRANSMISSION not in entry.extensions:
         return 1.0
-    ior = entry.extension("KHR_materials_ior").ior
-    if ior == 0:  # The extension's word for a surface that mirrors all: of the specular-glossiness model.
-        remarks.approximate(name, "has an index of refraction of 0, which means none; drawn with 1.5")
-        return 1.5
+    # 0 is the extension's word for a surface that mirrors all, as one of the specular-glossiness model may.
+    ior = entry.extension("KHR_materials_ior").ior or 1.5
     if not 1 <= ior < 10:
         raise HyalineError(f"{entry.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
     return ior

@@ -18,13 +18,8 @@ MAX_VALUE = 1e9
 MAX_BYTES = 1 << 25
 MAX_DEPTH = 32
 MAX_TAGS = 200_000
-REFUSED = {
-    "path": "names folders in which plugins are looked for",
-    "resources": "names folders in which plugins are looked for",
-    "alias": "gives a second name to an object",
-    "include": "reads another file",
-}
-"""Tags that no scene needs which is complete in its folder."""
+REFUSED = ("path", "resources", "alias", "include")
+"""Tags that name other folders, files and objects, which no scene needs that is complete in its folder."""
 EQUAL_ENERGY = (1.20479, 0.948291, 0.908916)
 """Linear sRGB of light that is equally strong at all wavelengths, as Mitsuba 3.9 converts it."""
 
@@ -171,7 +166,7 @@ def check_text(path: Path) -> None:
         if depth > MAX_DEPTH or count > MAX_TAGS:
             raise HyalineError(f"{path}: has more than {MAX_DEPTH} levels or {MAX_TAGS:,} tags; expected fewer")
         if tag in REFUSED:
-            raise HyalineError(f"{path}: has a tag <{tag}>, which {REFUSED[tag]}; remove it")
+            raise HyalineError(f"{path}: has a tag <{tag}>, which is not read; remove it")
 
     def end(_: str) -> None:
         nonlocal depth

@@ -13,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from datagen.data.cameras import MAX_SKEW, Camera
-from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
@@ -234,33 +233,37 @@ def _file(node: Node, remarks: Remarks) -> list[ForeignObject]:
     return objects
 
 
-def _from_mesh(node: Node, mesh: Mesh, uv: np.ndarray | None = None) -> ForeignObject:
-    positions = mesh.vertices.astype(np.float64)
-    return ForeignObject(
-        name=node.name, positions=positions, faces=mesh.faces, normals=mesh.normals, uv=uv, material=PLAIN
-    )
-
-
 def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
     radius = node.number("radius", 1.0)
     if radius <= 0:
         raise HyalineError(f"{node.where}: radius is {radius:g}; expected a positive number")
-    item = _from_mesh(node, ball(1.0, subdivisions=5))
-    remarks.note(node.name, f"is a sphere; made of {len(item.faces):,} triangles")
-    center = node.point("center", (0.0, 0.0, 0.0))
-    return [replace(item, positions=radius * item.positions + center)]
+    mesh = ball(1.0, subdivisions=5)
+    remarks.note(node.name, f"is a sphere; made of {len(mesh.faces):,} triangles")
+    positions = radius * mesh.vertices.astype(np.float64) + node.point("center", (0.0, 0.0, 0.0))
+    return [_solid(node, positions, mesh.faces, mesh.normals)]
 
 
 def _cube(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
-    corners = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float64)
-    quads = np.array([(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)])
-    faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    return [ForeignObject(name=node.name, positions=corners, faces=faces, normals=None, uv=None, material=PLAIN)]
+    import trimesh
+
+    box = trimesh.creation.box((2.0, 2.0, 2.0))
+    return [_solid(node, np.array(box.vertices), np.array(box.faces))]
 
 
 def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
     mesh = sheet((-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
-    return [_from_mesh(node, mesh, np.stack([(mesh.vertices[:, 0] + 1) / 2, (1 - mesh.vertices[:, 1]) / 2], axis=-1))]
+    positions = mesh.vertices.astype(np.float64)
+    return [_solid(node, positions, mesh.faces, mesh.normals, uv=(positions[:, :2] * [1, -1] + 1) / 2)]
+
+
+def _solid(
+    node: Node,
+    positions: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray | None = None,
+    uv: np.ndarray | None = None,
+) -> ForeignObject:
+    return ForeignObject(name=node.name, positions=positions, faces=faces, normals=normals, uv=uv, material=PLAIN)
 
 
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {

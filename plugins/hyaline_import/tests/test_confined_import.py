@@ -18,6 +18,7 @@ import pytest
 import trimesh
 from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder
+from support.hostile import png as png_of
 
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
@@ -33,14 +34,9 @@ def read_here() -> None:
 
 def png(width: int, height: int) -> bytes:
     """Grey zeros."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-
     packer = zlib.compressobj(9)
     packed = b"".join(packer.compress(bytes(width + 1)) for _ in range(height)) + packer.flush()
-    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    return png_of(width, height, color=0, body=packed)
 
 
 def textured(data: bytes) -> bytes:

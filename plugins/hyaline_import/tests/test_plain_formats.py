@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from support.checked import unchecked
 from support.foreign import CARD, obj_of, refused, taken
 from support.meshes import polygon_ply
 from support.soon import soon
 
+import hyaline as hy
 from datagen.data.meshes import open_edges, signed_volume
 from datagen.scene.materials import ThinDielectric
 from hyaline_import.foreign import PLAIN, ForeignMaterial, ForeignObject, ForeignScene
@@ -184,7 +186,7 @@ def test_glass_with_a_picture_has_its_mean_colour_and_that_is_said(tmp_path: Pat
     pane = done["thing"].material
     assert isinstance(pane, ThinDielectric) and pane.tint == pytest.approx((1, 0.503, 0), abs=1e-3)
     assert "thing: has an image where only one colour can be; drawn in its mean colour" in done.err
-    assert "m: has an image for map_d, which is left out" in done.err
+    assert "m: has map_d, which is left out" in done.err
 
 
 @pytest.mark.parametrize(
@@ -195,7 +197,7 @@ def test_glass_with_a_picture_has_its_mean_colour_and_that_is_said(tmp_path: Pat
         ("Kd 0.2 0.3 0.4\nNs 98\nillum 2\nd 1", {"base_color": (0.2, 0.3, 0.4), "roughness": 0.02**0.25}, ""),
         ("Pr 0.25\nPm 1", {"roughness": 0.25, "metallic": 1.0}, ""),
         ("Ni 1.0\nd 0.1", {"ior": 1.5}, "is glass with an index of refraction of 1; drawn with 1.5"),
-        ("Pc 0.5", {}, "has a clear coat, which is left out"),
+        ("Pc 0.5", {}, "has pc, which is left out"),
     ],
 )
 def test_a_material_of_an_mtl_has_its_numbers_and_a_line_for_what_is_left_out(
@@ -313,3 +315,26 @@ def test_a_ply_of_too_many_polygons_is_refused_before_it_takes_memory(tmp_path: 
     path.write_bytes(header.encode() + bytes(12) + np.array([30_000_000], "<u4").tobytes() + bytes(30_000_000))
     with soon(10):
         assert "holds polygons of 29,999,998 triangles; expected" in refused(path)
+
+
+# In scenes that are described in Python
+
+
+def described(mesh: Path | trimesh.Trimesh) -> np.ndarray:
+    """The corners of a scene's only mesh, sorted."""
+    item = hy.Object("ball", mesh, hy.Dielectric())
+    scene = hy.Scene(objects=[item], cameras=hy.Hemisphere(views=4, test_views=1), name="ball").described()
+    found = scene.objects[0].mesh
+    return np.sort(found.vertices[found.faces].reshape(-1, 9), axis=0)
+
+
+def test_a_mesh_from_a_file_is_the_same_as_from_trimesh_and_a_broken_one_is_refused(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(2)
+    for ending in ("ply", "glb", "obj"):
+        ball.export(tmp_path / f"ball.{ending}")
+        assert np.allclose(described(tmp_path / f"ball.{ending}"), described(ball), atol=1e-6)
+    (tmp_path / "cut.ply").write_bytes((tmp_path / "ball.ply").read_bytes()[:900])
+    for name, said in (("nothing.glb", "nothing.glb"), ("cut.ply", "truncated|cut"), ("ball.blend", "can be imported")):
+        with unchecked(), pytest.raises(hy.HyalineError, match=said) as caught:
+            described(tmp_path / name)
+        assert "\n" not in str(caught.value)

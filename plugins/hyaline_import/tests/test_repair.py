@@ -1,7 +1,6 @@
-"""Tests that holes in glass are closed, that the volume is kept or the file refused, and that both are said."""
+"""Tests what is mended of surfaces, that holes in glass are closed, and that the volume is kept or the file refused."""
 
 import dataclasses
-import itertools
 import warnings
 from pathlib import Path
 
@@ -24,9 +23,10 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, ThinDielectric
 from datagen.scene.modelling import ball, merged, moved
+from datagen.scene.shading_normals import opposing_share
 from hyaline_import.importing import import_scene
 from hyaline_import.remarks import Remarks
-from hyaline_import.surfaces import closed
+from hyaline_import.surfaces import closed, mend_surface
 
 BALL = ball(0.1, subdivisions=3)
 
@@ -82,28 +82,19 @@ def test_open_glass_of_a_file_is_thin_and_solid_when_repaired(tmp_path: Path) ->
         import_scene(path, ImportChoices(repair=True, strict=True))
 
 
-def with_split_edges(mesh: Mesh, *, bridged: bool, every: int = 8, points: int = 1, scale: float = 1.0) -> Mesh:
-    """The mesh with some of its edges split on one side only, so that points lie on a neighbour's edge.
-
-    Args:
-        bridged: faces without area close each of these cracks.
-        every: one face in that many is split, at so many random points of an edge.
-    """
-    rng = np.random.default_rng(0)
+def with_split_edges(mesh: Mesh, *, bridged: bool) -> Mesh:
+    """The mesh with an edge of every eighth face split on its side only; faces without area may bridge the cracks."""
     positions, triangles = welded(mesh)
-    found, faces, split = [*(scale * positions)], triangles.tolist(), set()
-    for index in range(0, len(triangles), every):
+    found, faces, split = [*positions], triangles.tolist(), set()
+    for index in range(0, len(triangles), 8):
         a, b, c = faces[index]
         if frozenset((a, b)) in split:
             continue
         split.add(frozenset((a, b)))
-        chain = [a, *range(len(found), len(found) + points), b]
-        shares = np.sort(rng.uniform(size=points)) if points > 1 else [0.5]
-        found += [(1 - t) * found[a] + t * found[b] for t in shares]
-        pairs = list(itertools.pairwise(chain))
-        faces[index] = [*pairs[0], c]
-        faces += [[*pair, c] for pair in pairs[1:]]
-        faces += [[a, end, start] for start, end in pairs[1:]] if bridged else []
+        middle = len(found)
+        found.append((found[a] + found[b]) / 2)
+        faces[index] = [a, middle, c]
+        faces += [[middle, b, c], *[[a, b, middle]] * bridged]
     vertices, corners = np.array(found, np.float32), np.array(faces, np.int32)
     normals = vertex_normals(vertices, corners).astype(np.float32)
     return Mesh(vertices=vertices, faces=corners, normals=normals, uv=np.zeros((len(vertices), 2), np.float32))
@@ -143,3 +134,49 @@ def test_overlapping_parts_become_objects_and_keep_their_cavities(repair: str, t
     hollow = signed_volume(outer) - signed_volume(inner)
     volumes = [signed_volume(done[name].mesh) for name in ("pair_part0", "pair_part1")]
     assert volumes == pytest.approx([hollow, signed_volume(outer)], rel=1e-3)
+
+
+# Surfaces
+
+ROUND = ball(0.3, subdivisions=2)
+A, B, C = ROUND.faces[0].tolist()
+LONELY = Mesh(
+    vertices=np.concatenate([ROUND.vertices, np.float32([[0, 0, 90]])]),
+    faces=ROUND.faces,
+    normals=np.concatenate([ROUND.normals, np.float32([[np.nan] * 3])]),
+    uv=np.concatenate([ROUND.uv, np.float32([[7, 7]])]),
+)
+
+
+def with_faces(*more: tuple[int, int, int]) -> Mesh:
+    return dataclasses.replace(ROUND, faces=np.concatenate([ROUND.faces, np.array(more, np.int32)]))
+
+
+def with_normals(count: int, factor: float) -> Mesh:
+    factors = np.where(np.arange(len(ROUND.normals)) < count, factor, 1)[:, None]
+    return dataclasses.replace(ROUND, normals=(ROUND.normals * factors).astype(np.float32))
+
+
+@pytest.mark.parametrize(
+    ("mesh", "is_solid", "remark"),
+    [
+        (with_normals(1000, -1), True, "100.0 % of its vertex normals pointed to the back of their faces"),
+        (with_normals(1000, 0), True, "100.0 % of its vertex normals were 0 or not finite"),
+        (with_normals(1, np.nan), True, "1 of its vertex normals were 0 or not finite; these were computed again"),
+        (with_faces((A, A, A)), True, "1 of its faces have no area; they were left out"),
+        (with_faces((A, A, B)), True, "1 of its faces have no area; they were left out"),
+        (with_faces((B, C, A)), True, "1 of its faces are there twice; they were left out"),
+        (with_faces((B, A, C)), False, "1 of its faces are there twice; they were left out"),
+        (LONELY, True, "1 of its vertices belong to no face; they were left out"),
+    ],
+)
+def test_a_surface_is_mended_and_a_line_says_what_was_wrong(mesh: Mesh, is_solid: bool, remark: str) -> None:
+    remarks = Remarks()
+    found = mend_surface(mesh, remarks, is_solid=is_solid, where="thing")
+    assert len(remarks.lines) == 1 and remarks.lines[0].what.startswith(remark)
+    check_closed(found, where="thing")
+    assert len(found.faces) == len(ROUND.faces)
+    assert opposing_share(found) == 0
+    outward = found.vertices / np.linalg.norm(found.vertices, axis=-1, keepdims=True)
+    assert np.einsum("vc,vc->v", outward, found.normals).min() > 0.98
+    assert mend_surface(found, remarks, is_solid=is_solid, where="thing") is found and len(remarks.lines) == 1

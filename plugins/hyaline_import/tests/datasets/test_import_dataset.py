@@ -184,9 +184,6 @@ def test_a_mesh_for_pictures_may_have_quads_and_be_open_and_one_that_is_not_read
     assert "open: is not closed (3 open edges); taken for thin glass" in answer.err
     answer = call(f"{command}/prism.ply --material prsm=gold --out {tmp_path / 'no'}")
     assert "no object is called 'prsm'; did you mean 'prism'? the objects are prism" in answer.error
-    (tmp_path / "prism.fbx").write_bytes(b"something")
-    answer = call(f"{command}/prism.fbx --out {tmp_path / 'no'}")
-    assert answer.status == 1 and "open it in Blender" in answer.error and "glTF 2.0" in answer.error
 
 
 def test_the_world_is_scaled_and_turned_and_the_background_may_be_black(blender: Path, tmp_path: Path) -> None:

@@ -128,18 +128,6 @@ def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
-def test_skins_and_shape_keys_are_left_out_and_told(tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    mesh = builder.mesh(BOX)
-    builder.content["meshes"][mesh]["primitives"][0]["targets"] = [{"POSITION": 0}]
-    builder.add("skins", {"joints": [0]})
-    builder.node(mesh=mesh, name="arm", skin=0, translation=[1, 2, 3])
-    remarks = Remarks()
-    (item,) = read(builder, tmp_path, remarks).objects
-    np.testing.assert_allclose(item.positions, BOX.vertices + np.float64([1, 2, 3]), atol=1e-6)
-    assert [line.what.split(",")[0] for line in remarks.lines] == ["is bent by a skin", "has morph targets"]
-
-
 WIDE = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2.0}}
 
 

@@ -16,7 +16,6 @@ from benchmarks.sky import radiance_of_map
 from datagen.data.images import encode_float_exr
 from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
 from datagen.scene.finding import ImportChoices
@@ -95,12 +94,6 @@ def test_a_scene_of_mitsuba_before_2_is_what_mitsuba_makes_of_it(tmp_path: Path)
     for item, box in zip((cube, ball), boxes, strict=True):
         np.testing.assert_allclose([item.positions.min(0), item.positions.max(0)], [box.min, box.max], atol=2e-3)
     np.testing.assert_allclose(scene.cameras[0].world_from_camera[:3, 3], [0, -3, 1.5], atol=1e-6)
-
-
-def test_an_interface_to_a_denser_medium_says_how_to_model_it(tmp_path: Path) -> None:
-    water = '<bsdf type="dielectric"><float name="int_ior" value="1.33"/><float name="ext_ior" value="1.5"/></bsdf>'
-    with pytest.raises(HyalineError, match=r"int_ior 1.33 and ext_ior 1.5; expected .* make each medium a closed mesh"):
-        material_of(tmp_path, water)
 
 
 def test_glass_is_relative_to_what_is_around_it_and_absorbs_by_its_medium(tmp_path: Path) -> None:
