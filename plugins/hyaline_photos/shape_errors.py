@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
-from proxies.measure import Nearest, nearest_points
+from proxies.measure import nearest_points
 
 SAMPLES = 4096
 """Points on each mesh where distances and normals are compared."""
@@ -21,39 +21,26 @@ class ShapeErrors:
 
     chamfer: float
     """Chamfer distance: the mean distance from each surface to the other, averaged over both directions."""
-    mean_distance: float
-    """Mean distance of the mesh's surface, insides of vessels included, from the true one."""
     normal_deg: float
     """Median angle in degrees between shading normals, on points of the mesh and the nearest true ones."""
-    wall: float | None
-    """Median difference in thickness, at points of the true outside and the nearest ones of the mesh's; None if a mesh
-    is open."""
     thickness: float | None
-    """Median thickness of the mesh, measured from its outside."""
+    """Median thickness of the mesh, measured from its outside; None if it is open."""
     true_thickness: float | None
     """Median thickness of the true mesh."""
 
 
 def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
     """Compares two surfaces on points of both, the same ones every time."""
-    found, near = compare_surfaces(mesh, truth)
-    _, back = compare_surfaces(truth, mesh)
+    found, back = points_on(mesh, SAMPLES), points_on(truth, SAMPLES)
+    near = nearest_points(found.position, face_corners(truth).astype(np.float64))
+    back = nearest_points(back.position, face_corners(mesh).astype(np.float64))
     cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near.points))
-    walls, true_walls = measure_walls(mesh), measure_walls(truth)
     return ShapeErrors(
         chamfer=float(near.distance.mean() + back.distance.mean()) / 2,
-        mean_distance=float(near.distance.mean()),
         normal_deg=float(np.degrees(np.arccos(np.clip(np.median(cosines), -1, 1)))),
-        wall=_wall_error(walls, true_walls),
-        thickness=_median(walls.thickness),
-        true_thickness=_median(true_walls.thickness),
+        thickness=_median(measure_walls(mesh)),
+        true_thickness=_median(measure_walls(truth)),
     )
-
-
-def compare_surfaces(mesh: Mesh, truth: Mesh, count: int = SAMPLES) -> tuple[SurfacePoints, Nearest]:
-    """Points on a mesh, and the nearest points of the true surface."""
-    found = points_on(mesh, count)
-    return found, nearest_points(found.position, face_corners(truth).astype(np.float64))
 
 
 def shading_normals(mesh: Mesh, points: SurfacePoints) -> Float64[np.ndarray, "point 3"]:
@@ -65,17 +52,11 @@ def shading_normals(mesh: Mesh, points: SurfacePoints) -> Float64[np.ndarray, "p
     return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Walls:
-    """Points on the outside of a mesh, and how thick it is there."""
+def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Float64[np.ndarray, " point"]:
+    """Distances in metres along the face's normal, inwards, to the next surface, from points of the outside.
 
-    position: Float64[np.ndarray, "point 3"]
-    thickness: Float64[np.ndarray, " point"]
-    """Distance in metres along the face's normal, inwards, to the next surface."""
-
-
-def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Walls:
-    """Thickness at points whose normal meets the mesh nowhere else; points with no surface opposite are left out."""
+    The outside is where the normal meets the mesh nowhere else; points with no surface opposite are left out.
+    """
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
     corners = face_corners(mesh).astype(np.float64) - middle
     found = points_on(mesh, count)
@@ -92,8 +73,7 @@ def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Walls:
         along /= np.einsum("pc,pc->p", directions[line], normals[face])
         np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
         thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
-    is_wall = np.isfinite(thickness)
-    return Walls(position=found.position[is_wall], thickness=thickness[is_wall])
+    return thickness[np.isfinite(thickness)]
 
 
 def _passes_through(
@@ -107,15 +87,6 @@ def _passes_through(
     edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
     sides = [lines @ edges[:, edge].T for edge in range(3)]
     return (np.minimum.reduce(sides) > 0) | (np.maximum.reduce(sides) < 0)
-
-
-def _wall_error(walls: Walls, true_walls: Walls) -> float | None:
-    from scipy.spatial import KDTree
-
-    if not len(walls.position) or not len(true_walls.position):
-        return None
-    nearest = np.asarray(KDTree(walls.position).query(true_walls.position)[1])
-    return _median(np.abs(walls.thickness[nearest] - true_walls.thickness))
 
 
 def _median(values: Float[np.ndarray, " _"]) -> float | None:

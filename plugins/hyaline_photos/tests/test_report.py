@@ -61,8 +61,8 @@ def test_the_report_has_a_page_of_each_fit(root: Path, capsys: pytest.CaptureFix
     (scene,) = json.loads((root / "out" / "results.json").read_text())["scenes"]
     pane = scene["analyses"]["fits"]["fit-fitted"]["pane"]["measured"]
     # A square scaled by 1.02: its rim is up to 2 % of a metre beyond the true one, its middle on it.
-    assert 0 < pane["errors"]["mean_distance"] < 0.02 and pane["true"]["ior"] == 1.5
-    assert pane["errors"]["wall"] is None
+    assert 0 < pane["errors"]["chamfer"] < 0.02 and pane["true"]["ior"] == 1.5
+    assert pane["errors"]["thickness"] is None
 
 
 @pytest.mark.parametrize(

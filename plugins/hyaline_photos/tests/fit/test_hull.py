@@ -20,10 +20,8 @@ HANDLE = block((0.045, 0, 0.05), (0.02, 0.006, 0.006), np.eye(3))
 
 
 @pytest.fixture(autouse=True)
-def coarse(monkeypatch: pytest.MonkeyPatch) -> None:
+def coarse(coarse_hulls: None, monkeypatch: pytest.MonkeyPatch) -> None:
     use_mitsuba()
-    monkeypatch.setattr(hull, "FACES", 3000)
-    monkeypatch.setattr(hull, "COARSE", 24)
     monkeypatch.setattr(hull, "SMOOTH", (0.7,))
 
 
