@@ -92,7 +92,8 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
     image, use = (None, None) if texture is None else _texture(file, texture, name, remarks)
-    left_out = [name.removeprefix("KHR_materials_") for name in sorted(entry.extensions) if name not in READ]
+    looks = (name for name in sorted(entry.extensions) if name.startswith("KHR_materials_"))
+    left_out = [name.removeprefix("KHR_materials_") for name in looks if name not in READ]
     left_out += ["a normal map"] * (entry.normal_texture is not None)
     left_out += ["an occlusion map"] * (entry.occlusion_texture is not None)
     for what in left_out:
