@@ -34,7 +34,6 @@ from datagen.builder.choices import LaunchChoices
 from datagen.disk.errors import DamagedError, HyalineError, shown
 from datagen.disk.storage import read_regular
 from datagen.machine.launch import own_command, raise_failures, run_in_jobs
-from datagen.machine.processes import num_cores
 from datagen.terminal.command import choose, next_command, say, tell
 from model.methods.protocol import METHODS
 from model.run.train_flags import folder_name, parse_train
@@ -280,6 +279,8 @@ def share_of_cores(jobs: int) -> dict[str, str]:
     """Environment variables that limit the threads of each of several CPU processes; empty for a single one."""
     if jobs < 2:
         return {}
+    from datagen.machine.processes import num_cores  # Not before: it brings NumPy, and help is printed from here.
+
     threads = str(max(1, num_cores() // jobs))
     return {"OMP_NUM_THREADS": threads, "NUMBA_NUM_THREADS": threads}
 

@@ -100,15 +100,6 @@ def test_predictions_from_elsewhere_are_not_scored_and_are_drawn_again(source: s
     run("eval report --out report")
 
 
-@pytest.mark.usefixtures("home")
-def test_a_film_replaces_a_longer_one_and_nothing_beside_it() -> None:
-    run(f"{RENDER} --frames 3 --out film")
-    Path("film/notes.png").write_text("mine")
-    assert call(f"{RENDER} --frames 2 --out film").status == 1
-    run(f"{RENDER} --frames 2 --out film --overwrite")
-    assert sorted(path.name for path in Path("film").iterdir()) == ["0000.png", "0001.png", "notes.png"]
-
-
 def test_a_run_is_found_by_its_folder_and_by_its_name_under_runs(home: Path) -> None:
     (home / "d1" / "one").mkdir(parents=True)  # Holds no run.
     for name in ("d1/one", "runs/d1/one"):

@@ -207,7 +207,7 @@ def test_devices_are_those_that_may_be_seen(
     monkeypatch.delenv("CUDA_VISIBLE_DEVICES", raising=False)
     if visible is not None:
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", visible)
-    monkeypatch.setattr(sweep, "num_cores", lambda: 5)
+    monkeypatch.setattr("datagen.machine.processes.num_cores", lambda: 5)
     assert sweep.find_devices(jobs) == devices
     with pytest.raises(HyalineError, match="jobs: is 0; expected at least 1"):
         sweep.find_devices(0)

@@ -88,7 +88,7 @@ def test_what_only_a_renderer_knows_is_unknown(again: Dataset) -> None:
     with pytest.raises(HyalineError, match="radiance and noise are unknown; its pictures were imported"):
         _ = view.radiance
     page = look_page(again).decode()
-    assert "so their noise is unknown" in page and "imported from" in page
+    assert "<dt>noise ceiling interpolating</dt><dd>unknown</dd>" in page and "imported from" in page
     for line in (f"add {again.root} --twins", f"film {again.root}"):
         answer = call(f"datagen {line}")
         assert answer.status == 1 and "the light in its scene is unknown" in answer.error
