@@ -13,7 +13,7 @@ from hyaline_photos.capture.outlines import Outline, Pane, find_outlines, find_p
 from hyaline_photos.capture.planes import Rectangle
 from hyaline_photos.capture.room import fit_room
 
-SIDE, VIEWS = 96, 24
+SIDE, VIEWS = 96, 10
 ANGLE = math.radians(25)
 HALF, TOP, THICKNESS = (0.4, 0.25), 0.7, 0.016
 BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
