@@ -22,6 +22,7 @@ from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
+from datagen.scene.rig import towards
 from hyaline_photos.capture.folder import find_masks, find_pictures, read_capture
 from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.outlines import Outline, Pane
@@ -38,9 +39,8 @@ def circle(count: int = 18, distance: float = 1.0) -> Cameras:
     """Cameras around the balls, at two heights."""
     places = []
     for view in range(count):
-        azimuth, elevation = 2 * math.pi * view / count, math.radians(25 + 25 * (view % 2))
-        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
-        places.append(look_at(np.array((0.08, 0.02, 0.08)) + distance * np.array(away), (0.08, 0.02, 0.08)))
+        away = distance * np.array(towards(360 * view / count, 25 + 25 * (view % 2)))
+        places.append(look_at(np.array((0.08, 0.02, 0.08)) + away, (0.08, 0.02, 0.08)))
     return Lens(fov_x=FOV, width=SIDE, height=SIDE).cameras(np.stack(places))
 
 
@@ -474,6 +474,8 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
     answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
     assert answer.status == 1 and "pip install 'hyaline-glass[capture]'" in answer.error
     assert "has no cameras (transforms.json, or COLMAP's sparse/0)" in answer.error
+    answer = call(f"datagen capture {own} --diameter bottle=0.1 --out {tmp_path / 'out'}")
+    assert "--diameter: bottle is not an object" in answer.error, "before COLMAP's minutes"
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
+from datagen.scene.rig import towards
 from hyaline_photos.capture.outlines import Outline, Pane, find_outlines, find_panes
 from hyaline_photos.capture.planes import Rectangle
 from hyaline_photos.capture.room import fit_room
@@ -21,11 +22,8 @@ BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
 
 
 def around() -> Cameras:
-    places = []
-    for view in range(VIEWS):
-        azimuth, elevation = 2.4 * view, math.radians(15 + 15 * (view % 4))
-        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
-        places.append(look_at(np.array((0, 0, TOP)) + 1.3 * np.array(away), (0.0, 0.0, TOP)))
+    aways = [1.3 * np.array(towards(math.degrees(2.4 * view), 15 + 15 * (view % 4))) for view in range(VIEWS)]
+    places = [look_at(away + (0, 0, TOP), (0.0, 0.0, TOP)) for away in aways]
     return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
 
 
