@@ -23,7 +23,7 @@ BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
 
 def around() -> Cameras:
     aways = [1.3 * np.array(towards(math.degrees(2.4 * view), 15 + 15 * (view % 4))) for view in range(VIEWS)]
-    places = [look_at(away + (0, 0, TOP), (0.0, 0.0, TOP)) for away in aways]
+    places = [look_at(np.array((0, 0, TOP)) + away, (0.0, 0.0, TOP)) for away in aways]
     return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
 
 
