@@ -266,14 +266,14 @@ def _fitted(value: object, kind: typing.Any, where: str) -> object:
     """The value, or the same in Python's own types, whichever is of a kind."""
     if isinstance(kind, str) or kind is inspect.Parameter.empty:
         return value  # `self`, or a name that only type checkers import.
-    found = next((one for one in (value, _in_python(value)) if _is_of(one, kind)), _NOT_ONE)
-    if found is _NOT_ONE or not _is_finite(found):
-        expected = "finite numbers" if found is not _NOT_ONE else _words(kind)
+    found, is_one = value, _is_of(value, kind)
+    if not is_one:  # Only then: it takes seconds to convert an array of many points.
+        found = _in_python(value)
+        is_one = _is_of(found, kind)
+    if not is_one or not _is_finite(found):
+        expected = "finite numbers" if is_one else _words(kind)
         raise HyalineError(f"{where}: is {' '.join(shown(value).split())}; expected {expected}")
     return found
-
-
-_NOT_ONE = object()
 
 
 def _is_of(value: object, kind: typing.Any) -> bool:

@@ -28,7 +28,7 @@ from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.folder import Folder, Shot, read_capture
+from hyaline_photos.capture.folder import Folder, Masks, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.outlines import Outline, find_outlines, find_panes
 from hyaline_photos.capture.planes import LEAST_POINTS, find_up
@@ -70,7 +70,13 @@ class World:
 
 def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     """Plans the dataset of a folder: cameras, scene, splits and remarks, without the pictures' contents."""
-    folder = read_capture(root, find_cameras)
+
+    def with_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
+        _check_diameter(choices, masks.objects)  # Not after COLMAP's minutes.
+        find_cameras(root, pictures, masks)
+
+    folder = read_capture(root, with_cameras)
+    _check_diameter(choices, folder.objects)
     lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
     ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
     about_masks = _check_masks(folder, list(ids.values()))
@@ -134,6 +140,11 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         imported=imported,
         stated_license=folder.license,
     )
+
+
+def _check_diameter(choices: CaptureChoices, objects: Sequence[str]) -> None:
+    if choices.diameter is not None and (name := choices.known_diameter()[0]) not in objects:
+        raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(objects)}")
 
 
 def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
@@ -200,8 +211,6 @@ def _place(
     if choices.diameter is not None:
         name, metres = choices.known_diameter()
         radii = {outline.name: outline.radii for outline in outlines}
-        if name not in radii:
-            raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(radii)}")
         scale = metres / (radii[name][0] + radii[name][1])
     elif choices.scale is not None or folder.has_unit:
         scale = choices.scale or 1.0

@@ -9,11 +9,12 @@ from jaxtyping import Bool, Float, UInt8
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
+from datagen.scene.rig import towards
 from hyaline_photos.capture.outlines import Outline, Pane, find_outlines, find_panes
 from hyaline_photos.capture.planes import Rectangle
 from hyaline_photos.capture.room import fit_room
 
-SIDE, VIEWS = 96, 24
+SIDE, VIEWS = 96, 10
 ANGLE = math.radians(25)
 HALF, TOP, THICKNESS = (0.4, 0.25), 0.7, 0.016
 BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
@@ -21,11 +22,8 @@ BALL, RADIUS = np.array((0.1, -0.05, 0.77)), 0.07
 
 
 def around() -> Cameras:
-    places = []
-    for view in range(VIEWS):
-        azimuth, elevation = 2.4 * view, math.radians(15 + 15 * (view % 4))
-        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
-        places.append(look_at(np.array((0, 0, TOP)) + 1.3 * np.array(away), (0.0, 0.0, TOP)))
+    aways = [1.3 * np.array(towards(math.degrees(2.4 * view), 15 + 15 * (view % 4))) for view in range(VIEWS)]
+    places = [look_at(np.array((0, 0, TOP)) + away, (0.0, 0.0, TOP)) for away in aways]
     return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
 
 

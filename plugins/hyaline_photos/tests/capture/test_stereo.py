@@ -7,6 +7,7 @@ import pytest
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.scene.rig import towards
 from hyaline_photos.capture.outlines import Outline
 from hyaline_photos.capture.room import fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths, fuse
@@ -17,11 +18,8 @@ SIDE, VIEWS = 64, 16
 
 
 def around() -> Cameras:
-    places = []
-    for view in range(VIEWS):
-        azimuth, elevation = 2 * math.pi * view / VIEWS, math.radians(30 + 15 * (view % 2))
-        away = (math.cos(elevation) * math.cos(azimuth), math.cos(elevation) * math.sin(azimuth), math.sin(elevation))
-        places.append(look_at(1.2 * np.array(away), (0.0, 0.0, 0.0)))
+    aways = [1.2 * np.array(towards(360 * view / VIEWS, 30 + 15 * (view % 2))) for view in range(VIEWS)]
+    places = [look_at(away, (0.0, 0.0, 0.0)) for away in aways]
     return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
 
 
