@@ -5,6 +5,7 @@ Source: the OBJ and MTL specifications of 1995, and MTL's physically based exten
 
 import math
 import re
+from collections.abc import Mapping
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -60,12 +61,12 @@ Corner = tuple[int, ...]
 Numbers = dict[str, list[tuple[float, ...]]]
 
 
-def read_obj(path: Path, remarks: Remarks, *, has_materials: bool = True) -> ForeignScene:
-    """The surfaces of an OBJ file, with the materials of the MTL files that it names if these are wanted."""
+def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMaterial] | None = None) -> ForeignScene:
+    """The surfaces of an OBJ file, with the materials of the MTL files that it names, or with these."""
     numbers: Numbers = {key: [] for key in WIDTHS}
     names = {"o": "", "g": "", "usemtl": ""}
     surfaces: dict[tuple[str, str], list[list[Corner]]] = {}
-    materials: dict[str, ForeignMaterial] = {}
+    has_materials, materials = materials is None, dict(materials or {})
     num_triangles, has_colors = 0, False
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):

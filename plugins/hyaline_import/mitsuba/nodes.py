@@ -105,6 +105,12 @@ class Node:
         found = [self.child(key) for key in self.props]
         return [node for node in found if node is not None]
 
+    def named(self, kind: str) -> "dict[str, Node]":
+        """Its objects of a kind by the names that the file gives them here, or by their own."""
+        children = {key: self.child(key) for key in self.props}
+        found = ((key, node) for key, node in children.items() if node is not None and node.kind == kind)
+        return {node.name if key.startswith("_arg_") else key: node for key, node in found}
+
     def inner(self, kind: str) -> "Node | None":
         """The first of its objects of a kind, such as BSDF."""
         return next((node for node in self.children() if node.kind == kind), None)

@@ -25,6 +25,7 @@ from hyaline_import.foreign import (
     PLAIN,
     Axis,
     ForeignMap,
+    ForeignMaterial,
     ForeignObject,
     ForeignScene,
     elementwise,
@@ -89,13 +90,14 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleL
         lights.append(_light(node, emitter))
         return
     grey = replace(PLAIN, name=node.name, base_color=(0.5, 0.5, 0.5), roughness=1.0)
-    bsdf = node.inner("BSDF")
-    found = FoundMaterial(material=grey) if bsdf is None else read_bsdf(bsdf, remarks)
+    by_name = {name: read_bsdf(bsdf, remarks) for name, bsdf in node.named("BSDF").items()}
+    first = next(iter(by_name.values()), FoundMaterial(material=grey))
     interior = absorption_of(node.child("interior"))
     emission = (0.0, 0.0, 0.0) if emitter is None else emitter.color("radiance", 1.0)
-    if max(interior) > 0 and found.material.transmission == 0:
+    if max(interior) > 0 and all(found.material.transmission == 0 for found in by_name.values()):
         raise HyalineError(f"{node.where}: has a medium inside and no glass around it; expected a dielectric")
     for item in read_shape(node, remarks):
+        found = by_name.get(item.material.name, first) if isinstance(item.material, ForeignMaterial) else first
         absorption = interior if found.material.transmission > 0 else (0.0, 0.0, 0.0)
         material = replace(found.material, absorption=absorption, emission=emission)
         uv = item.uv
@@ -222,7 +224,9 @@ def _file(node: Node, remarks: Remarks) -> list[ForeignObject]:
     if node.plugin == "ply":
         found = read_ply_file(path, remarks).objects
     elif node.plugin == "obj":
-        found = read_obj(path, remarks, has_materials=False).objects
+        # Of several BSDFs, each is that of the material of its name. Source: the plugin obj of Mitsuba 0.6.
+        materials = {name: replace(PLAIN, name=name) for name in node.named("BSDF")}
+        found = read_obj(path, remarks, materials=materials).objects
     else:
         found = (read_serialized(path, int(node.number("shape_index", 0))),)
     flips = node.plugin == "serialized" or not node.flag("flip_tex_coords", default=node.plugin == "obj")

@@ -270,12 +270,21 @@ def test_an_stl_is_a_closed_solid_in_millimetres(kind: str, tmp_path: Path) -> N
     assert solid_volume(scene.objects[0]) == pytest.approx(BALL.volume, rel=1e-5)
 
 
-def test_two_solids_of_an_stl_are_one_object(tmp_path: Path) -> None:
+def test_two_solids_of_an_stl_are_two_objects_by_their_names(tmp_path: Path) -> None:
     """The lower one in capitals, as some CAD programs write them."""
     upper = trimesh.creation.icosphere(2, 20).apply_translation((0, 0, 60)).export(file_type="stl_ascii")
     lower = trimesh.creation.box((40, 40, 40)).export(file_type="stl_ascii").upper()
-    (item,) = read(tmp_path / "a.stl", f"{upper}\n{lower}\n").objects
-    assert item.name == "a" and len(item.faces) == 320 + 12
+    (tmp_path / "a.stl").write_text(f"{_named(upper, 'ball')}\n{_named(lower, 'Foot 1')}\n")
+    ball, foot = taken(tmp_path / "a.stl", "--material ball=glass --ground never").scene.objects
+    assert (ball.name, type(ball.material).__name__) == ("ball", "Dielectric")
+    assert (foot.name, type(foot.material).__name__) == ("Foot_1", "Diffuse")
+    assert signed_volume(foot.mesh) == pytest.approx(0.04**3, rel=1e-5)
+
+
+def _named(stl: str, name: str) -> str:
+    """A solid of this name; trimesh writes none."""
+    first, _, rest = stl.partition("\n")
+    return f"{first.split()[0]} {name}\n{rest}"
 
 
 @pytest.mark.parametrize("end", [b"\n", b"\r\n"])

@@ -336,3 +336,21 @@ def test_a_map_of_the_environment_shines_from_where_mitsuba_has_it(tmp_path: Pat
     radiance = read_map(imported.scene.baked[sky.path], where="sky")
     ours = sky.scale * radiance_of_map(radiance, directions, sky.rotation_deg)
     assert np.abs(ours - found).max() < 0.05 * ours.max()
+
+
+def test_an_obj_of_several_materials_takes_the_bsdf_of_each_name(tmp_path: Path) -> None:
+    triangle = "v {0} 0 0\nv {0} 1 0\nv {0} 0 1\nusemtl {1}\nf -3 -2 -1\n"
+    names = ("wood", "clear", "brass", "unknown")
+    obj = "".join(triangle.format(place, name) for place, name in enumerate(names))
+    (tmp_path / "things.obj").write_text(f"mtllib lost.mtl\n{obj}")
+    bsdfs = '<bsdf type="dielectric" name="clear"/><ref id="matt" name="wood"/><bsdf type="conductor" id="brass"/>'
+    shape = f'<shape type="obj"><string name="filename" value="things.obj"/>{bsdfs}</shape>'
+    remarks = Remarks()
+    scene = read(tmp_path, f'<bsdf type="diffuse" id="matt"/>{shape}', remarks)
+    materials = [item.material for item in scene.objects]
+    assert all(isinstance(material, ForeignMaterial) for material in materials)
+    kinds = [
+        (material.transmission, material.metallic) for material in materials if isinstance(material, ForeignMaterial)
+    ]
+    assert kinds == [(0, 0), (1, 0), (0, 1), (1, 0)]  # A material without a BSDF of its own takes the first.
+    assert not any("is not there" in line.what for line in remarks.lines)
