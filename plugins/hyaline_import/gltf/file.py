@@ -64,6 +64,22 @@ class Asset(Entry):
     extras: Any = None
 
 
+class Part(Struct, rename="camel"):
+    """Where the places or the values of a sparse array are."""
+
+    buffer_view: Index
+    byte_offset: Index = 0
+    component_type: Literal[5121, 5123, 5125] = 5123
+
+
+class Sparse(Struct, rename="camel"):
+    """The elements of an array that differ from its base."""
+
+    count: Count
+    indices: Part
+    values: Part
+
+
 class Accessor(Entry):
     component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
     count: Count
@@ -72,7 +88,7 @@ class Accessor(Entry):
     """None for an array of zeros."""
     byte_offset: Index = 0
     normalized: bool = False
-    sparse: Any = None
+    sparse: Sparse | None = None
 
 
 class BufferView(Entry):
@@ -169,19 +185,27 @@ class Primitive(Entry):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Meta(ge=0, le=6)] = 4
-    targets: Any = None
+    targets: list[dict[str, Index]] = []
 
 
 class Mesh(Entry):
     primitives: Annotated[list[Primitive], Meta(min_length=1)]
     name: str = ""
+    weights: list[float] = []
+    """Of its morph targets."""
+
+
+class Skin(Entry):
+    joints: Annotated[list[Index], Meta(min_length=1)]
+    inverse_bind_matrices: Index | None = None
 
 
 class Node(Entry):
     name: str = ""
     mesh: Index | None = None
     camera: Index | None = None
-    skin: Any = None
+    skin: Index | None = None
+    weights: list[float] | None = None
     children: list[Index] = []
     matrix: Annotated[list[float], Meta(min_length=16, max_length=16)] | None = None
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -222,18 +246,19 @@ class Gltf(Entry):
     nodes: list[Node] = []
     samplers: list[Sampler] = []
     scenes: list[Scene] = []
+    skins: list[Skin] = []
     textures: list[Texture] = []
     extras: Any = None
 
 
 LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
-         "scenes", "textures")  # fmt: skip
+         "scenes", "skins", "textures")  # fmt: skip
 """The lists of `Gltf` whose entries know their places."""
 
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
 MAX_VALUES = 1 << 27
 """Numbers in one array."""
 MAX_JSON_BYTES = 1 << 28
@@ -329,22 +354,20 @@ class GltfFile:
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
         where, shape = accessor.where, (accessor.count, width)
-        if accessor.sparse is not None:
-            raise HyalineError(f"{where}: is sparse, which is not read; export the file without sparse arrays")
         if accessor.count * width > MAX_VALUES:
             raise HyalineError(f"{where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
         raw = np.zeros(shape, dtype)
         if accessor.buffer_view is not None:
-            content, stride = self.buffer_view(accessor.buffer_view, where=where)
-            size = width * dtype.itemsize
-            stride = stride or size  # Each row begins that many bytes after the last one.
-            end = accessor.byte_offset + (accessor.count - 1) * stride + size
-            if stride < size or end > len(content):
-                raise HyalineError(
-                    f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
-                )
-            raw = np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
+            raw = self._rows(accessor.buffer_view, accessor.byte_offset, shape, dtype, where=where)
+        if (sparse := accessor.sparse) is not None:
+            places, values = sparse.indices, sparse.values
+            kind = np.dtype(COMPONENTS[places.component_type])
+            rows = self._rows(places.buffer_view, places.byte_offset, (sparse.count, 1), kind, where=where)[:, 0]
+            if rows.max() >= len(raw):
+                raise HyalineError(f"{where}: changes element {rows.max()} of {len(raw)}; export the file again")
+            raw = raw.copy()
+            raw[rows] = self._rows(values.buffer_view, values.byte_offset, (sparse.count, width), dtype, where=where)
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
@@ -355,6 +378,18 @@ class GltfFile:
             return raw[:, 0].astype(np.int64)
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
+
+    def _rows(self, view: int, offset: int, shape: tuple[int, int], dtype: np.dtype, *, where: str) -> np.ndarray:
+        """Rows of numbers in a view of a buffer."""
+        content, stride = self.buffer_view(view, where=where)
+        size = shape[1] * dtype.itemsize
+        stride = stride or size  # Each row begins that many bytes after the last one.
+        end = offset + (shape[0] - 1) * stride + size
+        if stride < size or end > len(content):
+            raise HyalineError(
+                f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
+            )
+        return np.ndarray(shape, dtype, content, offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:
