@@ -9,6 +9,7 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
 from hyaline_import.mitsuba.nodes import Node
+from hyaline_import.pictures import stored
 from hyaline_import.remarks import Remarks
 
 IORS = {
@@ -87,9 +88,14 @@ def _facets(node: Node, remarks: Remarks) -> float:
     if "alpha_u" in node:
         remarks.approximate(node.name, "has a grain (alpha_u, alpha_v); drawn without one")
         return clipped(node.number("alpha_u", 0.1) * node.number("alpha_v", 0.1)) ** 0.25
-    if node.child("alpha") is not None:
-        raise HyalineError(f"{node.where}: has an image of roughness; expected a number as its alpha")
-    return math.sqrt(clipped(node.number("alpha", 0.1)))
+    if (texture := node.child("alpha")) is None:
+        return math.sqrt(clipped(node.number("alpha", 0.1)))
+    if texture.plugin != "bitmap":
+        raise HyalineError(f"{texture.where}: is roughness of a kind that is not read; known is bitmap")
+    image = ForeignImage(name=node.name, data=read_foreign(texture.file("filename")))
+    mean = float(stored(image)[..., :3].mean()) / 255
+    remarks.approximate(node.name, f"has an image of roughness; drawn with its mean, alpha {mean:.2f}")
+    return math.sqrt(mean)
 
 
 def _remark_on_scale(node: Node, key: str, remarks: Remarks) -> None:

@@ -354,3 +354,12 @@ def test_an_obj_of_several_materials_takes_the_bsdf_of_each_name(tmp_path: Path)
     ]
     assert kinds == [(0, 0), (1, 0), (0, 1), (1, 0)]  # A material without a BSDF of its own takes the first.
     assert not any("is not there" in line.what for line in remarks.lines)
+
+
+def test_glass_whose_roughness_is_an_image_has_its_mean(tmp_path: Path) -> None:
+    Image.fromarray(np.array([[51, 153]], np.uint8)).save(tmp_path / "alpha.png")
+    image = '<texture type="bitmap" name="alpha"><string name="filename" value="alpha.png"/></texture>'
+    remarks = Remarks()
+    material = material_of(tmp_path, f'<bsdf type="roughdielectric">{image}</bsdf>', remarks)
+    assert material.roughness == pytest.approx(math.sqrt(0.4))
+    assert any("drawn with its mean, alpha 0.40" in line.what for line in remarks.lines)
