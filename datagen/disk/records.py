@@ -6,7 +6,6 @@ become JSON and come back by the types of their fields. `checked` does the same 
 
 import dataclasses
 import functools
-import hashlib
 import inspect
 import json
 import math
@@ -20,7 +19,7 @@ from pathlib import Path
 import msgspec
 
 from datagen.disk.errors import DamagedError, HyalineError, as_hyaline_error, shown
-from datagen.disk.storage import MAKE_AGAIN, commit, read_regular
+from datagen.disk.storage import MAKE_AGAIN, commit, read_regular, sha256
 
 if typing.TYPE_CHECKING:
     Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
@@ -199,7 +198,7 @@ def dump_json(data: Json) -> bytes:
 
 def seal_of(data: dict[str, Json]) -> str:
     """The hash under which `seal_bytes` seals `data`."""
-    return hashlib.sha256(dump_json(data)).hexdigest()
+    return sha256(dump_json(data))
 
 
 def seal_bytes(data: dict[str, Json]) -> bytes:

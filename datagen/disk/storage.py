@@ -128,7 +128,7 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, *, at_most: int | None = None) -> bytes:
-    """The bytes of a file that `open_regular` opens, of at most so many bytes."""
+    """The bytes of a regular file; an error if it holds more than `at_most`."""
     with open_regular(path) as file, _refusing(path):
         size = os.fstat(file.fileno()).st_size
         if at_most is not None and size > at_most:

@@ -1,4 +1,4 @@
-"""What a method is: a configuration record, which builds a renderer and loads its pixels; and which methods there are.
+"""Methods: the configuration record that builds a renderer and loads its pixels, and the list of all of them.
 
 A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
 model/settings.py); its methods make everything else. Importing it must not import torch, so that `--help` answers

@@ -90,8 +90,8 @@ def find_index(glass: Glass, misses: Misses) -> Glass:
 def find_roughness(glass: Glass, misses: Misses) -> Glass:
     """Frosted, if that explains more than smooth glass does: a little of it hides other errors.
 
-    Frosted solids get another index, too. Less frost with a higher index spreads light as far, so many pairs explain
-    pictures as well, and of these the most usual index is taken.
+    Frosted solids get another index, too. Less frost with a higher index spreads light just as far, so many pairs
+    explain pictures as well, and of these the most usual index is taken.
     """
     tried = [glass.having(roughness=value) for value in ROUGHNESSES]
     found = smoothed(best_of(tried, misses), misses)

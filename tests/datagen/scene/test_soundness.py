@@ -113,7 +113,7 @@ WRONG: dict[str, tuple[Scene, str]] = {
         glasses(*((mesh, Dielectric(priority=i // 20)) for i, mesh in enumerate(BALLS))),
         r"33 dielectrics of different priority; expected at most 32",
     ),
-    "too many dielectrics of which some overlap": (
+    "too many dielectrics, some overlapping": (
         glasses((ball(0.85, subdivisions=2), Dielectric()), *DROPS),
         r"overlap, and there are 33 dielectrics; where any overlap, expected at most",
     ),

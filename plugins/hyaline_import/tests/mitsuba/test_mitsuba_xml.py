@@ -300,7 +300,7 @@ def test_each_mesh_of_a_serialized_file_lies_as_mitsuba_has_it(version: int, tmp
 
 
 def write_map(path: Path) -> np.ndarray:
-    """A map in which every direction differs, and which is smooth enough to be compared."""
+    """A map with a different radiance in every direction, smooth enough to compare."""
     row, column = np.mgrid[:32, :64] / 32
     values = np.stack([1 + np.cos(np.pi * column), 1 + np.sin(np.pi * column), 1.5 + np.cos(np.pi * row)], axis=-1)
     path.write_bytes(encode_float_exr({name: values[..., c].astype(np.float32) for c, name in enumerate("RGB")}))
