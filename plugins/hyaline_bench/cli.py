@@ -223,7 +223,8 @@ def list_fitted_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
 
 
 def _build(scene: str, preset: str, protocol: "Protocol") -> Iterator[str]:
-    yield f"datagen build {scene} --preset {preset} --out data/{scene}-{preset} --quiet"
+    spp = protocol.size(preset).train.spp
+    yield f"datagen build {scene} --preset {preset} --spp {spp} --out data/{scene}-{preset} --quiet"
     if scene in protocol.scenes:
         yield f"datagen add {scene}-{preset} --angles"
 

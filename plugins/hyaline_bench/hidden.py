@@ -60,12 +60,12 @@ def hidden_seed(secret: str, place: int, protocol: Protocol) -> int:
 
 def verifier_commands(secret: str, preset: str, protocol: Protocol) -> list[str]:
     """The commands that build the hidden scenes of a preset, and split each into both datasets."""
-    lines = []
+    lines, spp = [], str(protocol.size(preset).train.spp)
     for place, name in enumerate(protocol.hidden_scenes(preset)):
         scene = f"random-{hidden_seed(secret, place, protocol):04d}"
         source = f"secret/{name}-{preset}"
         lines += [
-            shlex.join(["datagen", "build", scene, "--preset", preset, "--out", source]),
+            shlex.join(["datagen", "build", scene, "--preset", preset, "--spp", spp, "--out", source]),
             shlex.join(["hyaline-bench", "hide", source, "--scene", name]),
         ]
     return lines
