@@ -21,6 +21,9 @@ NOISE = 0.03
 """Variance of a feature learned from a single pixel. Between half and three times this, 40 degrees gain 0.5 dB and 10
 lose 0.2 (as above)."""
 
+LEAST_KNOWN = 0.01
+"""Share of a surface below which its unknown rest is filled in from other surfaces as well."""
+
 USUAL_DETAIL, USUAL_TEXELS = 0.05, 10.0
 """Prior of a surface's detail: its value, and its weight in texels."""
 
@@ -53,7 +56,8 @@ def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
     A texel's features become the weighted mean of its own, with variance `NOISE` over its number of visits, and of
     those around it, with the surface's detail as variance: the mean square difference between neighbouring texels where
     all are well known. So a patterned vase is left alone after few visits, and a plain floor is not. The surroundings
-    are found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4).
+    are found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4). A surface that
+    training rays hardly met gets the mean of all surfaces.
 
     Args:
         met: visits of each texel of `filled_layout`, in whole pixels (`add_visits`).
@@ -61,15 +65,19 @@ def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
     level = _level(textures)
     tables, layouts = textures.tables()[level:], [part.layout for part in textures.levels()[level:]]
     scales = level_scales(len(textures), textures.finer_counts)[level:]
-    layout = layouts[0]
+    layout, surfaces = layouts[0], []
     for place, (base, size, stride) in enumerate(zip(layout.bases, layout.sizes, layout.strides, strict=True)):
         rows = base + torch.arange(size)[:, None] * stride + torch.arange(size)
         rows = rows.flatten().to(met.device)
         object_id = torch.full((len(rows), 1), place + 1, dtype=torch.uint8, device=met.device)
         shown = sample(tables, texel_centers(size).to(met.device)[:, None], object_id, layouts, scales)
         own, visits = (_image(values, size) for values in (shown[:, 0], met[rows][:, None]))
-        known = visits / (visits + NOISE / _detail(own, visits))
-        change = _pulled_and_pushed(own, known) - own
+        surfaces.append((rows, own, visits / (visits + NOISE / _detail(own, visits))))
+    weight = torch.stack([known.sum() for _, _, known in surfaces]).sum()
+    total = torch.stack([(own * known).sum(dim=(2, 3), keepdim=True) for _, own, known in surfaces]).sum(dim=0)
+    usual = total / weight.clamp_min(1e-9)
+    for rows, own, known in surfaces:
+        change = _pulled_and_pushed(own, known, usual) - own
         tables[0][rows] += change[0].flatten(1).T / scales[0]
 
 
@@ -99,15 +107,17 @@ def _detail(features: Float32[Tensor, "1 c size size"], visits: Float32[Tensor, 
 
 
 def _pulled_and_pushed(
-    features: Float32[Tensor, "1 c size size"], known: Float32[Tensor, "1 1 size size"]
+    features: Float32[Tensor, "1 c size size"],
+    known: Float32[Tensor, "1 1 size size"],
+    usual: Float32[Tensor, "1 c 1 1"],
 ) -> Float32[Tensor, "1 c size size"]:
-    """A blend of the features, with the weight `known` from 0 to 1, and their surroundings."""
+    """A blend of the features, weighted by `known` from 0 to 1, and their surroundings; `usual` if there are none."""
     size = features.shape[-1]
     if size == 1:
-        return features
+        return torch.lerp(usual, features, (known / LEAST_KNOWN).clamp_max(1))
     half = (size + 1) // 2
     known_below = functional.adaptive_avg_pool2d(known, half)
     below = functional.adaptive_avg_pool2d(features * known, half) / known_below.clamp_min(1e-9)
-    around = _pulled_and_pushed(below, known_below)
+    around = _pulled_and_pushed(below, known_below, usual)
     around = functional.interpolate(around, size=(size, size), mode="bilinear", align_corners=False)
     return known * features + (1 - known) * around

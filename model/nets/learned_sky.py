@@ -8,7 +8,7 @@ from jaxtyping import Float32, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from model.nets.texture import FINER_COUNTS, constant_on, level_scales, sum_texels, taps_around
+from model.nets.texture import constant_on, level_scales, sum_texels, taps_around
 
 LOBE_RATE = 2.5
 """Learning rate of the lobes relative to the maps: they are few numbers, each constrained by many rays."""
@@ -30,8 +30,10 @@ class LearnedSky(nn.Module):
     / 0.2 dB on the test splits, and 1.3 / 1.9 / 2.3 dB at 10 / 20 / 40 degrees outside of the training cameras.
     """
 
-    def __init__(self, height: int, lobes: int) -> None:
+    def __init__(self, height: int, lobes: int, finer_counts: float) -> None:
+        """`finer_counts`: weight of a map relative to the next coarser one."""
         super().__init__()
+        self.finer_counts = finer_counts
         for level, size in enumerate(_map_sizes(height)):
             self.register_parameter(str(level), nn.Parameter(torch.zeros(3, *size)))
         self.num_maps = len(_map_sizes(height))
@@ -55,7 +57,7 @@ class LearnedSky(nn.Module):
         few rays meet each of the finest.
         """
         rest = radiance if self.lobes is None else radiance - self.lobes(direction)
-        scales = level_scales(self.num_maps, FINER_COUNTS)
+        scales = level_scales(self.num_maps, self.finer_counts)
         for level in reversed(range(self.num_maps)):
             texels = self.maps[level]
             _, height, width = texels.shape
@@ -82,7 +84,7 @@ class LearnedSky(nn.Module):
         """The sum of the maps from the `first` on."""
         if first == self.num_maps:
             return torch.zeros(len(azimuth), 3, device=azimuth.device)
-        maps, scales = self.maps[first:], level_scales(self.num_maps, FINER_COUNTS)[first:]
+        maps, scales = self.maps[first:], level_scales(self.num_maps, self.finer_counts)[first:]
         if azimuth.device.type != "cpu":
             return _sum_of_maps(maps, scales, azimuth, polar)
         values = [_look_up_map(texels, azimuth, polar) for texels in maps]

@@ -17,11 +17,6 @@ from torch.nn import functional
 from datagen.disk.errors import NumericsError
 from model.nets.texels import LazyAdam, add_gradient, add_look_ups, add_uv_gradient
 
-FINER_COUNTS = 0.5
-"""Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at
-the same speed, so coarse ones learn first, and fine ones add the rest: rarely sampled texels are filled in from nearby
-ones. (Deferred Neural Rendering regularises its levels to that end.)"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TextureLayout:

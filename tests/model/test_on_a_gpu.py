@@ -52,7 +52,7 @@ def test_a_gpu_draws_what_a_cpu_draws(method: str, glasses: Dataset) -> None:
 
 def test_a_gpu_looks_up_the_sky_as_a_cpu_does() -> None:
     generator = torch.Generator().manual_seed(0)
-    sky = LearnedSky(8, 0)
+    sky = LearnedSky(8, 0, 0.7)
     for texels in sky.maps:
         texels.data = torch.randn(texels.shape, generator=generator)
     directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=generator), dim=1)
@@ -63,7 +63,7 @@ def test_a_gpu_looks_up_the_sky_as_a_cpu_does() -> None:
     expected_gradients = [texels.grad for texels in sky.maps]
     constant_on.cache_clear()
     with pretended_cuda():
-        there = LearnedSky(8, 0).to("cuda")
+        there = LearnedSky(8, 0, 0.7).to("cuda")
         there.load_state_dict(sky.state_dict())
         found = there(directions.to("cuda"))
         (found * weights.to("cuda")).sum().backward()

@@ -22,8 +22,14 @@ MAX_SURFACES = 255
 """Surface ids are bytes, and 0 means empty."""
 
 
-SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
-"""Default height in texels of the learned sky's finest map, and its limit where the scene has an environment map."""
+SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 128
+"""Default height in texels of the learned sky's finest map, and its limit where pixels see the sky finer."""
+
+FINER_COUNTS = 0.7
+"""Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at
+the same speed, so coarse ones learn first, and fine ones add the rest: rarely sampled texels are filled in from nearby
+ones. (Deferred Neural Rendering regularises its levels to that end.) At 0.5 the sky's finest map of six counts a
+thirtieth, too little to become a window's edge within hundreds of steps; 1 overshoots beside a fast sky."""
 
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
 """Default rays per pixel while rendering: for all pixels, and in addition for those whose rays differ."""
@@ -40,7 +46,8 @@ class LightPathConfig(MethodConfig):
     has_radiance: ClassVar[bool] = True
 
     texture_size: int = choice(0, "t{}")
-    """Width and height of an average texture in texels; more visible objects get more texels. 0: the image's width."""
+    """Least width and height of an average texture in texels; more visible objects get more texels, and all get texels
+    as fine as training pixels see them. 0: the image's width."""
     train_samples: int = choice(4, "{}-rays", flag="rays")
     """Rays per pixel while training, a square number."""
     render_samples: int = choice(RENDER_SAMPLES, "{}-render-rays", flag="render-rays")
@@ -65,13 +72,12 @@ class LightPathConfig(MethodConfig):
     environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
     """Height in texels of the finest map of the learned sky, a sum of latitude-longitude maps, each half as large as
     the one before down to a single colour, so that directions without training rays are filled in from nearby ones; 1:
-    two colours. 32, the default, becomes the height of the scene's environment map, up to 256."""
+    two colours. 32, the default, grows to 128 where training pixels see the sky finer."""
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
-    sky_lr: float = choice(0.03, "sky-lr{}", limits=RATE)
-    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast."""
-    # After 300 steps on a random scene with a detailed sky, held-out views had 29.2 dB with 0.005, 30.8 with 0.03; the
-    # glass table's test views differ by 0.02 dB after 400.
+    sky_lr: float = choice(0.1, "sky-lr{}", limits=RATE)
+    """Learning rate of the learned sky's maps; its lobes learn 2.5 times as fast. At 0.03, bright windows stay blurred:
+    on two random scenes (400 steps) held-out views have 28.8 and 30.5 dB with 0.1, 27.6 and 30.0 with 0.03."""
     directions: bool = choice(False, {True: "directions", False: "no-directions"})
     """Give the decoder the mirrored direction. True geometry does not need it: gloss is traced, so only diffuse light
     is left. On proxies on."""
@@ -82,6 +88,8 @@ class LightPathConfig(MethodConfig):
     """After training, fill in rarely sampled texels from their neighbours. On proxies off: not tried there."""
     texture_levels: int = choice(5, "{}-levels", limits=(1, 8))
     """Number of textures summed, each half as wide as the one before: coarser levels fill in rarely sampled texels."""
+    finer_counts: float = unflagged(0.5, limits=(0.001, 1))
+    """`FINER_COUNTS`; in runs of earlier versions 0.5."""
     texture_sizes: tuple[int, ...] = unflagged(())
     """Width and height of each object's texture in texels."""
     texture_features: int = unflagged(8, limits=(1, 256))
@@ -163,6 +171,7 @@ class LightPathConfig(MethodConfig):
             self,
             texture_sizes=texture_sizes,
             shells=self.shells if is_chosen else max(1, min(self.shells, MAX_SURFACES // len(texture_sizes))),
+            finer_counts=FINER_COUNTS,
             sky_lobes=0 if self.environment_size == 1 else self.sky_lobes,
             refined_samples=refined,
         )

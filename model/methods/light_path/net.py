@@ -2,7 +2,6 @@
 
 import dataclasses
 import functools
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -13,28 +12,26 @@ from torch.nn import functional
 
 from datagen.data.cameras import Cameras, subpixel_offsets
 from datagen.data.dataset import check_has_meshes
+from datagen.data.paths import follows_light
 from datagen.disk.errors import HyalineError
-from datagen.scene.description import EnvironmentMap, Scene, image_bytes
-from datagen.scene.folder import open_scene
-from datagen.scene.images import read_map
 from datagen.terminal.command import track
 from model.batches.rays import LEAST_PAIRED, mean_color, srgb_curve
-from model.methods.light_path.config import MAX_SKY_HEIGHT, SKY_HEIGHT, LightPathConfig
+from model.methods.light_path.config import SKY_HEIGHT, LightPathConfig, default_light_path
 from model.methods.light_path.pixels import (
     MANY_RAYS,
     STACKED_VERTICES,
     LightPathBatch,
     LightPathPixels,
     Stack,
-    share_texels,
     trace_light_paths,
 )
+from model.methods.light_path.sizes import measure_sizes
 from model.methods.protocol import Inputs
 from model.methods.renderer import ParameterGroup, PatchTerms, Renderer, pixel_loss
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.pixel_mlp import LEAKY_SLOPE, spherical_harmonics
-from model.nets.texture import FINER_COUNTS, NeuralTextures, TexturePyramid, object_layout
+from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
 from model.settings import Optimisation
 
 RELIEF_DEPTH = 0.01
@@ -72,7 +69,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
                 for level in range(config.texture_levels)
             ],
             config.texture_features,
-            finer_counts=FINER_COUNTS,
+            finer_counts=config.finer_counts,
         )
         relief_sizes = [max(2, size // RELIEF_COARSER) for size in config.texture_sizes for _ in range(config.shells)]
         self.relief = NeuralTextures(object_layout(relief_sizes), 1) if config.relief else None
@@ -80,7 +77,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         self.decoder = _Mlp(config.texture_features + 1 + (9 if config.directions else 0), config.hidden, 3)
         # Feature, cosine, spherical harmonics of the ray's direction -> opacity of a straight layer.
         self.cover = _Mlp(config.texture_features + 1 + 9, config.hidden, 1) if config.straight_layers else None
-        self.environment = LearnedSky(config.environment_size, config.sky_lobes)
+        self.environment = LearnedSky(config.environment_size, config.sky_lobes, config.finer_counts)
         slots = sum(STACKED_VERTICES) + config.straight_layers
         inputs = slots * (config.texture_features + 2) + (3 if config.straight_layers else 0)
         # Colour; opacity of each straight layer; share of the paths.
@@ -330,20 +327,15 @@ def _off_plane(samples: int, device: torch.device) -> Float32[Tensor, "sample sa
 
 def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     """The same with the sky's height and the objects' texture sizes, which depend on traced paths."""
-    check_has_meshes(inputs.dataset)
-    size = config.texture_size or inputs.dataset.config.resolution.mean_side
+    dataset = inputs.dataset
+    check_has_meshes(dataset)
+    usual = default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(inputs.geometry))
+    training = trace_light_paths(usual, dataset, inputs.geometry, dataset.cameras("train"))
+    size = config.texture_size or dataset.config.resolution.mean_side
+    widths, height = measure_sizes(training, len(dataset.objects), size)
     if config.environment_size == SKY_HEIGHT:
-        config = dataclasses.replace(config, environment_size=sky_height(open_scene(inputs.dataset)))
-    return config.sized(share_texels(inputs.dataset, inputs.geometry, size))
-
-
-def sky_height(scene: Scene) -> int:
-    """Rows of the learned sky's finest map: as fine as the environment map, or the edges of cards, that it shows."""
-    if isinstance(scene.environment, EnvironmentMap):
-        height = len(read_map(image_bytes(scene, scene.environment), where=scene.environment.path))
-    else:
-        height = max((math.ceil(180 / card.softness_deg) for card in scene.environment.cards), default=0)
-    return max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, 1 << max(height.bit_length() - 1, 0)))
+        config = dataclasses.replace(config, environment_size=height)
+    return config.sized(widths)
 
 
 def build(config: LightPathConfig, inputs: Inputs) -> LightPathRenderer:

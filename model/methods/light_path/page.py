@@ -12,7 +12,7 @@ from model.methods.light_path.net import RELIEF_DEPTH, STACK_SHIFT, LightPathRen
 from model.methods.light_path.pixels import MANY_RAYS, STACKED_VERTICES
 from model.methods.page import MethodPage, Rows, feature_columns, fours, mlp_rows, package_text
 from model.nets.learned_sky import LOBE_RATE, LOBE_SHARPNESS, LearnedSky
-from model.nets.texture import FINER_COUNTS, level_scales
+from model.nets.texture import level_scales
 
 SHADERS = ("optics.glsl", "light_ends.glsl", "light_path.glsl", "straight.glsl")
 
@@ -90,7 +90,7 @@ def _networks(renderer: LightPathRenderer) -> list[Rows]:
 
 def _sky(sky: LearnedSky) -> list[Rows]:
     """The maps times their weights, finest first, row by row; then axis, sharpness and colour of each lobe."""
-    scales = level_scales(sky.num_maps, FINER_COUNTS)
+    scales = level_scales(sky.num_maps, sky.finer_counts)
     parts = [
         np.pad((scale * texels).detach().cpu().numpy().reshape(3, -1).T, ((0, 0), (0, 1)))
         for scale, texels in zip(scales, sky.maps)

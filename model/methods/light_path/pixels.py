@@ -8,11 +8,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-import torch
 from jaxtyping import Float, Float32, Int, UInt8
 from torch import Tensor
 
-from datagen.data.cameras import Cameras, subpixel_rays
+from datagen.data.cameras import Cameras, subpixel_offsets, subpixel_rays
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
 from datagen.data.meshes import Mesh, r2_steps
@@ -20,7 +19,7 @@ from datagen.data.paths import follows_light
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from datagen.trace.surface_tables import LIMITS, Limits
 from model.batches.rays import Draw, Rays, TracedPixels, black, rays_through, to_device
-from model.methods.light_path.config import LightPathConfig, default_light_path
+from model.methods.light_path.config import LightPathConfig
 
 if TYPE_CHECKING:
     from datagen.trace.branch_outputs import PathEnds
@@ -90,11 +89,6 @@ class LightPathBatch:
     stack: Stack | None
 
 
-COUNTED_PIXELS = 4096
-"""Pixels that decide the sizes of textures."""
-
-MAX_TEXTURE_SIZE = 2048
-
 MANY_RAYS = 65_536
 """Rays that are traced at once where memory is the limit."""
 
@@ -125,8 +119,12 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
         """The paths of the rays through these pixels; without `rng`, as many rays as for rendering."""
         if rng is not None:
             return self.take_drawn(index, rng)
-        pixels, samples = index.flatten().cpu().numpy(), self.config.render_samples
-        origins, directions = rays_through(self.cameras, pixels, samples, None)
+        return self.take_through(index, subpixel_offsets(self.config.render_samples))
+
+    def take_through(self, index: Int[Tensor, "*pixel"], places: Float[np.ndarray, "sample 2"]) -> LightPathBatch:
+        """The paths of the rays through the same places of each of these pixels, as `subpixel_rays` takes them."""
+        pixels, samples = index.flatten().cpu().numpy(), len(places)
+        origins, directions = subpixel_rays(self.cameras, pixels, np.broadcast_to(places, (len(pixels), samples, 2)))
         return self._trace(origins, directions, [0, len(directions)], samples)[0]
 
     def take_all(self, draws: Sequence[Draw], *, beside_torch: bool = False) -> list[LightPathBatch]:
@@ -267,35 +265,6 @@ def in_pairs(
 ) -> Float[np.ndarray, "pixel sample 2"]:
     """Each point, followed by its `opposite`."""
     return np.stack([first, opposite(first)], axis=2).reshape(len(first), -1, 2)
-
-
-def share_texels(dataset: Dataset, geometry: str, size: int) -> tuple[int, ...]:
-    """Widths of the objects' textures: about `size` squared texels for each, shared as the training rays need them.
-
-    An object where many paths end (a floor) gets a wide texture, one seen in few pixels a narrow one, but at least a
-    third of `size`; one where no path ends (glass) gets an eighth. On proxies, straight hits count, too.
-    """
-    config = default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(geometry))
-    pixels = trace_light_paths(config, dataset, geometry, dataset.cameras("train"))
-    return texel_widths(pixels, len(dataset.objects), size)
-
-
-def texel_widths(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[int, ...]:
-    """`share_texels` for the rays of some pixels."""
-    index = np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS)
-    batch = pixels.take(torch.from_numpy(index), None)
-    met = [batch.ends.surface]
-    if pixels.config.straight_layers:
-        assert batch.stack is not None
-        met.append(batch.stack.surface[:, sum(STACKED_VERTICES) :].flatten())
-    surfaces = torch.cat(met).long()
-    # The textures of a proxy's shells are as wide as its own.
-    objects = (surfaces[surfaces > 0] - 1) // pixels.config.shells
-    counts = torch.bincount(objects, minlength=num_objects)
-    share = counts.double() / counts.sum().clamp_min(1)
-    wanted = (share * len(share)).sqrt() * size
-    least = torch.where(share > 0, size // 3, size // 8).clamp_min(2)
-    return tuple(int(width) for width in wanted.maximum(least).clamp_max(MAX_TEXTURE_SIZE).round())
 
 
 def trace_light_paths(config: LightPathConfig, dataset: Dataset, geometry: str, cameras: Cameras) -> LightPathPixels:

@@ -22,8 +22,9 @@ from hyaline_photos.fit.search import Misses, penalty
 from hyaline_photos.fit.shapes import Glass
 from model.batches.rays import linear_curve, read_colors, srgb_curve
 from model.methods.light_path.config import LightPathConfig
-from model.methods.light_path.net import LightPathRenderer, sky_height
-from model.methods.light_path.pixels import LightPathBatch, LightPathPixels, texel_widths
+from model.methods.light_path.net import LightPathRenderer
+from model.methods.light_path.pixels import LightPathBatch, LightPathPixels
+from model.methods.light_path.sizes import measure_sizes
 from model.nets.filling import add_visits, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.texture import TextureLayout, bilinear_taps
@@ -91,7 +92,7 @@ def load_pixels(
     from datagen.trace.surface_tables import tints_of
 
     views = range(dataset.config.train.views)
-    config = LightPathConfig(stack_hidden=0, environment_size=sky_height(scene), branches=limits.max_branches)
+    config = LightPathConfig(stack_hidden=0, branches=limits.max_branches)
     return LightPathPixels(
         tracer=LightPathTracer(meshes, materials, tints_of(scene, own_uv=True)),
         straight_tracer=None,
@@ -119,8 +120,8 @@ def learn(
         directions: of these.
     """
     torch.manual_seed(seed)
-    sizes = texel_widths(pixels, pixels.num_objects, pixels.resolution.mean_side)
-    renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=sizes))
+    widths, height = measure_sizes(pixels, pixels.num_objects, pixels.resolution.mean_side)
+    renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=widths, environment_size=height))
     if len(sky):
         colors = linear_curve(pixels.rgb[torch.from_numpy(sky)].float() / 255)
         renderer.environment.start_from(torch.from_numpy(directions), colors)

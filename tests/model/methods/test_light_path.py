@@ -1,15 +1,13 @@
 """Tests the method `light-path`: its rays, its physics, its training."""
 
 import dataclasses
-import io
 import math
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
 import pytest
 import torch
-from support.synthetic import synthetic_scene, write_synthetic_dataset
+from support.synthetic import write_synthetic_dataset
 from support.training import assert_resumes, load
 
 from datagen.data.cameras import subpixel_offsets
@@ -19,16 +17,11 @@ from datagen.data.images import srgb_from_linear
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
-from datagen.scene.description import EnvironmentMap
 from model.batches.rays import linear_curve, made_ahead, srgb_curve
 from model.methods.light_path.config import LightPathConfig, default_light_path
-from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful, sky_height
-from model.methods.light_path.pixels import (
-    STACKED_VERTICES,
-    LightPathPixels,
-    nest_shells,
-    share_texels,
-)
+from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
+from model.methods.light_path.pixels import STACKED_VERTICES, LightPathPixels, nest_shells, trace_light_paths
+from model.methods.light_path.sizes import COUNTED_PIXELS, measure_sizes, texels_across
 from model.methods.paper.config import PaperConfig
 from model.methods.paper.renderer import PaperRenderer
 from model.methods.renderer import difference
@@ -239,7 +232,7 @@ def test_the_learned_sky_is_continuous_all_around() -> None:
 
 def test_skies_of_runs_from_before_there_were_lobes_load_and_shine_as_they_did() -> None:
     names = [str(level) for level in range(5)]
-    sky = LearnedSky(8, 0)
+    sky = LearnedSky(8, 0, 0.5)
     assert list(sky.state_dict()) == names
     sky.load_state_dict({name: torch.full_like(sky.get_parameter(name), 0.5) for name in names})
     total = 0.5 * sum(0.5**level for level in range(5))
@@ -264,16 +257,30 @@ def test_the_sky_where_no_ray_has_been_is_filled_in_from_around(lobes: int, most
     assert (behind - color).abs().max() < most  # One map alone would say 0.69 there: 1.3 off.
 
 
-@pytest.mark.parametrize(("rows", "expected"), [(8, 32), (100, 64), (128, 128), (600, 256)])
-def test_the_learned_sky_has_the_rows_of_the_environment_map_within_bounds(
-    tmp_path: Path, rows: int, expected: int
-) -> None:
-    plane = np.ones((rows, 16), np.float16)
-    buffer = io.BytesIO()
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, {"R": plane, "G": plane, "B": plane}).write(buffer)
-    (tmp_path / "sky.exr").write_bytes(buffer.getvalue())
-    environment = EnvironmentMap(path="sky.exr")
-    assert sky_height(dataclasses.replace(synthetic_scene(), environment=environment, folder=tmp_path)) == expected
+def test_textures_and_sky_are_as_fine_as_the_pixels_that_see_them(tmp_path: Path) -> None:
+    dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
+    pixels = trace_light_paths(default_light_path((2, 2), is_proxy=False), dataset, TRUTH, dataset.cameras("train"))
+    tele = dataclasses.replace(pixels.cameras, fov_x=pixels.cameras.fov_x / 2)
+    floors = []
+    for cameras in (pixels.cameras, tele):
+        (_, floor), rows = measure_sizes(dataclasses.replace(pixels, cameras=cameras), 2, 8)
+        floors.append(floor)
+        # The sky is seen directly. Pixels are an angle of 1 / focal wide in the middle, and less in a corner.
+        corner = math.cos(math.atan(8 * math.sqrt(2) / cameras.focal)) ** 1.5
+        least = math.pi * cameras.focal
+        assert min(128, least) <= rows <= min(128, 2 * least / corner)
+    assert floors[1] / floors[0] == pytest.approx(tele.focal / pixels.cameras.focal, rel=0.25)
+
+
+def test_the_branch_with_most_light_decides_what_a_pixel_sees_of_an_object() -> None:
+    # Every pixel's corners end on object 1 twice: a strong branch on a square of 0.1, and a faint one on one of 0.01.
+    rays = COUNTED_PIXELS * 3
+    corners = torch.tensor([[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0]]).repeat(COUNTED_PIXELS, 1)
+    place = torch.cat([0.1 * corners, corners])
+    throughput = torch.cat([torch.full((rays, 3), 0.04), torch.full((rays, 3), 0.9)])
+    ray = torch.arange(rays).repeat(2)
+    across = texels_across(ray, torch.ones_like(ray), place, throughput, 3)
+    assert across.tolist() == pytest.approx([0, 10, 0], rel=1e-5)
 
 
 @pytest.mark.parametrize("lobes", [0, 12])
@@ -286,7 +293,7 @@ def test_a_sky_starts_from_what_was_seen_and_fills_in_the_rest(lobes: int) -> No
         stripes = torch.sin(12 * torch.atan2(direction[:, 1], direction[:, 0]))
         return torch.stack([0.5 + 0.3 * stripes, 0.5 - 0.3 * stripes, 0.2 + 0.1 * direction[:, 2]], dim=-1)
 
-    sky = LearnedSky(64, lobes)
+    sky = LearnedSky(64, lobes, 0.7)
     sky.start_from(seen, pattern(seen))
     with torch.no_grad():
         # Noise of about 25 rays in each texel, and texels of 2.8 degrees across stripes of 15.
@@ -300,7 +307,7 @@ def test_the_sky_learns_a_lamp_brighter_than_white_from_its_reflections_alone() 
     lamp, share = 4.0, 0.04
     shares = torch.tensor([1.0, share])
     truth = (srgb_curve(lamp * shares).clamp_max(1) * 255).round()[:, None].expand(2, 3) / 255
-    sky = LearnedSky(8, 4)
+    sky = LearnedSky(8, 4, 0.7)
     towards = torch.tensor([[0.6, 0.0, 0.8]] * 2)
     optimizer = torch.optim.Adam(sky.parameters(), lr=LightPathConfig().sky_lr)
     for _ in range(300):
@@ -404,13 +411,18 @@ def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> 
     assert renderer(pixels.take(torch.arange(64), None)).shape == (64, 3)
 
 
+def sizes_on(dataset: Dataset, geometry: str) -> tuple[tuple[int, ...], int]:
+    config = default_light_path((2, 2), is_proxy=geometry != TRUTH)
+    return measure_sizes(trace_light_paths(config, dataset, geometry, dataset.cameras("train")), 2, 24)
+
+
 def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
     statistics = (ProxyStatistics(volume_ratio=1, mean_distance=0, max_distance=0),) * 2
     write_proxies(dataset, "box", read_meshes(dataset, TRUTH), statistics)
-    pane, floor = share_texels(dataset, "box", 24)
+    (pane, floor), _ = sizes_on(dataset, "box")
     # As these proxies are the truth, about as much is met of them; but no path ends on a pane of glass.
-    assert share_texels(dataset, TRUTH, 24)[0] == 3
+    assert sizes_on(dataset, TRUTH)[0][0] == 3
     assert 8 <= pane < floor
     config = default_light_path((pane, floor), is_proxy=True)
     pixels = load(config, dataset, [2], "box")

@@ -54,7 +54,7 @@ def test_frosted_glass_is_drawn_by_more_rays_which_it_needs(dataset: Dataset) ->
 
 
 def test_a_pixel_counts_as_far_as_its_light_comes_from_what_was_seen() -> None:
-    layout, environment = object_layout([8]), LearnedSky(8, 0)
+    layout, environment = object_layout([8]), LearnedSky(8, 0, 0.7)
     texels = torch.zeros(8, 8)
     texels[:, :4] = MANY
     up, down = torch.tensor([0.0, 0.6, 0.8]), torch.tensor([0.0, 0.6, -0.8])
