@@ -166,7 +166,7 @@ def _save_scene(
     world = World(
         linear=choices.scale * z_up_from(choices.up),
         offset=np.zeros(3),
-        mapper=Mapper(metres=choices.scale, thin="open", remarks=remarks),
+        mapper=Mapper(metres=choices.scale, remarks=remarks),
         choices=ImportChoices(),
         thins_open=True,
     )

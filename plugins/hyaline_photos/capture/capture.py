@@ -257,7 +257,7 @@ def _save_scene(
     allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
     names = unique_names([item.name for item in (*glass, *opaque)])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
-    mapper = Mapper(metres=1.0, thin="open", remarks=remarks)
+    mapper = Mapper(metres=1.0, remarks=remarks)
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
     scene = unlit_scene(name, Made(objects=objects, without_uv=set(names)), placed, cameras, how="Captured")
     save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])

@@ -8,7 +8,7 @@ from datagen.data.meshes import Mesh, check_closed, check_solid, points_on, sign
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.modelling import ball, lathe
-from hyaline_random.nesting import PANES, bauble, enclosed, glass_case, onion, paperweight
+from hyaline_random.families import PANES, bauble, enclosed, glass_case, onion, paperweight
 from hyaline_random.solids import CONVEX, NOT_CONVEX, corners_of, make_solid, polygon, with_bubbles
 from hyaline_random.things import Thing, enlarged, free_places
 from hyaline_random.vessels import REACH, VESSELS
