@@ -23,9 +23,9 @@ READERS: Group[Callable] = Group(
     built_in={
         "glb": "hyaline_import.gltf.scene:read_gltf",
         "gltf": "hyaline_import.gltf.scene:read_gltf",
-        "obj": "hyaline_import.obj:read_obj",
-        "ply": "hyaline_import.bare:read_ply_file",
-        "stl": "hyaline_import.bare:read_stl",
+        "obj": "hyaline_import.plain:read_obj",
+        "ply": "hyaline_import.plain:read_ply_file",
+        "stl": "hyaline_import.plain:read_stl",
         "xml": "hyaline_import.mitsuba.scene:read_mitsuba",
     },
     guide="docs/adding-a-reader.md",

@@ -19,6 +19,7 @@ from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
 from datagen.scene.textures import fractal_noise
 from hyaline_random.chance import color_pair, pattern, pick, weigh, wood
 from hyaline_random.solids import corners_of, polygon
+from hyaline_random.things import part
 
 Support = Literal["floor", "plinth", "table"]
 
