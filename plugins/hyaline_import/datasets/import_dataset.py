@@ -83,7 +83,7 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
     scene, about_scene = None, []
     if choices.mesh:
         where = ", ".join(map(str, choices.mesh))
-        scene, about_scene = scene_from(_save_scene, name, cameras, choices, where=where)
+        scene, about_scene, _ = scene_from(_save_scene, name, cameras, choices, where=where)
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     config = imported_config(name, size, views)
     imported = Imported(

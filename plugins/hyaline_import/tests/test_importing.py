@@ -338,7 +338,7 @@ def test_materials_by_name_override_those_of_the_file_and_a_wrong_name_names_tho
     assert done["vase"].material == Dielectric(ior=2.417)
     assert isinstance(done["box"].material, Conductor)
     assert "did you mean 'diamond'" in refused(path, "--material diamnd")
-    expected = "error: --material: no object is called 'vose'; did you mean 'vase'? the objects are vase, box"
+    expected = "error: --material: no object 'vose'; did you mean 'vase'? Choose from box, vase"
     assert refused(path, "--material vose=water") == expected
 
 

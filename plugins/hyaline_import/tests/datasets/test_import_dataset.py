@@ -187,7 +187,7 @@ def test_a_mesh_for_pictures_may_have_quads_and_be_open_and_one_that_is_not_read
     assert pane.material == ThinDielectric(ior=1.5)
     assert "open: is not closed (3 open edges); taken for thin glass" in answer.err
     answer = call(f"{command}/prism.ply --material prsm=gold --out {tmp_path / 'no'}")
-    assert "no object is called 'prsm'; did you mean 'prism'? the objects are prism" in answer.error
+    assert "no object 'prsm'; did you mean 'prism'? Choose from prism" in answer.error
 
 
 def test_the_world_is_scaled_and_turned_and_the_background_may_be_black(blender: Path, tmp_path: Path) -> None:
