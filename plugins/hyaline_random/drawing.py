@@ -5,6 +5,7 @@ gives the same scene to the last bit.
 """
 
 import dataclasses
+import re
 import zlib
 from collections import Counter
 from dataclasses import dataclass
@@ -242,15 +243,10 @@ def _with_own_names(things: list[Thing]) -> list[Thing]:
     for thing in things:
         kind = thing.objects[0].name
         counts[kind] += 1
-        number = counts[kind]
-        if number > 1:
-            renamed = tuple(
-                dataclasses.replace(item, name=f"{kind}_{number}{item.name.removeprefix(kind)}")
-                if item.name.startswith(kind)
-                else dataclasses.replace(item, name=f"{item.name}_{number}")
-                for item in thing.objects
-            )
-            thing = dataclasses.replace(thing, objects=renamed)
+        if (number := counts[kind]) > 1:
+            names = [re.sub(rf"^{kind}|$", rf"\g<0>_{number}", item.name, count=1) for item in thing.objects]
+            objects = [dataclasses.replace(item, name=name) for item, name in zip(thing.objects, names, strict=True)]
+            thing = dataclasses.replace(thing, objects=tuple(objects))
         named.append(thing)
     return named
 
