@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 DEFAULT_RESOLUTION = square(128)
 
-Thin = Literal["open", "file", "all"]
-
 
 @dataclass(frozen=True, kw_only=True)
 class ImportChoices:
@@ -33,9 +31,6 @@ class ImportChoices:
     material: tuple[str, ...] = ()
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
-    thin: Thin = "open"
-    """Which glass becomes thin panes. open: only open meshes; file: also materials that the file marks as thin-walled;
-    all: all glass."""
     cameras: str = "around"
     """Cameras all around the glass (around), those in the file (file), or those of a transforms.json or a COLMAP
     folder, in the file's own axes and units."""

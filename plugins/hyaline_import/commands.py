@@ -22,8 +22,8 @@ class DatasetImportChoices:
     """The flags of `datagen import-dataset`."""
 
     mesh: tuple[Path, ...] = ()
-    """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...), where the folder has none;
-    may be repeated. Without meshes nothing can be peeled."""
+    """A mesh of the scene in the cameras' own axes and units (PLY, OBJ, STL, GLB, ...); may be repeated. Without meshes
+    nothing can be peeled."""
     material: tuple[str, ...] = ()
     """A material by name for all meshes, or for those that match a pattern: 'foot*=gold', as `datagen import` takes
     them. Default: the material in the file, or else glass of the index --ior."""

@@ -26,18 +26,19 @@ def imported_scene(
     path: Path, choices: ImportChoices, *, resolution: Resolution
 ) -> tuple[Scene, list[str], dict[str, Json]]:
     """The scene in a foreign file, the lines to report, and the content of import.json."""
-    scene, answer = _answer(_import, path, choices, resolution, where=str(path))
-    return scene, cast(list[str], answer["told"]), cast(dict[str, Json], answer["record"])
+    return scene_from(_import, path, choices, resolution, where=str(path))
 
 
-def scene_from(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, list[str]]:
-    """The scene, with its images, and the lines to report that a function saves in a process of its own
-    (`save_answer`)."""
-    scene, answer = _answer(function, *arguments, where=where)
-    return scene, cast(list[str], answer["told"])
+def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolution) -> None:
+    imported = import_scene(path, choices, resolution=resolution)
+    save_answer(folder, imported.scene, imported.told(), record=imported.record)
 
 
-def _answer(function: Callable[..., None], *arguments: object, where: str) -> tuple[Scene, Mapping[str, Json]]:
+def scene_from(
+    function: Callable[..., None], *arguments: object, where: str
+) -> tuple[Scene, list[str], dict[str, Json]]:
+    """The scene, with its images, the lines to report, and the record that a function gives `save_answer` in a process
+    of its own."""
     with confined(function, *arguments, where=where) as folder:
         # The process has mended and checked it.
         scene = load_scene(folder / "scene", is_checked=True)
@@ -45,18 +46,15 @@ def _answer(function: Callable[..., None], *arguments: object, where: str) -> tu
         if isinstance(scene.environment, EnvironmentMap):
             images.add(scene.environment.path)
         baked = {image: (folder / "scene" / image).read_bytes() for image in images}
-        return dataclasses.replace(scene, folder=None, baked=baked), load_json(folder / "told.json")
+        answer = load_json(folder / "told.json")
+    scene = dataclasses.replace(scene, folder=None, baked=baked)
+    return scene, cast(list[str], answer["told"]), cast(dict[str, Json], answer["record"])
 
 
-def save_answer(folder: Path, scene: Scene, told: Sequence[str], **more: Json) -> None:
+def save_answer(folder: Path, scene: Scene, told: Sequence[str], *, record: Mapping[str, Json] | None = None) -> None:
     """What `scene_from` reads."""
     save_scene(scene, folder / "scene")
-    (folder / "told.json").write_bytes(dump_json({**more, "told": list(told)}))
-
-
-def _import(folder: Path, path: Path, choices: ImportChoices, resolution: Resolution) -> None:
-    imported = import_scene(path, choices, resolution=resolution)
-    save_answer(folder, imported.scene, imported.told(), record=dict(imported.record))
+    (folder / "told.json").write_bytes(dump_json({"told": list(told), "record": dict(record or {})}))
 
 
 def check_free(root: Path, *, overwrite: bool) -> None:

@@ -71,7 +71,6 @@ from hyaline_import.staging import (
     placed_map,
 )
 from hyaline_import.surfaces import (
-    Shape,
     closed,
     made_sound,
     mend_surface,
@@ -211,7 +210,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     # The scene's box is put on z = 0, over the origin.
     low, high = np.sort(elementwise(np.stack([low, high]), linear, np.zeros(3)), axis=0)
     offset = np.zeros(3) if foreign.is_complete else -np.array([*(low + high)[:2] / 2, low[2]])
-    mapper = Mapper(metres=scale, thin=choices.thin, remarks=remarks)
+    mapper = Mapper(metres=scale, remarks=remarks)
     world = World(linear=linear, offset=offset, mapper=mapper, choices=choices)
     made = Made()
     unmended: dict[str, HyalineError] = {}
@@ -295,8 +294,9 @@ def scene_object(name: str, part: ForeignObject, world: World, chosen: Material 
     if choices.repair and is_solid:
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
-        shape = Shape(is_closed=open_edges(mesh) == 0, has_uv=has_uv)
-        material = world.mapper.material(veiled(material, mesh, has_uv=has_uv), shape, where=name)
+        material = veiled(material, mesh, has_uv=has_uv)
+        is_closed = open_edges(mesh) == 0
+        material = world.mapper.material(material, is_closed=is_closed, has_uv=has_uv, where=name)
     if material.medium is not None and (count := open_edges(mesh)):
         if not world.thins_open:
             raise HyalineError(

@@ -14,7 +14,6 @@ from jaxtyping import Float
 
 from datagen.data.meshes import Mesh
 from datagen.disk.storage import file_name
-from datagen.scene.finding import Thin
 from datagen.scene.materials import (
     Color,
     Conductor,
@@ -26,12 +25,12 @@ from datagen.scene.materials import (
     Reflectance,
     RoughDielectric,
     ThinDielectric,
+    as_vector,
 )
 from datagen.scene.substances import MAX_DISPERSION
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
 from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
 from hyaline_import.remarks import Remarks
-from hyaline_import.surfaces import Shape
 
 MIN_ALPHA = 0.001
 """Smallest GGX alpha that is rendered; below it a surface is smooth."""
@@ -57,7 +56,6 @@ class Mapper:
 
     metres: float
     """Metres a unit of the file."""
-    thin: Thin
     remarks: Remarks
     images: dict[str, bytes] = field(default_factory=dict)
     _paths: dict[tuple[ForeignImage, Color, Callable], str] = field(default_factory=dict)
@@ -85,51 +83,49 @@ class Mapper:
             self.remarks.note(where, f"from its image: {told}")
         return dataclasses.replace(foreign, factor_images=(), **factors)
 
-    def material(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        """The material of ours that comes nearest, on a surface of this shape."""
+    def material(self, foreign: ForeignMaterial, *, is_closed: bool, has_uv: bool, where: str) -> Material:
+        """The material of ours that comes nearest, on a mesh that is closed or open, with or without uv."""
         is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
         is_glass, told = lets_light_through(foreign), functools.partial(self.remarks.approximate, where)
+        is_pane = is_blended and not is_glass and foreign.alpha < SOLID_BLEND
+        if foreign.image is not None and (is_glass or is_pane or not has_uv):
+            told("has an image where only one colour can be; drawn in its mean colour")
+            color = as_vector(np.multiply(foreign.base_color, mean_color(foreign.image)))
+            foreign = dataclasses.replace(foreign, image=None, base_color=color)
         if is_blended:
-            pane = "opaque" if foreign.alpha >= SOLID_BLEND else "as a thin pane of that colour"
-            told(f"is blended with alpha {foreign.alpha:.2g}; drawn {'as glass alone' if is_glass else pane}")
+            kind = "as glass alone" if is_glass else "as a thin pane of that colour" if is_pane else "opaque"
+            told(f"is blended with alpha {foreign.alpha:.2g}; drawn {kind}")
         if is_glass:
             if foreign.transmission < 1:
                 told(f"lets {100 * foreign.transmission:.0f} % of the light through; drawn as clear glass")
-            return self._glass(foreign, shape, where=where)
-        if is_blended and foreign.alpha < SOLID_BLEND:
-            color = self._flat_color(foreign, where=where)
-            red, green, blue = (1 - foreign.alpha + foreign.alpha * c for c in color)  # White where it is not there.
+            return self._glass(foreign, told, is_closed=is_closed, where=where)
+        if is_pane:  # White where it is not there.
+            red, green, blue = (1 - foreign.alpha + foreign.alpha * c for c in foreign.base_color)
             return ThinDielectric(ior=foreign.ior, tint=(red, green, blue))
         if foreign.transmission > 0:
             told(f"is drawn opaque, and lets no light through (transmission {foreign.transmission:.2g})")
-        return self._opaque(foreign, shape, where=where)
+        return self._opaque(foreign, told, where=where)
 
-    def _glass(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
-        ior, color, told = foreign.ior, self._flat_color(foreign, where=where), self.remarks.approximate
-        says_thin = foreign.is_thin or (self.thin == "file" and not foreign.is_volume)
+    def _glass(self, foreign: ForeignMaterial, told: Callable[[str], None], *, is_closed: bool, where: str) -> Material:
         alpha, dispersion = min(foreign.roughness**2, 1.0), min(foreign.dispersion, MAX_DISPERSION)
-        if not shape.is_closed or self.thin == "all" or says_thin:
+        if not is_closed or foreign.is_thin:
             if foreign.is_volume:
-                why = "as --thin all asks for" if shape.is_closed else "its mesh is open, --repair may close it"
-                told(where, f"is solid; drawn as thin glass: {why}")
-            elif not shape.is_closed:
+                told("is solid; drawn as thin glass: its mesh is open, --repair may close it")
+            elif not is_closed:
                 self.remarks.note(where, "its mesh is open: drawn as thin glass, which light crosses without bending")
             if alpha > SMOOTH_ALPHA:
-                told(where, f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
+                told(f"is a rough pane (GGX alpha {alpha:.2g}); drawn smooth")
             if dispersion > 0 or (foreign.is_volume and max(self._absorption(foreign)) > 0):
-                told(where, "its dispersion and absorption are left out, since a thin pane has no depth")
-            return ThinDielectric(ior=ior, tint=color)
+                told("its dispersion and absorption are left out, since a thin pane has no depth")
+            return ThinDielectric(ior=foreign.ior, tint=foreign.base_color)
         if not foreign.is_volume:
-            self.remarks.note(
-                where, "the file gives it no volume, and its mesh is closed: drawn as solid glass; --thin file differs"
-            )
+            self.remarks.note(where, "the file gives it no volume, and its mesh is closed: drawn as solid glass")
         if dispersion < foreign.dispersion:
-            told(where, f"has a dispersion of {foreign.dispersion:g}; drawn with {dispersion:g}")
-        red, green, blue = (math.sqrt(c) for c in color)  # Light crosses two surfaces, and then is of that colour.
+            told(f"has a dispersion of {foreign.dispersion:g}; drawn with {dispersion:g}")
         solid = Dielectric(
-            ior=ior,
+            ior=foreign.ior,
             absorption=self._absorption(foreign),
-            tint=(red, green, blue),
+            tint=as_vector(np.sqrt(foreign.base_color)),  # Light crosses two surfaces, and then is of that colour.
             priority=foreign.priority,
             dispersion=dispersion,
         )
@@ -144,72 +140,50 @@ class Mapper:
         )
         return red, green, blue
 
-    def _opaque(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Material:
+    def _opaque(self, foreign: ForeignMaterial, told: Callable[[str], None], *, where: str) -> Material:
         alpha = max(foreign.roughness**2, MIN_ALPHA)
         if 0.1 < foreign.metallic < 0.9:
             kind = "metal" if foreign.metallic >= 0.5 else "no metal"
-            self.remarks.approximate(where, f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
+            told(f"is {100 * foreign.metallic:.0f} % metal; drawn as {kind}")
         if foreign.metallic >= 0.5 and metal_share(alpha) < METAL_ENOUGH:
-            self.remarks.approximate(where, "is brighter than metal so rough is drawn; drawn matt, of its colour")
-            return Diffuse(color=self._reflectance(foreign, shape, where=where))
+            told("is brighter than metal so rough is drawn; drawn matt, of its colour")
+            return Diffuse(color=self._reflectance(foreign))
         if foreign.metallic >= 0.5:
             roughness = 0.0 if foreign.roughness**2 < MIN_ALPHA else alpha
-            return Conductor(color=self._reflectance(foreign, shape, where=where), roughness=roughness)
+            return Conductor(color=self._reflectance(foreign), roughness=roughness)
         if foreign.is_base:
-            color = self._reflectance(foreign, shape, where=where)
-            return Plastic(color=color, ior=foreign.ior, roughness=alpha)
+            return Plastic(color=self._reflectance(foreign), ior=foreign.ior, roughness=alpha)
         coat = coat_of(foreign.ior, alpha)
         if foreign.roughness < MATT:
-            colors = self._colors(foreign, shape, where=where)
+            colors = _colors(foreign)
             wanted, shown = (1 - coat.mirrored) * colors, coat.seen(np.minimum(coat.base_of(colors), 1))
             if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
-                color = self._reflectance(foreign, shape, coat.base_of, where=where)
-                return Plastic(color=color, ior=foreign.ior, roughness=alpha)
-            self.remarks.approximate(
-                where,
-                "is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight",
-            )
+                return Plastic(color=self._reflectance(foreign, coat.base_of), ior=foreign.ior, roughness=alpha)
+            told("is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight")
         elif coat.mirrored > 0 and foreign.roughness < 1:
             self.remarks.note(where, "its sheen, of a roughness of 0.6 or more, is drawn as matt light")
-        return Diffuse(color=self._reflectance(foreign, shape, coat.with_mirrored, where=where))
+        return Diffuse(color=self._reflectance(foreign, coat.with_mirrored))
 
     def _reflectance(
-        self,
-        foreign: ForeignMaterial,
-        shape: Shape,
-        shaded: Callable[[np.ndarray], np.ndarray] = np.asarray,
-        *,
-        where: str,
+        self, foreign: ForeignMaterial, shaded: Callable[[np.ndarray], np.ndarray] = np.asarray
     ) -> Reflectance:
         """The base colour, or the image of it; as `shaded` makes of it."""
-        if foreign.image is None or not shape.has_uv:
-            if foreign.image is not None:
-                self.remarks.approximate(where, "has an image and no uv; drawn in the image's mean colour")
-            color = shaded(self._colors(foreign, shape, where=where))
-            red, green, blue = (min(float(value), 1.0) for value in color)
-            return red, green, blue
+        colors = np.minimum(shaded(_colors(foreign)), 1)
+        if foreign.image is None:
+            return as_vector(colors)
         key = foreign.image, foreign.base_color, shaded
         if key not in self._paths:
             # Two materials may have one name.
             self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
-            pixels = shaded(self._colors(foreign, shape, where=where))
-            self.images[self._paths[key]] = linear_png(np.minimum(pixels, 1))
+            self.images[self._paths[key]] = linear_png(colors)
         return ImageTexture(path=self._paths[key])
 
-    def _colors(self, foreign: ForeignMaterial, shape: Shape, *, where: str) -> Float[np.ndarray, "*texels 3"]:
-        """The base colour, or those of its image's texels."""
-        if foreign.image is None or not shape.has_uv:
-            return np.array(self._flat_color(foreign, where=where, is_told=False))
-        return decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color)
 
-    def _flat_color(self, foreign: ForeignMaterial, *, where: str, is_told: bool = True) -> Color:
-        """The base colour, times the mean of its image."""
-        if foreign.image is None:
-            return foreign.base_color
-        if is_told:
-            self.remarks.approximate(where, "has an image where only one colour can be; drawn in its mean colour")
-        red, green, blue = (a * b for a, b in zip(foreign.base_color, mean_color(foreign.image), strict=True))
-        return red, green, blue
+def _colors(foreign: ForeignMaterial) -> Float[np.ndarray, "*texels 3"]:
+    """The base colour, or those of its image's texels."""
+    if foreign.image is None:
+        return np.array(foreign.base_color)
+    return decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color)
 
 
 def lets_light_through(foreign: ForeignMaterial) -> bool:

@@ -1,13 +1,12 @@
 """Remarks of an import: one line for each approximation and each unrequested change."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 
 
-@dataclass(frozen=True, kw_only=True)
-class Remark:
+class Remark(NamedTuple):
     """One line of import.json."""
 
     where: str
@@ -32,11 +31,11 @@ class Remarks:
         """
         if self._is_strict:
             raise HyalineError(f"{where}: {what}; leave out --strict to import it so")
-        self._add(Remark(where=where, what=what, is_approximation=True))
+        self.lines += {Remark(where, what, True)}.difference(self.lines)
 
     def note(self, where: str, what: str) -> None:
         """Something was decided or mended, and the scene is what the file asks for."""
-        self._add(Remark(where=where, what=what, is_approximation=False))
+        self.lines += {Remark(where, what, False)}.difference(self.lines)
 
     def to_json(self) -> dict[str, Json]:
         """The lines as import.json holds them."""
@@ -44,7 +43,3 @@ class Remarks:
             "approximations": [f"{line.where}: {line.what}" for line in self.lines if line.is_approximation],
             "notes": [f"{line.where}: {line.what}" for line in self.lines if not line.is_approximation],
         }
-
-    def _add(self, remark: Remark) -> None:
-        if remark not in self.lines:
-            self.lines.append(remark)

@@ -1,6 +1,5 @@
 """Files of other programs as a source of scenes: readers, and the choices for an import (`--material 'leg*=gold'`)."""
 
-import difflib
 import fnmatch
 import re
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import file_name
 from datagen.machine.processes import allow_triangles, confined
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
-from datagen.terminal.command import MAX_SUGGESTED, choose
+from datagen.terminal.command import choose
 from datagen.terminal.plugins import Group
 from hyaline_import.foreign import joined
 from hyaline_import.remarks import Remarks
@@ -23,9 +22,9 @@ READERS: Group[Callable] = Group(
     built_in={
         "glb": "hyaline_import.gltf.scene:read_gltf",
         "gltf": "hyaline_import.gltf.scene:read_gltf",
-        "obj": "hyaline_import.obj:read_obj",
-        "ply": "hyaline_import.bare:read_ply_file",
-        "stl": "hyaline_import.bare:read_stl",
+        "obj": "hyaline_import.plain:read_obj",
+        "ply": "hyaline_import.plain:read_ply_file",
+        "stl": "hyaline_import.plain:read_stl",
         "xml": "hyaline_import.mitsuba.scene:read_mitsuba",
     },
     guide="docs/adding-a-reader.md",
@@ -86,14 +85,8 @@ def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
 def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
     """Rejects a pattern that matches no object, probably a typo."""
     for pattern, _ in overrides:
-        if not any(fnmatch.fnmatchcase(name, pattern) for name in names):
-            near = difflib.get_close_matches(pattern[:MAX_SUGGESTED], names, n=1, cutoff=0.5)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-            raise HyalineError(
-                f"--material: no object is called {shown(pattern)}; {hint}the objects are "
-                f"{', '.join(names[:MAX_NAMED])}{more}"
-            )
+        if not fnmatch.filter(names, pattern):
+            choose("--material: object", pattern, names[:MAX_NAMED])
 
 
 def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:

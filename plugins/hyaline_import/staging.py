@@ -212,9 +212,6 @@ def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remar
     )
 
 
-# Surfaces that emit light
-
-
 def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
     """Rectangles with the power of a surface that emits light: the sides of a box around a closed one, or one in the
     middle of an open one, which shines to where its faces look."""

@@ -1,7 +1,6 @@
 """A foreign surface as a mesh of ours: in metres, joined along its seams, wound outward, mended, with normals."""
 
 import dataclasses
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -33,14 +32,6 @@ WELD = 1e-5
 """Distance, as a share of a surface's size, below which vertices may be merged."""
 MAX_CHANGE = 0.05
 """The most that mending or reducing may change a solid's volume; beyond it, it is another shape."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """What a material has to know of the surface that it is on."""
-
-    is_closed: bool
-    has_uv: bool
 
 
 def mesh_of(
@@ -165,39 +156,18 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     return _turned(mesh, np.isin(part, inside_out))
 
 
-# Closing holes
-
-
 def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with its holes closed by lids and new normals; unchanged if it has none.
-
-    A lid is triangles around the hole's middle, or one triangle.
-    """
+    """The mesh with its holes closed by fans of triangles, and new normals; unchanged if it has none."""
     if not open_edges(mesh):
         return mesh
+    import trimesh
+
     positions, faces = welded(mesh)
-    loops = _loops(faces)
+    filled = trimesh.Trimesh(positions, faces, process=False)
+    trimesh.repair.fill_holes(filled, use_fan=True)
     place = np.unique(mesh.vertices, axis=0, return_index=True)[1]
-    vertices, uv, lids = [mesh.vertices], [mesh.uv], [mesh.faces]
-    for loop in loops:
-        middle = positions[loop].mean(axis=0)
-        # The faces at the hole run along its rim forwards, the lid's backwards. A crack along an edge has its middle on
-        # its rim, where a second point would be welded to the first.
-        at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
-        rim = place[np.roll(loop, -at)]
-        if len(loop) == 3 or (positions[loop[at]] == middle).all():
-            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
-            continue
-        center = len(mesh.vertices) + len(vertices) - 1
-        lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
-        vertices.append(middle[None])
-        uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
-    whole = Mesh(
-        vertices=np.concatenate(vertices).astype(np.float32),
-        faces=np.concatenate(lids).astype(np.int32),
-        normals=np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)]),
-        uv=np.concatenate(uv).astype(np.float32),
-    )
+    lids = place[filled.faces[len(faces) :]].astype(np.int32)
+    whole = dataclasses.replace(mesh, faces=np.concatenate([mesh.faces, lids]))
     if count := open_edges(whole):
         raise HyalineError(
             f"{where}: {count} edges stay open, where faces cross or more than two meet; close it in a modeller, "
@@ -205,7 +175,9 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         )
     before, after = signed_volume(mesh), signed_volume(whole)
     change = abs(after - before) / max(abs(after), 1e-30)
-    what = f"{len(loops)} holes closed: its volume was {1e6 * abs(before):.4g} cm^3, and is {1e6 * abs(after):.4g} cm^3"
+    what = (
+        f"holes closed by {len(lids)} faces: it had {1e6 * abs(before):.4g} cm^3, and has {1e6 * abs(after):.4g} cm^3"
+    )
     if change > MAX_CHANGE:
         raise HyalineError(
             f"{where}: {what}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, model its walls"
@@ -213,32 +185,6 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     remarks.approximate(where, what)
     return with_new_normals(whole, crease_deg=CREASE_DEG)
 
-
-def _loops(faces: np.ndarray) -> list[np.ndarray]:
-    """The rims of holes as points in order, each once around; where rims touch in a point, each on its own."""
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    edges = set(zip(start.tolist(), end.tolist(), strict=True))
-    following: dict[int, list[int]] = {}
-    for a, b in sorted(edges):
-        if (b, a) not in edges:
-            following.setdefault(a, []).append(b)
-    loops, walk = [], []
-    while following:
-        walk = walk or [next(iter(following))]
-        if not following.get(walk[-1]):  # A rim that ends stays open, which the count of open edges reports.
-            following.pop(walk.pop(), None)
-            continue
-        point = following[walk[-1]].pop()
-        if point in walk:
-            at = walk.index(point)
-            loops.append(np.array(walk[at:]))
-            walk = walk[: at + 1]
-        else:
-            walk.append(point)
-    return [loop for loop in loops if len(loop) > 2]
-
-
-# Mending, where that needs no decision
 
 SHORT_EDGE = 2e-7
 """Length in metres below which an edge may be collapsed; a face without area has such an edge, or a smaller height."""

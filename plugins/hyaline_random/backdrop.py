@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.images import encode_float_exr
-from datagen.data.meshes import Mesh
 from datagen.scene.description import EnvironmentMap, SceneObject
 from datagen.scene.materials import Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
 from datagen.scene.textures import fractal_noise
-from hyaline_random.chance import between, color_pair, happens, pattern, pick, weigh, wood
+from hyaline_random.chance import color_pair, pattern, pick, weigh, wood
 from hyaline_random.solids import corners_of, polygon
+from hyaline_random.things import part
 
 Support = Literal["floor", "plinth", "table"]
 
@@ -35,8 +35,8 @@ class Backdrop:
     words: str
     objects: tuple[SceneObject, ...]
     environment: EnvironmentMap
-    files: Mapping[str, bytes]
-    """The map of the environment, by its path."""
+    sky: bytes
+    """The map of the environment, an EXR."""
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
     """Where cameras may be."""
 
@@ -53,13 +53,7 @@ def draw_backdrop(
     """
     support, below = _support(stands_on, extent, radius, rng)
     kind = weigh({"room": 0.3, "screen": 0.35, "open": 0.35}, rng=rng)
-    match kind:
-        case "room":
-            around = _room(radius, below, rng)
-        case "screen":
-            around = _screen(radius, below, rng)
-        case _:
-            around = _open(radius, below, rng)
+    around = {"room": _room, "screen": _screen, "open": _open}[kind](radius, below, rng)
     return dataclasses.replace(around, objects=(*support, *around.objects))
 
 
@@ -79,7 +73,7 @@ def _support(
             wide = 2.0 * (1.25 * top + 0.03)
             material = Plastic(color=_ground_pattern(0.2 * radius, -GAP, rng), roughness=0.25)
             block = moved(rounded_box((wide, wide, height), bevel=0.006), (0, 0, -GAP - height / 2))
-            return [SceneObject(name="plinth", mesh=block, material=material)], -2 * GAP - height
+            return [part("plinth", block, material)], -2 * GAP - height
         case _:
             height = 0.9 * radius
             return _table(1.15 * top + 0.08, height, rng), -3 * GAP - height
@@ -88,17 +82,15 @@ def _support(
 def _table(half: float, height: float, rng: np.random.Generator) -> list[SceneObject]:
     """A top, round or square, on one leg."""
     thick = 0.03
-    texture = wood(between(0.03, 0.09, rng=rng), rng=rng) if happens(0.5, rng=rng) else _ground_pattern(0.08, -GAP, rng)
-    if happens(0.5, rng=rng):
+    texture = wood(rng.uniform(0.03, 0.09), rng=rng) if rng.random() < 0.5 else _ground_pattern(0.08, -GAP, rng)
+    if rng.random() < 0.5:
         top = moved(cylinder(1.1 * half, thick, bevel=0.006, segments=96), (0, 0, -GAP - thick))
     else:
         top = moved(rounded_box((2 * half, 2 * half, thick), bevel=0.006), (0, 0, -GAP - thick / 2))
     leg = moved(cylinder(0.3 * half, height - thick - 2 * GAP, top_radius=0.12 * half), (0, 0, -GAP - height))
     return [
-        SceneObject(
-            name="table", mesh=top, material=Plastic(color=texture, roughness=round(between(0.15, 0.35, rng=rng), 3))
-        ),
-        SceneObject(name="table_leg", mesh=leg, material=Plastic(color=(0.12, 0.11, 0.10), roughness=0.3)),
+        part("table", top, Plastic(color=texture, roughness=round(rng.uniform(0.15, 0.35), 3))),
+        part("table_leg", leg, Plastic(color=(0.12, 0.11, 0.10), roughness=0.3)),
     ]
 
 
@@ -115,10 +107,10 @@ def _ground_pattern(scale: float, height: float, rng: np.random.Generator) -> So
 def _room(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
     """A floor and two walls that cameras look at, with a picture on each."""
     far, tall = 1.7 * radius, 1.9 * radius - below
-    floor = SceneObject(
-        name="floor",
-        mesh=moved(rounded_box((2.6 * far, 2.6 * far, 0.05), bevel=0.004), (0.25 * far, -0.25 * far, below - 0.025)),
-        material=Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3),
+    floor = part(
+        "floor",
+        moved(rounded_box((2.6 * far, 2.6 * far, 0.05), bevel=0.004), (0.25 * far, -0.25 * far, below - 0.025)),
+        Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3),
     )
     middle = below + GAP + tall / 2
     # The back wall reaches behind the left one: no camera in the room sees out through the corner.
@@ -126,65 +118,65 @@ def _room(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
     left = moved(
         rounded_box((0.06, 2.55 * far - GAP, tall), bevel=0.004), (-far - 0.03, -0.275 * far - GAP / 2, middle)
     )
-    paper = pattern(between(0.2, 0.4, rng=rng) * radius, rng=rng)
+    paper = pattern(rng.uniform(0.2, 0.4) * radius, rng=rng)
     plain = _muted(pick(color_pair(rng=rng), rng=rng))
-    papers = [paper, plain] if happens(0.5, rng=rng) else [plain, paper]
+    papers = [paper, plain] if rng.random() < 0.5 else [plain, paper]
     size = 1.1 * radius
     panel = moved(rounded_box((size, 0.02, size), bevel=0.004), (-0.2 * far, far - 0.03, below + 0.02 + size / 2))
-    art = pattern(between(0.16, 0.3, rng=rng) * radius, rng=rng)
+    art = pattern(rng.uniform(0.16, 0.3) * radius, rng=rng)
     return Backdrop(
         words="in the corner of a room",
         objects=(
             floor,
-            SceneObject(name="wall_back", mesh=back, material=Diffuse(color=papers[0])),
-            SceneObject(name="wall_left", mesh=left, material=Diffuse(color=papers[1])),
-            SceneObject(name="panel", mesh=panel, material=Plastic(color=art, roughness=0.2)),
+            part("wall_back", back, Diffuse(color=papers[0])),
+            part("wall_left", left, Diffuse(color=papers[1])),
+            part("panel", panel, Plastic(color=art, roughness=0.2)),
         ),
         azimuth_deg=(-150.0, 60.0),
         environment=_turned_sky(rng),
-        files={SKY_PATH: draw_cards(rng=rng)},
+        sky=_exr(_cards_overhead, rng.uniform(1.3, 1.6), rng),
     )
 
 
 def _screen(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
     """A floor inside a screen with a pattern, round or square, that is open to the sky."""
-    far, tall = 2.0 * radius, between(1.1, 1.4, rng=rng) * radius - below
+    far, tall = 2.0 * radius, rng.uniform(1.1, 1.4) * radius - below
     sides = pick((4, 6, 96, 96), rng=rng)
     outline = [(far, below + GAP), (far + 0.03, below + GAP), (far + 0.03, below + tall), (far, below + tall)]
     wall = lathe(outline, segments=corners_of(sides), crease_deg=20, around=polygon(sides))
-    scale = round(between(0.25, 0.45, rng=rng) * radius, 4)
+    scale = round(rng.uniform(0.25, 0.45) * radius, 4)
     texture = dataclasses.replace(pattern(scale, rng=rng), origin=(0.0, 0.0, below))
     return Backdrop(
         words="inside a patterned screen",
         objects=(
             _disc("floor", 1.5 * far, below, Plastic(color=_ground_pattern(0.3 * radius, below, rng), roughness=0.3)),
-            SceneObject(name="screen", mesh=wall, material=Diffuse(color=texture)),
+            part("screen", wall, Diffuse(color=texture)),
         ),
         environment=_turned_sky(rng),
-        files={SKY_PATH: draw_cards(rng=rng)},
+        sky=_exr(_cards_overhead, rng.uniform(1.3, 1.6), rng),
     )
 
 
 def _open(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
     """A ground with a pattern that ends in a drawn map of the environment."""
     shows = pick(tuple(SKIES), rng=rng)
-    exr = draw_sky(shows, rng=rng)
-    ground = Plastic(color=_ground_pattern(between(0.16, 0.3, rng=rng) * radius, below, rng), roughness=0.3)
+    sky = draw_sky(shows, rng=rng)
+    ground = Plastic(color=_ground_pattern(rng.uniform(0.16, 0.3) * radius, below, rng), roughness=0.3)
     return Backdrop(
         words=f"in a {shows}",
         objects=(_disc("ground", 2.2 * radius, below, ground),),
         environment=_turned_sky(rng),
-        files={SKY_PATH: exr},
+        sky=sky,
     )
 
 
 def _disc(name: str, radius: float, top: float, material: Plastic) -> SceneObject:
-    mesh: Mesh = moved(cylinder(radius, 0.04, bevel=0.006, segments=128), (0, 0, top - 0.04))
-    return SceneObject(name=name, mesh=mesh, material=material)
+    mesh = moved(cylinder(radius, 0.04, bevel=0.006, segments=128), (0, 0, top - 0.04))
+    return part(name, mesh, material)
 
 
 def _turned_sky(rng: np.random.Generator) -> EnvironmentMap:
-    return EnvironmentMap(path=SKY_PATH, rotation_deg=round(between(0, 360, rng=rng), 1))
+    return EnvironmentMap(path=SKY_PATH, rotation_deg=round(rng.uniform(0, 360), 1))
 
 
 def _muted(color: tuple[float, float, float]) -> tuple[float, float, float]:
@@ -203,12 +195,7 @@ Shows = Callable[[Directions, np.random.Generator], Radiance]
 
 def draw_sky(shows: str, *, rng: np.random.Generator) -> bytes:
     """The EXR of one of the SKIES; white paper that lies in the open has a radiance of 0.8 to 1 below it."""
-    return _exr(SKIES[shows], between(0.8, 1.0, rng=rng), rng)
-
-
-def draw_cards(*, rng: np.random.Generator) -> bytes:
-    """The EXR of what lights a room through its open top: bright cards in a dim dome."""
-    return _exr(_cards_overhead, between(1.3, 1.6, rng=rng), rng)
+    return _exr(SKIES[shows], rng.uniform(0.8, 1.0), rng)
 
 
 def map_directions(height: int) -> Directions:
@@ -233,9 +220,9 @@ def _studio(d: Directions, rng: np.random.Generator) -> Radiance:
     azimuth, elevation = _angles(d)
     first, second = (np.array(color) for color in color_pair(rng=rng))
     cells = int(rng.integers(5, 13))
-    roll = _step(np.sin(cells * (azimuth + between(0, 6, rng=rng))), 0.04)[..., None]
+    roll = _step(np.sin(cells * (azimuth + rng.uniform(0, 6))), 0.04)[..., None]
     # Below the horizon, too: there a camera that looks down sees it behind the ground.
-    paper = _step(np.radians(between(16, 26, rng=rng)) - elevation, 0.03)[..., None]
+    paper = _step(np.radians(rng.uniform(16, 26)) - elevation, 0.03)[..., None]
     canvas = 0.8 + 0.7 * (_noise(d, 9, rng) - 0.5)[..., None]
     return paper * canvas * 1.1 * (roll * first + (1 - roll) * second) + _cards(d, rng)
 
@@ -245,17 +232,17 @@ def _cards(d: Directions, rng: np.random.Generator) -> Radiance:
     azimuth, elevation = _angles(d)
     radiance = np.full(d.shape, 0.5)
     count = int(rng.integers(3, 6))
-    start = between(0, 2 * np.pi, rng=rng)
+    start = rng.uniform(0, 2 * np.pi)
     for number in range(count):
-        warm = between(-0.14, 0.14, rng=rng)
-        middle = start + 2 * np.pi * (number + between(-0.3, 0.3, rng=rng)) / count
-        half, tall = np.radians(between(18, 34, rng=rng)), np.radians(between(30, 48, rng=rng))
-        bottom = np.radians(between(24, 36, rng=rng))
+        warm = rng.uniform(-0.14, 0.14)
+        middle = start + 2 * np.pi * (number + rng.uniform(-0.3, 0.3)) / count
+        half, tall = np.radians(rng.uniform(18, 34)), np.radians(rng.uniform(30, 48))
+        bottom = np.radians(rng.uniform(24, 36))
         across = half - np.abs((azimuth - middle + np.pi) % (2 * np.pi) - np.pi)
         card = _step(across, 0.015) * _step(elevation - bottom, 0.015) * _step(bottom + tall - elevation, 0.015)
-        radiance = radiance + card[..., None] * between(3, 7, rng=rng) * np.array([1 + warm, 1, 1 - warm])
-    overhead = _step(d[..., 2] - between(0.94, 0.98, rng=rng), 0.01)[..., None]
-    return radiance + overhead * between(3, 6, rng=rng)
+        radiance = radiance + card[..., None] * rng.uniform(3, 7) * np.array([1 + warm, 1, 1 - warm])
+    overhead = _step(d[..., 2] - rng.uniform(0.94, 0.98), 0.01)[..., None]
+    return radiance + overhead * rng.uniform(3, 6)
 
 
 def _cards_overhead(d: Directions, rng: np.random.Generator) -> Radiance:
@@ -268,19 +255,19 @@ def _hall(d: Directions, rng: np.random.Generator) -> Radiance:
     azimuth, elevation = _angles(d)
     wall, dado = (np.array(color) for color in color_pair(rng=rng))
     radiance = (0.6 + 0.3 * _noise(d, 5, rng))[..., None] * wall
-    low = _step(np.radians(between(4, 10, rng=rng)) - elevation, 0.02)[..., None]
+    low = _step(np.radians(rng.uniform(4, 10)) - elevation, 0.02)[..., None]
     panels = 0.5 + 0.5 * _step(np.sin(14 * azimuth), 0.1)[..., None]
     radiance = (1 - low) * radiance + low * 0.5 * panels * dado
-    start, bars = between(0, 2 * np.pi, rng=rng), int(rng.integers(3, 6))
+    start, bars = rng.uniform(0, 2 * np.pi), int(rng.integers(3, 6))
     for side in range(2):
-        turned = (azimuth - start - side * between(1.7, 2.6, rng=rng) + np.pi) % (2 * np.pi) - np.pi
-        u, v = turned / np.radians(between(32, 46, rng=rng)), (elevation - np.radians(14)) / np.radians(42)
+        turned = (azimuth - start - side * rng.uniform(1.7, 2.6) + np.pi) % (2 * np.pi) - np.pi
+        u, v = turned / np.radians(rng.uniform(32, 46)), (elevation - np.radians(14)) / np.radians(42)
         inside = _step(1 - np.abs(u), 0.02) * _step(v, 0.02) * _step(1 - v, 0.02)
         panes = _step(np.abs(np.sin(np.pi * bars * (u + 1) / 2)) - 0.12, 0.04) * _step(
             np.abs(np.sin(np.pi * 2 * v)) - 0.1, 0.04
         )
         outside = np.array([0.75, 0.9, 1.1]) * (0.6 + 0.6 * v[..., None])
-        radiance = radiance * (1 - inside[..., None]) + (inside * panes)[..., None] * between(4, 8, rng=rng) * outside
+        radiance = radiance * (1 - inside[..., None]) + (inside * panes)[..., None] * rng.uniform(4, 8) * outside
     ceiling = _step(elevation - np.radians(62), 0.03)[..., None]
     return (1 - ceiling) * radiance + ceiling * 0.8
 
@@ -292,7 +279,7 @@ def _landscape(d: Directions, rng: np.random.Generator) -> Radiance:
     clear = np.array([0.16, 0.34, 0.8]) * up**0.5 + np.array([0.85, 0.88, 0.9]) * (1 - up) ** 3
     clouds = np.clip((_noise(d / (0.25 + up), 2.4, rng, octaves=6) - 0.48) * 5, 0, 1)[..., None]
     radiance = clear * (1 - clouds) + clouds * np.array([1.15, 1.12, 1.08])
-    sun_height, sun_azimuth = np.radians(between(25, 60, rng=rng)), between(0, 2 * np.pi, rng=rng)
+    sun_height, sun_azimuth = np.radians(rng.uniform(25, 60)), rng.uniform(0, 2 * np.pi)
     across = np.cos(sun_height)
     sun = np.array([across * np.cos(sun_azimuth), across * np.sin(sun_azimuth), np.sin(sun_height)])
     radiance = radiance + (np.exp(100 * (d @ sun - 1)) * 16)[..., None] * np.array([1.0, 0.92, 0.78])
@@ -311,11 +298,7 @@ def _landscape(d: Directions, rng: np.random.Generator) -> Radiance:
     return radiance * (1 - ground) + ground * fields
 
 
-SKIES: dict[str, Shows] = {
-    "studio": _studio,
-    "hall": _hall,
-    "landscape": _landscape,
-}
+SKIES: dict[str, Shows] = {"studio": _studio, "hall": _hall, "landscape": _landscape}
 
 
 def _angles(d: Directions) -> tuple[np.ndarray, np.ndarray]:

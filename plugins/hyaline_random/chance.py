@@ -12,11 +12,6 @@ from datagen.scene.substances import Ior
 Choice = TypeVar("Choice")
 
 
-def between(low: float, high: float, *, rng: np.random.Generator) -> float:
-    """A number from an even distribution."""
-    return float(rng.uniform(low, high))
-
-
 def pick(choices: Sequence[Choice], *, rng: np.random.Generator) -> Choice:
     """One of several, each as likely as the others."""
     return choices[int(rng.integers(len(choices)))]
@@ -29,16 +24,9 @@ def weigh(choices: Mapping[Choice, float], *, rng: np.random.Generator) -> Choic
     return names[min(int(np.searchsorted(ends, rng.uniform(0, ends[-1]), side="right")), len(names) - 1)]
 
 
-def happens(chance: float, *, rng: np.random.Generator) -> bool:
-    """True in a share `chance` of all draws."""
-    return bool(rng.uniform() < chance)
-
-
 def hue_color(saturation: tuple[float, float], value: tuple[float, float], *, rng: np.random.Generator) -> Color:
     """A linear colour of any hue."""
-    red, green, blue = colorsys.hsv_to_rgb(
-        between(0, 1, rng=rng), between(*saturation, rng=rng), between(*value, rng=rng)
-    )
+    red, green, blue = colorsys.hsv_to_rgb(rng.random(), rng.uniform(*saturation), rng.uniform(*value))
     return red, green, blue
 
 
@@ -69,7 +57,7 @@ WOODS: tuple[tuple[Color, Color], ...] = (
 def color_pair(*, rng: np.random.Generator) -> tuple[Color, Color]:
     """Two colours that contrast, slightly other ones each time."""
     first, second = pick(PAIRS, rng=rng)
-    if happens(0.3, rng=rng):
+    if rng.random() < 0.3:
         first, second = second, first
     return _varied(first, rng), _varied(second, rng)
 
@@ -92,7 +80,7 @@ def wood(scale: float, *, rng: np.random.Generator) -> SolidTexture:
 
 
 def _varied(color: Color, rng: np.random.Generator) -> Color:
-    red, green, blue = (round(min(0.9, channel * between(0.85, 1.12, rng=rng)), 3) for channel in color)
+    red, green, blue = (round(min(0.9, channel * rng.uniform(0.85, 1.12)), 3) for channel in color)
     return red, green, blue
 
 
@@ -119,7 +107,7 @@ ICE = Dielectric(ior="ice", priority=ICE_PRIORITY)
 
 def clear_ior(*, rng: np.random.Generator) -> Ior:
     """The index of some glass."""
-    return pick(GLASSES, rng=rng) if happens(0.5, rng=rng) else round(between(1.45, 1.8, rng=rng), 3)
+    return pick(GLASSES, rng=rng) if rng.random() < 0.5 else round(rng.uniform(1.45, 1.8), 3)
 
 
 def solid_glass(thickness: float, *, rng: np.random.Generator, is_cut: bool = False) -> Dielectric:
@@ -129,19 +117,19 @@ def solid_glass(thickness: float, *, rng: np.random.Generator, is_cut: bool = Fa
         thickness: metres over which a tint has its full colour.
         is_cut: the body has flat facets, so that it is worth to let heavy glass part colours.
     """
-    if is_cut and happens(0.5, rng=rng):
-        return Dielectric(ior=round(between(1.6, 1.8, rng=rng), 3), dispersion=round(between(0.4, 0.8, rng=rng), 3))
+    if is_cut and rng.random() < 0.5:
+        return Dielectric(ior=round(rng.uniform(1.6, 1.8), 3), dispersion=round(rng.uniform(0.4, 0.8), 3))
     kind = weigh({"clear": 0.5, "tinted": 0.36, "frosted": 0.14}, rng=rng)
     ior = clear_ior(rng=rng)
     if kind == "frosted":
-        return RoughDielectric(ior=ior, roughness=round(between(0.05, 0.2, rng=rng), 3))
+        return RoughDielectric(ior=ior, roughness=round(rng.uniform(0.05, 0.2), 3))
     absorption = tint(thickness, rng=rng) if kind == "tinted" else (0.0, 0.0, 0.0)
     return Dielectric(ior=ior, absorption=absorption)
 
 
 def vessel_glass(wall: float, *, rng: np.random.Generator) -> Dielectric:
     """Glass of a vessel: smooth, so that one sees what is in it; now and then tinted."""
-    absorption = tint(4 * wall, rng=rng) if happens(0.25, rng=rng) else (0.0, 0.0, 0.0)
+    absorption = tint(4 * wall, rng=rng) if rng.random() < 0.25 else (0.0, 0.0, 0.0)
     return Dielectric(ior=pick(("soda-lime", "pyrex", "bk7"), rng=rng), absorption=absorption)
 
 
@@ -151,7 +139,7 @@ def pane_glass(tinted: float, *, rng: np.random.Generator) -> ThinDielectric:
     Args:
         tinted: share of all draws that have a colour.
     """
-    if not happens(tinted, rng=rng):
+    if rng.random() >= tinted:
         return ThinDielectric(ior=pick(("soda-lime", "acrylic"), rng=rng))
     red, green, blue = (round(share, 3) for share in hue_color((0.35, 0.85), (0.8, 0.95), rng=rng))
     return ThinDielectric(ior=pick(("soda-lime", "acrylic"), rng=rng), tint=(red, green, blue))

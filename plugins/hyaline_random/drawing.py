@@ -5,6 +5,7 @@ gives the same scene to the last bit.
 """
 
 import dataclasses
+import re
 import zlib
 from collections import Counter
 from dataclasses import dataclass
@@ -23,8 +24,7 @@ from datagen.scene.materials import ThinDielectric, Vector
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import say
-from hyaline_random.backdrop import draw_backdrop
-from hyaline_random.chance import between
+from hyaline_random.backdrop import SKY_PATH, draw_backdrop
 from hyaline_random.families import Family
 from hyaline_random.names import FAMILIES, RandomName
 from hyaline_random.things import Thing, spread_out
@@ -136,17 +136,15 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
             f"{100 * GLASS_SHARE[1]:g} %"
         )
     backdrop = draw_backdrop(family.stands_on, extent=extent, radius=radius, rng=rng)
-    words = (
-        f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} % of the pixels"
-    )
+    words = f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} %"
     told = f"; draws refused before: {' | '.join(refused)}" if refused else ""
     scene = Scene(
         name=str(name),
-        description=f"Random scene, family {name.family}, seed {name.seed}: {words}{told}",
+        description=f"Random scene, family {name.family}, seed {name.seed}: {words} of the pixels{told}",
         objects=(*objects, *backdrop.objects),
         environment=backdrop.environment,
         cameras=_rig(target, radius, backdrop.azimuth_deg, rng),
-        baked=backdrop.files,
+        baked={SKY_PATH: backdrop.sky},
     )
     check_scene(scene)
     return Drawn(scene=scene, refused=refused, glass_share=share, things=tuple(things))
@@ -182,7 +180,7 @@ def _radius(
     objects: tuple[SceneObject, ...], target: Vector, extent: float, rng: np.random.Generator
 ) -> tuple[float, float]:
     """How far the cameras are from the things, and the share of the pixels that is glass from there."""
-    wanted = between(0.15, 0.32, rng=rng)
+    wanted = rng.uniform(0.15, 0.32)
     nearest = 2.5 * max(extent, target[2])  # Less than that, and the outermost things would be cut off.
     radius = nearest * 1.3
     for _ in range(3):
@@ -201,7 +199,7 @@ def _glass_share(objects: tuple[SceneObject, ...], target: Vector, radius: float
 def _rig(target: Vector, radius: float, azimuth_deg: tuple[float, float], rng: np.random.Generator) -> CameraRig:
     """Cameras on a hemisphere, and a walk that comes nearer, goes lower and leaves it."""
     first, last = azimuth_deg
-    start = between(first, last, rng=rng) if last - first >= 360 else first + 20
+    start = rng.uniform(first, last) if last - first >= 360 else first + 20
     turn = 220.0 if last - first >= 360 else last - first - 40
     walk = []
     for share, away, elevation_deg, aside in (
@@ -245,15 +243,10 @@ def _with_own_names(things: list[Thing]) -> list[Thing]:
     for thing in things:
         kind = thing.objects[0].name
         counts[kind] += 1
-        number = counts[kind]
-        if number > 1:
-            renamed = tuple(
-                dataclasses.replace(item, name=f"{kind}_{number}{item.name.removeprefix(kind)}")
-                if item.name.startswith(kind)
-                else dataclasses.replace(item, name=f"{item.name}_{number}")
-                for item in thing.objects
-            )
-            thing = dataclasses.replace(thing, objects=renamed)
+        if (number := counts[kind]) > 1:
+            names = [re.sub(rf"^{kind}|$", rf"\g<0>_{number}", item.name, count=1) for item in thing.objects]
+            objects = [dataclasses.replace(item, name=name) for item, name in zip(thing.objects, names, strict=True)]
+            thing = dataclasses.replace(thing, objects=tuple(objects))
         named.append(thing)
     return named
 

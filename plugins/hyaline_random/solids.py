@@ -25,7 +25,7 @@ from datagen.scene.modelling import (
     tube,
     turned,
 )
-from hyaline_random.chance import between, pick
+from hyaline_random.chance import pick
 from hyaline_random.things import standing
 
 ROUND = 96
@@ -100,12 +100,12 @@ Maker = Callable[[np.random.Generator], Mesh]
 
 
 def _ball(rng: np.random.Generator) -> Mesh:
-    return ball(between(0.045, 0.06, rng=rng))
+    return ball(rng.uniform(0.045, 0.06))
 
 
 def _egg(rng: np.random.Generator) -> Mesh:
-    wide, high = between(0.034, 0.045, rng=rng), between(0.045, 0.06, rng=rng)
-    point = between(0.0, 0.25, rng=rng)
+    wide, high = rng.uniform(0.034, 0.045), rng.uniform(0.045, 0.06)
+    point = rng.uniform(0.0, 0.25)
 
     def drawn_out(p: Points) -> Points:
         slim = 1 - point * p[:, 2:]
@@ -115,37 +115,37 @@ def _egg(rng: np.random.Generator) -> Mesh:
 
 
 def _soft_cube(rng: np.random.Generator) -> Mesh:
-    size = between(0.07, 0.085, rng=rng)
-    height, bevel = size * between(0.8, 1.2, rng=rng), size * between(0.06, 0.3, rng=rng)
+    size = rng.uniform(0.07, 0.085)
+    height, bevel = size * rng.uniform(0.8, 1.2), size * rng.uniform(0.06, 0.3)
     cube = rounded_box((size, size, height), bevel=bevel, segments=5)
-    return turned(cube, (0, 0, 1), between(0, 90, rng=rng))
+    return turned(cube, (0, 0, 1), rng.uniform(0, 90))
 
 
 def _disc(rng: np.random.Generator) -> Mesh:
-    radius, height = between(0.045, 0.055, rng=rng), between(0.03, 0.07, rng=rng)
-    soft = between(0.003, 0.012, rng=rng)
+    radius, height = rng.uniform(0.045, 0.055), rng.uniform(0.03, 0.07)
+    soft = rng.uniform(0.003, 0.012)
     return lathe(filleted([(0, 0, 0), (radius, 0, soft), (radius, height, soft), (0, height, 0)], segments=8))
 
 
 def _cone(rng: np.random.Generator) -> Mesh:
-    low, high = between(0.045, 0.055, rng=rng), between(0.006, 0.03, rng=rng)
-    height = between(0.08, 0.12, rng=rng)
+    low, high = rng.uniform(0.045, 0.055), rng.uniform(0.006, 0.03)
+    height = rng.uniform(0.08, 0.12)
     return lathe(filleted([(0, 0, 0), (low, 0, 0.004), (high, height, 0.004), (0, height, 0)], segments=6))
 
 
 def _prism(rng: np.random.Generator) -> Mesh:
     sides = pick((3, 3, 4, 5, 6, 8), rng=rng)
-    radius, height = between(0.026, 0.036, rng=rng), between(0.08, 0.12, rng=rng)
+    radius, height = rng.uniform(0.026, 0.036), rng.uniform(0.08, 0.12)
     outline = filleted([(0, 0, 0), (radius, 0, 0.0015), (radius, height, 0.0015), (0, height, 0)], segments=2)
     upright = lathe(outline, segments=corners_of(sides), crease_deg=FACET_CREASE_DEG, around=polygon(sides))
-    if sides == 3 and between(0, 1, rng=rng) < 0.6:  # As it stands on an optical bench: on one of its long faces.
-        return turned(turned(turned(upright, (0, 0, 1), 60), (0, 1, 0), 90), (0, 0, 1), between(0, 360, rng=rng))
+    if sides == 3 and rng.random() < 0.6:  # As it stands on an optical bench: on one of its long faces.
+        return turned(turned(turned(upright, (0, 0, 1), 60), (0, 1, 0), 90), (0, 0, 1), rng.uniform(0, 360))
     return upright
 
 
 def _lens(rng: np.random.Generator) -> Mesh:
     """Two spherical caps back to back, standing on its rim."""
-    radius, bulge = between(0.045, 0.055, rng=rng), between(0.012, 0.024, rng=rng)
+    radius, bulge = rng.uniform(0.045, 0.055), rng.uniform(0.012, 0.024)
     rim = 0.0015
     low = _cap(radius, bulge)
     outline = [(r, -z - rim) for r, z in low] + [(r, z + rim) for r, z in reversed(low)]
@@ -154,7 +154,7 @@ def _lens(rng: np.random.Generator) -> Mesh:
 
 def _dome(rng: np.random.Generator) -> Mesh:
     """A magnifier that lies on its flat side."""
-    radius, bulge = between(0.045, 0.058, rng=rng), between(0.02, 0.042, rng=rng)
+    radius, bulge = rng.uniform(0.045, 0.058), rng.uniform(0.02, 0.042)
     cap = [(r, z + 0.003) for r, z in reversed(_cap(radius, bulge))]
     return lathe([*filleted([(0, 0, 0), (radius, 0, 0.001), cap[0] + (0.0,)], segments=3), *cap[1:]], crease_deg=30)
 
@@ -162,15 +162,15 @@ def _dome(rng: np.random.Generator) -> Mesh:
 def _gem(rng: np.random.Generator) -> Mesh:
     """A stone of brilliant cut: table, crown, girdle and pavilion, the hull of its corners."""
     sides = pick((6, 8, 8, 10, 12), rng=rng)
-    radius = between(0.05, 0.06, rng=rng)
-    table, crown = between(0.5, 0.65, rng=rng), between(0.24, 0.36, rng=rng)
+    radius = rng.uniform(0.05, 0.06)
+    table, crown = rng.uniform(0.5, 0.65), rng.uniform(0.24, 0.36)
     rings = [
         (table * radius, crown * radius, 0.0),
         (0.86 * radius, 0.55 * crown * radius, 0.5),
         (radius, 0.03 * radius, 0.0),
         (radius, -0.03 * radius, 0.0),
         (0.55 * radius, -0.42 * radius, 0.5),
-        (0.02 * radius, -between(0.7, 0.85, rng=rng) * radius, 0.0),
+        (0.02 * radius, -rng.uniform(0.7, 0.85) * radius, 0.0),
     ]
     corners = [
         (r * np.cos(a), r * np.sin(a), z)
@@ -192,10 +192,10 @@ def _pebble(rng: np.random.Generator) -> Mesh:
 
 
 def _ring(rng: np.random.Generator) -> Mesh:
-    radius, thick = between(0.036, 0.042, rng=rng), between(0.011, 0.017, rng=rng)
+    radius, thick = rng.uniform(0.036, 0.042), rng.uniform(0.011, 0.017)
     angle = np.linspace(0, 2 * np.pi, 40, endpoint=False)
     torus = lathe(list(zip(radius + thick * np.cos(angle), thick * np.sin(angle))))
-    return _on_edge(torus, rng) if between(0, 1, rng=rng) < 0.5 else torus
+    return _on_edge(torus, rng) if rng.random() < 0.5 else torus
 
 
 def _knot(rng: np.random.Generator) -> Mesh:
@@ -204,27 +204,26 @@ def _knot(rng: np.random.Generator) -> Mesh:
     loop = np.linspace(0, 2 * np.pi, 240, endpoint=False)
     ring = 0.036 + 0.015 * np.cos(q * loop)
     path = np.stack([ring * np.cos(p * loop), ring * np.sin(p * loop), 0.017 * np.sin(q * loop)], axis=-1)
-    knot = tube(path, between(0.0055, 0.0075, rng=rng), segments=20, is_loop=True)
+    knot = tube(path, rng.uniform(0.0055, 0.0075), segments=20, is_loop=True)
     return turned(knot, (1, 0, 0), pick((0.0, 90.0), rng=rng))
 
 
 def _star_prism(rng: np.random.Generator) -> Mesh:
     """An extruded star with soft points, straight or twisted."""
-    height, radius = between(0.08, 0.12, rng=rng), between(0.038, 0.048, rng=rng)
-    points, depth = int(rng.integers(3, 8)), between(0.2, 0.42, rng=rng)
-    top, bevel = radius * between(0.8, 1.0, rng=rng), 0.002
+    height, radius = rng.uniform(0.08, 0.12), rng.uniform(0.038, 0.048)
+    points, depth = int(rng.integers(3, 8)), rng.uniform(0.2, 0.42)
+    top, bevel = radius * rng.uniform(0.8, 1.0), 0.002
     side = np.stack([np.linspace(radius, top, 24), np.linspace(bevel, height - bevel, 24)], axis=-1)
     outline = [(0.0, 0.0), (radius - bevel, 0.0), *map(tuple, side.tolist()), (top - bevel, height), (0.0, height)]
     mesh = lathe(outline, around=star(points, depth))
-    return twisted(mesh, between(-4, 4, rng=rng), crease_deg=40)
+    return twisted(mesh, rng.uniform(-4, 4), crease_deg=40)
 
 
 def _turned_post(rng: np.random.Generator) -> Mesh:
     """A post as a turner makes it: bellies and waists of random widths."""
-    count, height = int(rng.integers(3, 6)), between(0.10, 0.14, rng=rng)
+    count, height = int(rng.integers(3, 6)), rng.uniform(0.10, 0.14)
     radii = [
-        between(0.026, 0.038, rng=rng) if place % 2 == 0 else between(0.010, 0.02, rng=rng)
-        for place in range(2 * count - 1)
+        rng.uniform(0.026, 0.038) if place % 2 == 0 else rng.uniform(0.010, 0.02) for place in range(2 * count - 1)
     ]
     levels = np.linspace(0, height, len(radii))
     line = curved(list(zip(radii, levels)), count=64)
@@ -234,18 +233,18 @@ def _turned_post(rng: np.random.Generator) -> Mesh:
 
 def _ribbed_ball(rng: np.random.Generator) -> Mesh:
     """A squat melon with ribs."""
-    radius, ribs = between(0.045, 0.055, rng=rng), int(rng.integers(5, 12))
+    radius, ribs = rng.uniform(0.045, 0.055), int(rng.integers(5, 12))
     angle = np.linspace(-np.pi / 2, np.pi / 2, 40)
     side = np.stack([radius * np.cos(angle), 0.8 * radius * np.sin(angle)], axis=-1)[1:-1]
     outline = [(0.0, -0.8 * radius), *map(tuple, side.tolist()), (0.0, 0.8 * radius)]
     segments = ribs * max(6, round(ROUND / ribs))
-    return lathe(outline, segments=segments, around=flutes(ribs, between(0.1, 0.25, rng=rng)), crease_deg=50)
+    return lathe(outline, segments=segments, around=flutes(ribs, rng.uniform(0.1, 0.25)), crease_deg=50)
 
 
 def _hollow_lens(rng: np.random.Generator) -> Mesh:
     """A lens thinner in its middle, standing on its rim."""
-    radius, dip = between(0.045, 0.055, rng=rng), between(0.008, 0.014, rng=rng)
-    rim = dip + between(0.003, 0.006, rng=rng)
+    radius, dip = rng.uniform(0.045, 0.055), rng.uniform(0.008, 0.014)
+    rim = dip + rng.uniform(0.003, 0.006)
     bowl = _cap(radius, dip)
     outline = [(r, z - rim) for r, z in bowl] + [(r, rim - z) for r, z in reversed(bowl)]
     return _on_edge(lathe(outline, crease_deg=30), rng)
@@ -253,8 +252,8 @@ def _hollow_lens(rng: np.random.Generator) -> Mesh:
 
 def _drilled_block(rng: np.random.Generator) -> Mesh:
     """A soft-edged block with a round hole through it."""
-    hole, radius = between(0.012, 0.02, rng=rng), between(0.038, 0.045, rng=rng)
-    height, power = between(0.04, 0.08, rng=rng), between(3, 8, rng=rng)
+    hole, radius = rng.uniform(0.012, 0.02), rng.uniform(0.038, 0.045)
+    height, power = rng.uniform(0.04, 0.08), rng.uniform(3, 8)
     outer = filleted([(hole, 0, 0), (radius, 0, 0.003), (radius, height, 0.003), (hole, height, 0)], segments=4)
     square = soft_square(power)
 
@@ -266,7 +265,7 @@ def _drilled_block(rng: np.random.Generator) -> Mesh:
 
 def _coil(rng: np.random.Generator) -> Mesh:
     """A helix of glass rod."""
-    turns, radius = between(2, 4, rng=rng), between(0.03, 0.04, rng=rng)
+    turns, radius = rng.uniform(2, 4), rng.uniform(0.03, 0.04)
     angle = np.linspace(0, 2 * np.pi * turns, round(48 * turns))
     rise = np.linspace(0, 0.02 * turns + 0.02, len(angle))
     path = np.stack([radius * np.cos(angle), radius * np.sin(angle), rise], axis=-1)
@@ -326,7 +325,7 @@ def with_bubbles(mesh: Mesh, *, rng: np.random.Generator) -> Mesh:
     for place in range(int(rng.integers(3, 9))):
         # Each in a shell of its own cell of a small grid, so that none meets another.
         cell = np.array([place % 2, place // 2 % 2, place // 4 % 2]) - 0.5
-        radius = size * between(0.03, 0.075, rng=rng)
+        radius = size * rng.uniform(0.03, 0.075)
         offset = cell * 0.26 * size + rng.uniform(-0.03, 0.03, 3) * size
         bubble = moved(ball(radius, subdivisions=3), middle + offset)
         bubbles.append(dataclasses.replace(bubble, faces=bubble.faces[:, ::-1].copy(), normals=-bubble.normals))
@@ -343,4 +342,4 @@ def _cap(radius: float, height: float, *, count: int = 20) -> list[tuple[float, 
 
 def _on_edge(mesh: Mesh, rng: np.random.Generator) -> Mesh:
     """A flat body put upright, turned to any side."""
-    return turned(turned(mesh, (1, 0, 0), 90), (0, 0, 1), between(0, 360, rng=rng))
+    return turned(turned(mesh, (1, 0, 0), 90), (0, 0, 1), rng.uniform(0, 360))

@@ -24,7 +24,7 @@ from datagen.scene.modelling import (
     turned,
     walled,
 )
-from hyaline_random.chance import between, color_pair, happens, pattern, pick, weigh
+from hyaline_random.chance import color_pair, pattern, pick, weigh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +51,11 @@ class Thing:
     def is_glass(self) -> bool:
         """Whether any of it is glass."""
         return any(item.material.is_glass for item in self.objects)
+
+
+def part(name: str, mesh: Mesh, material: Material) -> SceneObject:
+    """One object of a thing."""
+    return SceneObject(name=name, mesh=mesh, material=material)
 
 
 def standing(mesh: Mesh) -> Mesh:
@@ -95,10 +100,7 @@ TRIES = 40
 def spread_out(things: Sequence[Thing], *, rng: np.random.Generator) -> list[Thing]:
     """The things side by side around the z axis, each turned to any side; the same order."""
     places = free_places([thing.reach for thing in things], clearance=CLEARANCE, rng=rng)
-    return [
-        put(thing, (x, y, 0.0), turn_deg=float(rng.uniform(0, 360)))
-        for thing, (x, y) in zip(things, places, strict=True)
-    ]
+    return [put(thing, (x, y, 0.0), turn_deg=rng.uniform(0, 360)) for thing, (x, y) in zip(things, places, strict=True)]
 
 
 def free_places(reaches: Sequence[float], *, clearance: float, rng: np.random.Generator) -> list[tuple[float, float]]:
@@ -141,24 +143,24 @@ def surface(scale: float, *, rng: np.random.Generator) -> Material:
     """
     kind = weigh({"paint": 0.25, "matt": 0.25, "lacquer": 0.4, "metal": 0.1}, rng=rng)
     if kind == "metal":
-        return Conductor(color=pick(METALS, rng=rng), roughness=round(between(0.12, 0.3, rng=rng), 3))
+        return Conductor(color=pick(METALS, rng=rng), roughness=round(rng.uniform(0.12, 0.3), 3))
     if kind == "paint":
-        return Plastic(color=pick(color_pair(rng=rng), rng=rng), roughness=round(between(0.1, 0.3, rng=rng), 3))
+        return Plastic(color=pick(color_pair(rng=rng), rng=rng), roughness=round(rng.uniform(0.1, 0.3), 3))
     if kind == "matt":
         return Diffuse(color=pattern(scale, rng=rng))
-    return Plastic(color=pattern(scale, rng=rng), roughness=round(between(0.1, 0.25, rng=rng), 3))
+    return Plastic(color=pattern(scale, rng=rng), roughness=round(rng.uniform(0.1, 0.25), 3))
 
 
 def _books(rng: np.random.Generator) -> Thing:
     books, height = [], 0.0
     for number in range(int(rng.integers(1, 4))):
-        size = between(0.13, 0.17, rng=rng), between(0.09, 0.12, rng=rng), between(0.014, 0.028, rng=rng)
-        book = turned(rounded_box(size, bevel=0.002), (0, 0, 1), between(-20, 20, rng=rng))
+        size = rng.uniform(0.13, 0.17), rng.uniform(0.09, 0.12), rng.uniform(0.014, 0.028)
+        book = turned(rounded_box(size, bevel=0.002), (0, 0, 1), rng.uniform(-20, 20))
         books.append(
-            SceneObject(
-                name=f"book_{number}",
-                mesh=moved(book, (0, 0, height + size[2] / 2)),
-                material=Diffuse(color=pattern(between(0.02, 0.05, rng=rng), rng=rng)),
+            part(
+                f"book_{number}",
+                moved(book, (0, 0, height + size[2] / 2)),
+                Diffuse(color=pattern(rng.uniform(0.02, 0.05), rng=rng)),
             )
         )
         height += size[2] + GAP
@@ -166,7 +168,7 @@ def _books(rng: np.random.Generator) -> Thing:
 
 
 def _pot(rng: np.random.Generator) -> Thing:
-    wide, height = between(0.03, 0.045, rng=rng), between(0.08, 0.16, rng=rng)
+    wide, height = rng.uniform(0.03, 0.045), rng.uniform(0.08, 0.16)
     levels = zip(rng.uniform(0.55, 1.0, 5).tolist(), (0, 0.25, 0.5, 0.78, 1.0), strict=True)
     line = curved([(wide * share, height * level) for share, level in levels], count=32)
     outline = walled([(0.0, 0.0), *map(tuple, line.tolist())], wall=0.004, floor=0.007)
@@ -174,24 +176,24 @@ def _pot(rng: np.random.Generator) -> Thing:
 
 
 def _fruit(rng: np.random.Generator) -> Thing:
-    long = between(1.0, 1.35, rng=rng)
-    body = deformed(ball(between(0.03, 0.042, rng=rng)), lambda p: p * np.array([long, 1, 1]))
+    long = rng.uniform(1.0, 1.35)
+    body = deformed(ball(rng.uniform(0.03, 0.042)), lambda p: p * np.array([long, 1, 1]))
     return _one("fruit", body, rng)
 
 
 def _block(rng: np.random.Generator) -> Thing:
-    size = between(0.035, 0.06, rng=rng)
+    size = rng.uniform(0.035, 0.06)
     return _one("block", rounded_box((size, size, size), bevel=0.12 * size), rng)
 
 
 def _can(rng: np.random.Generator) -> Thing:
-    radius = between(0.028, 0.036, rng=rng)
-    top = radius if happens(0.6, rng=rng) else 0.3 * radius
-    return _one("can", cylinder(radius, between(0.07, 0.13, rng=rng), top_radius=top, segments=64), rng)
+    radius = rng.uniform(0.028, 0.036)
+    top = radius if rng.random() < 0.6 else 0.3 * radius
+    return _one("can", cylinder(radius, rng.uniform(0.07, 0.13), top_radius=top, segments=64), rng)
 
 
 def _wire(rng: np.random.Generator) -> Thing:
-    mesh = tube(knot(0.034, 0.014, count=160), between(0.006, 0.008, rng=rng), segments=18, is_loop=True)
+    mesh = tube(knot(0.034, 0.014, count=160), rng.uniform(0.006, 0.008), segments=18, is_loop=True)
     return _one("knot", turned(mesh, (1, 0, 0), pick((0.0, 90.0), rng=rng)), rng)
 
 
@@ -206,5 +208,5 @@ THINGS: dict[str, Maker] = {
 
 
 def _one(name: str, mesh: Mesh, rng: np.random.Generator) -> Thing:
-    item = SceneObject(name=name, mesh=standing(mesh), material=surface(between(0.012, 0.035, rng=rng), rng=rng))
+    item = part(name, standing(mesh), surface(rng.uniform(0.012, 0.035), rng=rng))
     return Thing(words=f"a {name}", objects=(item,))

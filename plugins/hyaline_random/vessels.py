@@ -8,7 +8,7 @@ import numpy as np
 
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import Around, curved, filled, filleted, lathe, walled
-from hyaline_random.chance import between, happens, pick
+from hyaline_random.chance import pick
 from hyaline_random.solids import ROUND, corners_of, flutes, outside_only, polygon, soft_square
 
 Outline = list[tuple[float, float]]
@@ -66,36 +66,36 @@ Maker = Callable[[np.random.Generator], Vessel]
 
 
 def _tumbler(rng: np.random.Generator) -> Vessel:
-    radius, height = between(0.031, 0.039, rng=rng), between(0.07, 0.105, rng=rng)
-    top = radius * between(1.0, 1.25, rng=rng)
-    corners = [(0, 0, 0), (radius, 0, between(0.003, 0.008, rng=rng)), (top, height, 0)]
-    return _straight(corners, height, wall=between(0.0025, 0.0045, rng=rng), floor=between(0.009, 0.02, rng=rng))
+    radius, height = rng.uniform(0.031, 0.039), rng.uniform(0.07, 0.105)
+    top = radius * rng.uniform(1.0, 1.25)
+    corners = [(0, 0, 0), (radius, 0, rng.uniform(0.003, 0.008)), (top, height, 0)]
+    return _straight(corners, height, wall=rng.uniform(0.0025, 0.0045), floor=rng.uniform(0.009, 0.02))
 
 
 def _highball(rng: np.random.Generator) -> Vessel:
-    radius, height = between(0.027, 0.032, rng=rng), between(0.12, 0.155, rng=rng)
-    top = radius * between(1.0, 1.2, rng=rng)
+    radius, height = rng.uniform(0.027, 0.032), rng.uniform(0.12, 0.155)
+    top = radius * rng.uniform(1.0, 1.2)
     return _straight([(0, 0, 0), (radius, 0, 0.005), (top, height, 0)], height, wall=0.0026, floor=0.011)
 
 
 def _cut_tumbler(rng: np.random.Generator) -> Vessel:
     """Heavy crystal: flat or fluted outside, round inside."""
-    radius, height = between(0.034, 0.040, rng=rng), between(0.08, 0.10, rng=rng)
-    top = radius * between(1.0, 1.15, rng=rng)
+    radius, height = rng.uniform(0.034, 0.040), rng.uniform(0.08, 0.10)
+    top = radius * rng.uniform(1.0, 1.15)
     knee = 0.004
     outer = filleted([(0, 0, 0), (radius, 0, knee), (top, height, 0)], segments=4)
     # Points along the side, so that the cut can end below the rim.
     foot, side = outer[:-1], np.linspace(outer[-2], outer[-1], 30)[1:]
     outer = [*foot, *map(tuple, side.tolist())]
     count = pick((8, 9, 10, 12, 16), rng=rng)
-    cut = polygon(count) if count <= 10 else flutes(count, between(0.05, 0.09, rng=rng))
+    cut = polygon(count) if count <= 10 else flutes(count, rng.uniform(0.05, 0.09))
     return Vessel(
         outer=outer,
-        wall=between(0.006, 0.008, rng=rng),
-        floor=between(0.014, 0.022, rng=rng),
+        wall=rng.uniform(0.006, 0.008),
+        floor=rng.uniform(0.014, 0.022),
         brim=0.7 * height,
         is_open=True,
-        around=outside_only(cut, len(outer), low=0.1 * height, high=between(0.6, 0.85, rng=rng) * height),
+        around=outside_only(cut, len(outer), low=0.1 * height, high=rng.uniform(0.6, 0.85) * height),
         segments=corners_of(count),
         crease_deg=20,
         is_cut=True,
@@ -103,17 +103,17 @@ def _cut_tumbler(rng: np.random.Generator) -> Vessel:
 
 
 def _bowl(rng: np.random.Generator) -> Vessel:
-    radius, height = between(0.055, 0.07, rng=rng), between(0.05, 0.075, rng=rng)
-    foot = radius * between(0.4, 0.55, rng=rng)
+    radius, height = rng.uniform(0.055, 0.07), rng.uniform(0.05, 0.075)
+    foot = radius * rng.uniform(0.4, 0.55)
     line = curved(
         [(foot, 0), (0.76 * radius, 0.3 * height), (0.94 * radius, 0.65 * height), (radius, height)], count=28
     )
-    return _from_curve(line, wall=between(0.003, 0.005, rng=rng), floor=0.010, brim=0.7 * height, is_open=True)
+    return _from_curve(line, wall=rng.uniform(0.003, 0.005), floor=0.010, brim=0.7 * height, is_open=True)
 
 
 def _wine_glass(rng: np.random.Generator) -> Vessel:
-    wide, stem = between(0.032, 0.042, rng=rng), between(0.035, 0.075, rng=rng)
-    bowl, mouth = between(0.05, 0.085, rng=rng), between(0.78, 0.98, rng=rng)
+    wide, stem = rng.uniform(0.032, 0.042), rng.uniform(0.035, 0.075)
+    bowl, mouth = rng.uniform(0.05, 0.085), rng.uniform(0.78, 0.98)
     foot = filleted([(0, 0, 0), (0.9 * wide, 0, 0.0012), (0.9 * wide, 0.0026, 0.0012), (0.016, 0.0052, 0.02)])
     line = curved(
         [
@@ -136,33 +136,33 @@ def _wine_glass(rng: np.random.Generator) -> Vessel:
 
 def _bottle(rng: np.random.Generator) -> Vessel:
     """A carafe, a vase or a bottle."""
-    height, wide = between(0.15, 0.21, rng=rng), between(0.038, 0.055, rng=rng)
-    neck = between(0.3, 0.55, rng=rng) * wide
+    height, wide = rng.uniform(0.15, 0.21), rng.uniform(0.038, 0.055)
+    neck = rng.uniform(0.3, 0.55) * wide
     line = curved(
         [
-            (between(0.72, 0.95, rng=rng) * wide, 0.0),
-            (wide, between(0.12, 0.2, rng=rng) * height),
-            (wide * between(0.88, 1.0, rng=rng), 0.38 * height),
+            (rng.uniform(0.72, 0.95) * wide, 0.0),
+            (wide, rng.uniform(0.12, 0.2) * height),
+            (wide * rng.uniform(0.88, 1.0), 0.38 * height),
             (1.05 * neck, 0.74 * height),
             (neck, 0.85 * height),
-            (neck * between(1.05, 1.3, rng=rng), height),
+            (neck * rng.uniform(1.05, 1.3), height),
         ],
         count=44,
     )
-    return _from_curve(line, wall=between(0.0026, 0.0036, rng=rng), floor=0.010, brim=0.55 * height, is_open=False)
+    return _from_curve(line, wall=rng.uniform(0.0026, 0.0036), floor=0.010, brim=0.55 * height, is_open=False)
 
 
 def _flask(rng: np.random.Generator) -> Vessel:
     """A laboratory flask: conical below a straight neck."""
-    height, wide = between(0.12, 0.16, rng=rng), between(0.042, 0.055, rng=rng)
-    neck = between(0.28, 0.38, rng=rng) * wide
+    height, wide = rng.uniform(0.12, 0.16), rng.uniform(0.042, 0.055)
+    neck = rng.uniform(0.28, 0.38) * wide
     corners = [(0, 0, 0), (wide, 0, 0.008), (neck, 0.7 * height, 0.03), (neck, height, 0)]
     outer = _dense(filleted(corners, segments=8))
     return Vessel(outer=outer, wall=0.0022, floor=0.005, brim=0.45 * height, is_open=False)
 
 
 def _jar(rng: np.random.Generator) -> Vessel:
-    height, wide = between(0.09, 0.12, rng=rng), between(0.036, 0.044, rng=rng)
+    height, wide = rng.uniform(0.09, 0.12), rng.uniform(0.036, 0.044)
     corners = [
         (0, 0, 0),
         (wide, 0, 0.008),
@@ -171,21 +171,21 @@ def _jar(rng: np.random.Generator) -> Vessel:
         (0.86 * wide, height, 0),
     ]
     outer = _dense(filleted(corners, segments=8))
-    square = happens(0.4, rng=rng)
+    square = rng.random() < 0.4
     return Vessel(
         outer=outer,
-        wall=between(0.003, 0.004, rng=rng),
+        wall=rng.uniform(0.003, 0.004),
         floor=0.008,
         brim=0.72 * height,
         is_open=True,
-        around=soft_square(between(3, 6, rng=rng)) if square else None,
+        around=soft_square(rng.uniform(3, 6)) if square else None,
     )
 
 
 def _tank(rng: np.random.Generator) -> Vessel:
     """A box of glass, as for fish: square or six-sided."""
     sides = pick((4, 4, 6), rng=rng)
-    half, height = between(0.06, 0.075, rng=rng), between(0.08, 0.11, rng=rng)
+    half, height = rng.uniform(0.06, 0.075), rng.uniform(0.08, 0.11)
     outer = filleted([(0, 0, 0), (half, 0, 0.001), (half, height, 0)], segments=2)
     return Vessel(
         outer=outer,

@@ -24,7 +24,7 @@ from datagen.terminal.command import track
 from datagen.terminal.plugins import Group
 from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.confined_import import save_answer, scene_from
-from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignSurface, ForeignView, surface_name, view_files
+from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignView, view_files
 from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
 from hyaline_import.importing import Made, World, unique_names
 from hyaline_import.mapping import Mapper
@@ -80,13 +80,10 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
         poses[:, :3, :3], poses[:, :3, 3] = turn @ poses[:, :3, :3], choices.scale * poses[:, :3, 3] @ turn.T
         cameras[split] = foreign.lens.cameras(poses)
     name = scene_name(folder.resolve())
-    given = tuple(ForeignSurface(name=surface_name(file), file=file) for file in choices.mesh)
-    surfaces = (*foreign.surfaces, *given)
     scene, about_scene = None, []
-    if surfaces:
-        where = ", ".join(str(surface.file) for surface in surfaces)
-        scene, about_scene = scene_from(_save_scene, name, surfaces, cameras, choices, where=where)
-    if scene is not None:
+    if choices.mesh:
+        where = ", ".join(map(str, choices.mesh))
+        scene, about_scene, _ = scene_from(_save_scene, name, cameras, choices, where=where)
         cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
     config = imported_config(name, size, views)
     imported = Imported(
@@ -155,37 +152,30 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
     return digest.hexdigest()
 
 
-def _save_scene(
-    folder: Path,
-    name: str,
-    surfaces: Sequence[ForeignSurface],
-    cameras: dict[Split, Cameras],
-    choices: DatasetImportChoices,
-) -> None:
+def _save_scene(folder: Path, name: str, cameras: dict[Split, Cameras], choices: DatasetImportChoices) -> None:
     remarks, overrides, made = Remarks(), parse_overrides(choices.material), Made()
     world = World(
         linear=choices.scale * z_up_from(choices.up),
         offset=np.zeros(3),
-        mapper=Mapper(metres=choices.scale, thin="open", remarks=remarks),
+        mapper=Mapper(metres=choices.scale, remarks=remarks),
         choices=ImportChoices(),
         thins_open=True,
     )
-    parts: list[tuple[ForeignSurface, ForeignObject]] = []
-    for surface in surfaces:
-        check_ending(surface.file)
-        found = FILES.find(ending_of(surface.file))(surface.file, remarks)
-        parts += [(surface, part) for part in found.objects]
+    parts: list[tuple[str, ForeignObject]] = []
+    for file in choices.mesh:
+        check_ending(file)
+        parts += [(file.stem, part) for part in FILES.find(ending_of(file))(file, remarks).objects]
     allow_triangles(sum(len(part.faces) for _, part in parts))
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
-    names = unique_names([surface.name for surface, _ in parts])
+    names = unique_names([stem for stem, _ in parts])
     check_overrides(overrides, names)
-    for object_name, (surface, part) in zip(names, parts, strict=True):
+    for object_name, (stem, part) in zip(names, parts, strict=True):
         chosen = override(object_name, overrides)
         if chosen is None and part.material is PLAIN:
             chosen = Dielectric(ior=choices.ior)
             remarks.approximate(
-                surface.name,
+                stem,
                 f"has no known material; taken for glass of index {choices.ior:g}, --ior or --material sets it",
             )
         made.add(object_name, part, world, chosen)

@@ -5,13 +5,10 @@
     blender        transforms_{train,val,test}.json, as of NeRF's synthetic scenes
     nerfstudio     transforms.json for all pictures
 
-Each may have meshes/, if somebody adds them.
-
 Source: RefRef's data parser, OpenMaterial's loader for instant-nsr-pl, nerf-pytorch, nerfstudio's documentation.
 """
 
 import io
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -51,14 +48,6 @@ class ForeignView:
 View = TypeVar("View", bound=ForeignView)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ForeignSurface:
-    """A mesh of the scene."""
-
-    name: str
-    file: Path
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ForeignDataset:
     """Everything that a folder names."""
@@ -68,7 +57,6 @@ class ForeignDataset:
     """Its name in the dataset's record of its import."""
     lens: Lens
     views: dict[Role, tuple[ForeignView, ...]]
-    surfaces: tuple[ForeignSurface, ...]
     remarks: tuple[str, ...]
     """What is left out."""
     license: str | None = None
@@ -78,8 +66,7 @@ class ForeignDataset:
     def files(self) -> list[Path]:
         """Every file whose content becomes a part of the dataset."""
         views = [view for role in ROLES for view in self.views[role]]
-        parts = [part for view in views for part in (view.picture, view.mask) if part is not None]
-        return [*parts, *(surface.file for surface in self.surfaces)]
+        return [part for view in views for part in (view.picture, view.mask) if part is not None]
 
 
 ONE_FILE = "transforms.json"
@@ -89,7 +76,6 @@ EVERY = 8
 """Without splits in the folder, every eighth picture is for tests, as in most NeRF tools."""
 FORMATS = ["PNG", "JPEG", "WEBP"]
 ENDINGS = ("", ".png", ".jpg", ".jpeg", ".webp", ".PNG", ".JPG", ".JPEG")
-MESH_ENDINGS = (".ply", ".obj", ".stl", ".glb")
 
 
 def read_folder(root: Path) -> ForeignDataset | None:
@@ -116,7 +102,6 @@ def read_folder(root: Path) -> ForeignDataset | None:
         layout=layout,
         lens=lens,
         views=views,
-        surfaces=_surfaces(root),
         remarks=_left_out(train, layout, views),
         license=license_line(train.content.get("license")),
     )
@@ -230,20 +215,6 @@ def split_evenly(views: Sequence[View]) -> dict[Role, tuple[View, ...]]:
     """Assigns every eighth view, starting with the first, to tests."""
     train = tuple(view for place, view in enumerate(views) if place % EVERY)
     return {"train": train, "val": (), "test": tuple(views[::EVERY])}
-
-
-def _surfaces(root: Path) -> tuple[ForeignSurface, ...]:
-    """The meshes in meshes/."""
-    folder = root / "meshes"
-    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in MESH_ENDINGS) if folder.is_dir() else []
-    for path in files:
-        check_regular(path, root, where=str(root))
-    return tuple(ForeignSurface(name=surface_name(path), file=path) for path in files)
-
-
-def surface_name(file: Path) -> str:
-    """The name of the object in a file."""
-    return re.sub(r"[^A-Za-z0-9_-]", "_", file.stem).lstrip("-")[:60] or "object"
 
 
 def _left_out(train: Transforms, layout: Layout, views: dict[Role, tuple[ForeignView, ...]]) -> tuple[str, ...]:

@@ -18,7 +18,6 @@ from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
 from datagen.scene.materials import Color, as_vector
 from datagen.scene.modelling import ball, sheet
-from hyaline_import.bare import read_ply_file
 from hyaline_import.foreign import (
     MAX_SURFACES,
     MAX_TRIANGLES,
@@ -33,9 +32,8 @@ from hyaline_import.foreign import (
     read_foreign,
 )
 from hyaline_import.gltf.materials import wrapped
-from hyaline_import.mitsuba.materials import FoundMaterial, absorption_of, read_bsdf
-from hyaline_import.mitsuba.nodes import Node, NodeList
-from hyaline_import.obj import read_obj
+from hyaline_import.mitsuba.nodes import FoundMaterial, Node, NodeList, absorption_of, read_bsdf
+from hyaline_import.plain import read_obj, read_ply_file
 from hyaline_import.remarks import Remarks
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
@@ -294,21 +292,16 @@ def read_serialized(path: Path, index: int) -> ForeignObject:
 
 def _stream(data: bytes, index: int, path: Path) -> tuple[bytes, int]:
     """The compressed bytes of a mesh, and its format's version."""
-    magic, version = struct.unpack_from("<HH", data)
-    if magic != MAGIC or version not in (3, 4):
-        raise HyalineError(f"{path}: is not a serialized mesh of version 3 or 4; export it as PLY")
+    _, version = struct.unpack_from("<HH", data)
     (count,) = struct.unpack_from("<I", data, len(data) - 4)
-    width = "Q" if version == 4 else "I"
+    width = 8 if version == 4 else 4
     if not 1 <= count <= MAX_MESHES or not 0 <= index < count:
         raise HyalineError(f"{path}: has {count:,} meshes; expected 1 to {MAX_MESHES:,}, and shape_index {index} in it")
-    offsets = struct.unpack_from(f"<{count}{width}", data, len(data) - 4 - count * struct.calcsize(f"<{width}"))
-    ends = [*offsets[1:], len(data)]
-    if offsets[index] >= len(data):
-        raise ValueError(f"mesh {index} is said to begin at byte {offsets[index]:,} of {len(data):,}")
-    magic, version = struct.unpack_from("<HH", data, offsets[index])
-    if magic != MAGIC or version not in (3, 4):
-        raise ValueError(f"mesh {index} is not where the file's index says")
-    return data[offsets[index] + 4 : ends[index]], version
+    offsets = np.frombuffer(data, f"<u{width}", count, len(data) - 4 - count * width).tolist()
+    begin, end = [*offsets, len(data)][index : index + 2]
+    if begin >= len(data) or struct.unpack_from("<HH", data, begin) not in ((MAGIC, 3), (MAGIC, 4)):
+        raise ValueError(f"mesh {index} of version 3 or 4 is not where the file's index says")
+    return data[begin + 4 : end], version
 
 
 def _mesh(stream: bytes, version: int, path: Path) -> ForeignObject:
@@ -320,32 +313,27 @@ def _mesh(stream: bytes, version: int, path: Path) -> ForeignObject:
         end = head.index(b"\0", at)
         name, at = head[at:end].decode() or name, end + 1
     vertices, faces = struct.unpack_from("<QQ", head, at)
-    at += 16
     if not (0 < vertices <= 3 * MAX_TRIANGLES and 0 < faces <= MAX_TRIANGLES):
         raise HyalineError(
             f"{path}: holds {vertices:,} vertices and {faces:,} triangles; expected 1 to {MAX_TRIANGLES:,} triangles"
         )
     kind = np.dtype("<f8" if flags & DOUBLE else "<f4")
-    floats = 3 + 3 * bool(flags & NORMALS) + 2 * bool(flags & UV) + 3 * bool(flags & COLORS)
-    size = at + vertices * floats * kind.itemsize + faces * 12
+    widths = [3, 3 * bool(flags & NORMALS), 2 * bool(flags & UV), 3 * bool(flags & COLORS)]
+    corners_at = at + 16 + vertices * sum(widths) * kind.itemsize
+    size = corners_at + 12 * faces
     body = head + unpacker.decompress(unpacker.unconsumed_tail, max(size - len(head), 1))
-    if len(body) < size:
-        raise ValueError(f"holds {len(body):,} of {size:,} bytes")
-
-    def take(columns: int, dtype: np.dtype, rows: int) -> np.ndarray:
-        nonlocal at
-        values = np.frombuffer(body, dtype, rows * columns, at).reshape(rows, columns)
-        at += values.nbytes
-        return values
-
-    positions = take(3, kind, vertices).astype(np.float64)
-    normals = take(3, kind, vertices).astype(np.float64) if flags & NORMALS else None
-    uv = take(2, kind, vertices).astype(np.float64) if flags & UV else None
-    if flags & COLORS:
-        take(3, kind, vertices)
-    corners = take(3, np.dtype("<u4"), faces).astype(np.int64)
-    if corners.max() >= vertices:
-        raise ValueError(f"a triangle names vertex {corners.max():,} of {vertices:,}")
-    if not all(np.isfinite(values).all() for values in (positions, normals, uv) if values is not None):
-        raise ValueError("a number is not finite")
-    return ForeignObject(name=name, positions=positions, faces=corners, normals=normals, uv=uv, material=PLAIN)
+    numbers = np.frombuffer(body, kind, vertices * sum(widths), at + 16).astype(np.float64)
+    corners = np.frombuffer(body, "<u4", 3 * faces, corners_at).astype(np.int64).reshape(-1, 3)
+    positions, normals, uv, _ = (
+        part.reshape(vertices, -1) for part in np.split(numbers, vertices * np.cumsum(widths)[:3])
+    )
+    if corners.max() >= vertices or not np.isfinite(numbers).all():
+        raise ValueError(f"a number is not finite, or a triangle names vertex {corners.max():,} of {vertices:,}")
+    return ForeignObject(
+        name=name,
+        positions=positions,
+        faces=corners,
+        normals=normals if flags & NORMALS else None,
+        uv=uv if flags & UV else None,
+        material=PLAIN,
+    )

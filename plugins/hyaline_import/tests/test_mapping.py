@@ -9,7 +9,6 @@ from PIL import Image
 from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.scene.finding import Thin
 from datagen.scene.materials import (
     Conductor,
     Dielectric,
@@ -24,10 +23,6 @@ from hyaline_import.foreign import ForeignMaterial
 from hyaline_import.gltf.scene import read_gltf
 from hyaline_import.mapping import MIN_ALPHA, Mapper, coat_of
 from hyaline_import.remarks import Remarks
-from hyaline_import.surfaces import Shape
-
-CLOSED = Shape(is_closed=True, has_uv=True)
-OPEN = Shape(is_closed=False, has_uv=True)
 
 
 def foreign(folder: Path, **entry: object) -> ForeignMaterial:
@@ -38,12 +33,11 @@ def foreign(folder: Path, **entry: object) -> ForeignMaterial:
     return material
 
 
-def mapped(
-    material: ForeignMaterial, shape: Shape = CLOSED, *, metres: float = 1.0, thin: Thin = "open"
-) -> tuple[Material, list[str]]:
+def mapped(material: ForeignMaterial, *, is_closed: bool = True, metres: float = 1.0) -> tuple[Material, list[str]]:
     """The material of ours, and the approximations that it takes."""
     remarks = Remarks()
-    found = Mapper(metres=metres, thin=thin, remarks=remarks).material(material, shape, where="thing")
+    mapper = Mapper(metres=metres, remarks=remarks)
+    found = mapper.material(material, is_closed=is_closed, has_uv=True, where="thing")
     return found, [line.what for line in remarks.lines if line.is_approximation]
 
 
@@ -81,27 +75,24 @@ del THIN["KHR_materials_volume"]
 
 
 @pytest.mark.parametrize(
-    ("is_volume", "is_closed", "thin", "expected"),
+    ("extensions", "is_closed", "expected"),
     [
-        (True, True, "open", Dielectric),
-        (False, True, "open", Dielectric),
-        (False, True, "file", ThinDielectric),
-        (True, True, "file", Dielectric),
-        (True, True, "all", ThinDielectric),
-        (True, False, "open", ThinDielectric),
-        (False, False, "open", ThinDielectric),
+        (glass(), True, Dielectric),
+        (THIN, True, Dielectric),
+        (glass(), False, ThinDielectric),
+        (THIN, False, ThinDielectric),
     ],
 )
-def test_glass_is_solid_where_its_mesh_is_closed_unless_told(
-    is_volume: bool, is_closed: bool, thin: Thin, expected: type, tmp_path: Path
+def test_glass_is_solid_where_its_mesh_is_closed(
+    extensions: dict, is_closed: bool, expected: type, tmp_path: Path
 ) -> None:
-    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=glass() if is_volume else THIN)
-    assert isinstance(mapped(entry, CLOSED if is_closed else OPEN, thin=thin)[0], expected)
+    entry = foreign(tmp_path, pbrMetallicRoughness=clear(), extensions=extensions)
+    assert isinstance(mapped(entry, is_closed=is_closed)[0], expected)
 
 
 def test_the_base_colour_tints_a_pane_once_and_a_solid_at_both_of_its_surfaces(tmp_path: Path) -> None:
     entry = foreign(tmp_path, pbrMetallicRoughness=clear(baseColorFactor=[0.8, 0.5, 1.0, 1.0]), extensions=glass())
-    assert mapped(entry, OPEN)[0] == ThinDielectric(ior=1.5, tint=(0.8, 0.5, 1.0))
+    assert mapped(entry, is_closed=False)[0] == ThinDielectric(ior=1.5, tint=(0.8, 0.5, 1.0))
     solid, lines = mapped(entry)
     assert isinstance(solid, Dielectric) and solid.absorption == (0, 0, 0)
     # As in Cycles, where a slab of base colour 0.5 shows 0.519 of white light: 0.04 is mirrored in front, 0.02 behind.
@@ -144,7 +135,7 @@ def test_matt_things_keep_the_light_of_their_sheen_and_say_so(tmp_path: Path) ->
     pbr = clear(roughnessFactor=0.8, baseColorFactor=[0, 0.5, 0.5, 1])
     remarks = Remarks()
     entry = foreign(tmp_path, pbrMetallicRoughness=pbr)
-    found = Mapper(metres=1.0, thin="open", remarks=remarks).material(entry, CLOSED, where="thing")
+    found = Mapper(metres=1.0, remarks=remarks).material(entry, is_closed=True, has_uv=True, where="thing")
     assert isinstance(found, Diffuse)
     # Cycles shows 0.031 of light from everywhere on black of this roughness, and 0.515 on grey.
     np.testing.assert_allclose(np.array(found.color, np.float64), [0.031, 0.515, 0.515], atol=2e-3)
@@ -167,9 +158,9 @@ def test_an_image_is_multiplied_by_its_factor_on_plastic_and_metal_and_glass_get
     for metallic, extensions in ((0.0, {}), (1.0, {}), (0.0, THIN)):
         pbr = {**clear(metallicFactor=metallic), "baseColorTexture": use, "baseColorFactor": [1.0, 0.5, 0.0, 1.0]}
         add(builder, "thing", BOX, {"pbrMetallicRoughness": pbr, "extensions": extensions})
-    mapper = Mapper(metres=1.0, thin="open", remarks=Remarks())
+    mapper = Mapper(metres=1.0, remarks=Remarks())
     matt, metal, pane = (
-        mapper.material(item.material, OPEN, where="thing")
+        mapper.material(item.material, is_closed=False, has_uv=True, where="thing")
         for item in read_gltf(builder.written(tmp_path), Remarks()).objects
         if isinstance(item.material, ForeignMaterial)
     )

@@ -108,7 +108,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         kind = "a pane, which depth maps look through; " if outline.name in flat else ""
         about_world.append(f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
-    scene, about_scene = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
+    scene, about_scene, _ = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
@@ -257,7 +257,7 @@ def _save_scene(
     allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
     names = unique_names([item.name for item in (*glass, *opaque)])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
-    mapper = Mapper(metres=1.0, thin="open", remarks=remarks)
+    mapper = Mapper(metres=1.0, remarks=remarks)
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
     scene = unlit_scene(name, Made(objects=objects, without_uv=set(names)), placed, cameras, how="Captured")
     save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])

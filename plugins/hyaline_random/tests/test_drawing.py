@@ -21,8 +21,8 @@ from datagen.scene.modelling import moved
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 from hyaline_random.drawing import Drawn, check_inside, draw_scene, glass_shares
+from hyaline_random.families import PANES, filled_vessel
 from hyaline_random.names import FAMILIES, RandomName, parse_random
-from hyaline_random.nesting import PANES, filled_vessel
 from hyaline_random.things import Thing
 
 SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (2, 3, 4, 5)))

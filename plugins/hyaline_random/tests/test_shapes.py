@@ -8,9 +8,9 @@ from datagen.data.meshes import Mesh, check_closed, check_solid, points_on, sign
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.modelling import ball, lathe
-from hyaline_random.nesting import PANES, bauble, enclosed, glass_case, onion, paperweight
+from hyaline_random.families import PANES, bauble, glass_case, onion, paperweight
 from hyaline_random.solids import CONVEX, NOT_CONVEX, corners_of, make_solid, polygon, with_bubbles
-from hyaline_random.things import Thing, enlarged, free_places
+from hyaline_random.things import Thing, free_places
 from hyaline_random.vessels import REACH, VESSELS
 
 
@@ -115,12 +115,3 @@ def test_what_thin_glass_is_around_is_wholly_inside() -> None:
             assert (item.mesh.vertices[:, 2] < high[2] - 0.004).all()
         shell, core = bauble(is_empty=False, rng=rng).objects
         assert (windings(shell.mesh.vertices[shell.mesh.faces], core.mesh.vertices) == 1).all()
-
-
-def test_panes_are_clear_or_of_any_hue_and_keep_their_tint_in_any_size() -> None:
-    panes = [pane for seed in range(12) for pane in thin(PANES["panes"](np.random.default_rng(seed)))]
-    tints = [pane.material.tint for pane in panes if isinstance(pane.material, ThinDielectric)]
-    assert (1.0, 1.0, 1.0) in tints
-    assert {max(range(3), key=lambda channel: tint[channel]) for tint in tints if min(tint) < 1} == {0, 1, 2}
-    thing = enclosed(rng=np.random.default_rng(0))
-    assert [item.material for item in thin(enlarged(thing, 2.0))] == [item.material for item in thin(thing)]
