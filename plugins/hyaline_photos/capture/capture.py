@@ -96,7 +96,6 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
-    about = (*folder.remarks, *about_lens, *about_splits)
     imported = Imported(
         layout=folder.layout,
         source=root.resolve().name,
@@ -104,7 +103,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         has_masks=True,
         has_depth=False,
         has_objects=True,
-        remarks=(*about, *about_world, *about_scene),
+        remarks=(*folder.remarks, *about_lens, *about_splits, *about_world, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:

@@ -57,6 +57,7 @@ from hyaline_photos.fit.search import find_absorption, guess, guesses, in_even_v
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from hyaline_photos.report import FIT, FIT_VERSION
 from model.methods.light_path.pixels import LightPathPixels
+from model.runtime import leaving_settings
 from model.state import State, fingerprint, load_state, save_state
 
 GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
@@ -67,8 +68,6 @@ MATT = Diffuse(color=(0.5, 0.5, 0.5))
 UP = np.array([0.0, 0.0, 1.0])
 ENLARGED, SHOWN_VIEWS, AMPLIFIED = 3, 4, 4
 """In pictures of stages: width of a pixel, views, and factor on differences."""
-
-
 STAGES = ("room", "outside", "grid", "search", "textures", "again")
 
 
@@ -171,7 +170,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         "steps": choices.steps,
         "seed": choices.seed,
     }
-    with holding(out, FIT), room.one_thread():
+    with holding(out, FIT), leaving_settings():
+        torch.set_num_threads(1)  # On so few pixels a second one costs more than it saves.
         folder = FitFolder(root=out, asked=asked)
         folder.begin(overwrite=overwrite)
         work = _Work(
