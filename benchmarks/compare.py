@@ -25,7 +25,7 @@ from datagen.scene.folder import open_scene
 from datagen.terminal.command import track
 from eval.score.metrics import psnr
 from hyaline_web.page.export import export_run
-from hyaline_web.page.packing import Quality
+from hyaline_web.page.scene import Quality
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import open_inputs

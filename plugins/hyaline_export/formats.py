@@ -26,8 +26,6 @@ class Format:
     """The command that opens the export, with OUT for the folder."""
 
 
-OWN_LICENSE_ADDRESS = "https://creativecommons.org/publicdomain/zero/1.0/"
-
 FORMATS: Group[Format] = Group(
     name="hyaline.exports",
     what="format",
@@ -37,7 +35,6 @@ FORMATS: Group[Format] = Group(
         "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
         "colmap": "hyaline_export.colmap:COLMAP",
         "capture": "hyaline_export.transforms:CAPTURE",
-        "quantities": "hyaline_export.samples:QUANTITIES",
         "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
     },
     guide="docs/adding-an-export.md",

@@ -21,20 +21,19 @@ from datagen.terminal.plugins import VERSION
 from hyaline_export.formats import Format
 from hyaline_export.source import ExportView, Source, depth_png, mask_png, rgb_png, tracked
 
-HUB_LICENSES = ("cc0-1.0", "cc-by-4.0", "cc-by-sa-4.0", "cc-by-nc-4.0", "cc-by-nc-sa-4.0", "mit", "apache-2.0")
-"""Those that the hub knows by name, in small letters; it knows more."""
-
 FOLDERS = {
     "train": "train",
     "val": "validation",
     "interpolating": "test_interpolating",
     "extrapolating": "test_extrapolating",
 }
-"""The folder of each group of views."""
+"""The folder of training views, those held out of them, and each test split."""
 
 CARD = """\
 ---
-{license}
+license: other
+license_name: {license}
+license_link: LICENSE.txt
 pretty_name: {title}
 tags: [transparent-objects, glass, refraction, novel-view-synthesis]
 configs:
@@ -72,8 +71,9 @@ def _hugging_face(source: Source) -> Iterator[tuple[str, bytes]]:
         )
     groups: dict[str, list[ExportView]] = {}
     for item in tracked(source.views):
-        groups.setdefault(item.group, []).append(item)
-        folder, found = FOLDERS[item.group], item.quantities
+        group = item.view.split if item.role == "test" else item.role
+        groups.setdefault(group, []).append(item)
+        folder, found = FOLDERS[group], item.quantities
         yield f"{folder}/{item.name}.png", rgb_png(item)
         yield f"{folder}/depth/{item.name}.png", depth_png(found.depth_along_axis)
         yield f"{folder}/glass/{item.name}.png", mask_png(found.glass)
@@ -99,7 +99,7 @@ def _row(source: Source, item: ExportView) -> dict[str, Json]:
 def _card(source: Source, groups: dict[str, list[ExportView]]) -> str:
     splits = {"validation" if group == "val" else group: items for group, items in groups.items()}
     return CARD.format(
-        license=_license(source.dataset.license),
+        license=re.sub(r"[^a-z0-9.]+", "-", source.dataset.license.lower())[:60].strip("-") or "stated",
         title=json.dumps(f"{source.dataset.name} (hyaline)"),
         name=source.dataset.name,
         data_files="\n".join(
@@ -112,15 +112,6 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> str:
         convention=CONVENTION,
         terms=source.dataset.license,
     )
-
-
-def _license(terms: str) -> str:
-    """The lines of the card's metadata about it."""
-    lower = terms.lower()
-    if lower in HUB_LICENSES:
-        return f"license: {lower}"
-    name = re.sub(r"[^a-z0-9.]+", "-", lower)[:60].strip("-") or "stated"
-    return f"license: other\nlicense_name: {name}\nlicense_link: LICENSE.txt"
 
 
 HUGGING_FACE = Format(files=_hugging_face, hint="python -c \"import datasets; print(datasets.load_dataset('OUT'))\"")

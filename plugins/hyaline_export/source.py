@@ -38,21 +38,11 @@ class ExportView:
         return f"{self.view.split}_{self.view.index:04d}"
 
     @property
-    def group(self) -> str:
-        """What it is for: train, val, interpolating or extrapolating."""
-        return self.view.split if self.role == "test" else self.role
-
-    @property
-    def has_picture(self) -> bool:
-        """False where a verifier keeps it."""
-        return self.view.split not in self.view.dataset.withheld
-
-    @property
     def image(self) -> UInt8[np.ndarray, "h w 3"]:
         """The 8-bit sRGB picture; grey where a verifier keeps it, since most tools open every picture they list."""
-        if self.has_picture:
-            return self.view.image
-        return np.full((self.view.camera.height, self.view.camera.width, 3), 128, np.uint8)
+        if self.view.split in self.view.dataset.withheld:
+            return np.full((self.view.camera.height, self.view.camera.width, 3), 128, np.uint8)
+        return self.view.image
 
     @property
     def quantities(self) -> ViewQuantities:
@@ -163,9 +153,6 @@ def _points_of(
 
 # Encoders that several formats share
 
-MILLIMETRES = 1000.0
-MAX_DEPTH_MM = np.iinfo(np.uint16).max
-
 
 def rgb_png(item: ExportView) -> bytes:
     """The 8-bit sRGB picture, without alpha."""
@@ -183,8 +170,8 @@ def rgba_png(item: ExportView) -> bytes:
 
 def depth_png(depth: Float32[np.ndarray, "h w"]) -> bytes:
     """16-bit PNG in millimetres, rounded; 0 where there is no surface, or one beyond 65.535 m."""
-    millimetres = np.rint(depth.astype(np.float64) * MILLIMETRES)
-    return png_bytes(np.where(millimetres > MAX_DEPTH_MM, 0, millimetres).astype(np.uint16))
+    millimetres = np.rint(depth.astype(np.float64) * 1000)
+    return png_bytes(np.where(millimetres > np.iinfo(np.uint16).max, 0, millimetres).astype(np.uint16))
 
 
 def mask_png(mask: Bool[np.ndarray, "h w"]) -> bytes:

@@ -3,7 +3,7 @@
 import dataclasses
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import cast
+from typing import NamedTuple, cast
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.geometries import NO_GEOMETRY
@@ -87,8 +87,7 @@ SCORES = (
 """The columns of `score_cells`."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Entry:
+class Entry(NamedTuple):
     """A group of runs in its line."""
 
     line: Line

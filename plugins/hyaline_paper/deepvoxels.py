@@ -79,8 +79,6 @@ def fit_cube(cameras: Cameras, vertices: Float[np.ndarray, "vertex 3"]) -> tuple
     nearest = float(np.linalg.norm(position - origin, axis=1).min())
     reach = float(np.abs(vertices - origin).max()) if len(vertices) else math.inf
     edge = min(2 * reach, CLEARANCE * nearest * 2 / math.sqrt(3))
-    if edge <= 0:
-        raise HyalineError(f"cameras: one is at {origin.tolist()}, where all look; expected cameras around a scene")
     return origin, edge
 
 

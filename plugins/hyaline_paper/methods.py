@@ -45,8 +45,6 @@ class AuthorsConfig(MethodConfig):
         super().__post_init__()
         check_texels("texture_size", self.texture_size, is_open=True)
         check_texels("position_size", self.position_size)
-        if not 0 <= self.dropout < 1:
-            raise HyalineError(f"dropout: is {self.dropout}; expected a share in [0, 1), 0.2 in the code")
 
     def optimisation(self) -> PixelOptimisation:
         return PixelOptimisation(beta1=0.5, weight_decay=1e-4)
@@ -86,16 +84,8 @@ class DeepVoxelsConfig(MethodConfig):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name, low in (("image_size", 16), ("plane_size", 16), ("num_voxels", 4)):
-            value = getattr(self, name)
-            if (value < low or value & (value - 1)) and not (name == "image_size" and value == 0):
-                raise HyalineError(f"{name}: is {value}; deepvoxels needs a power of two of {low} or more")
-        if self.image_size and self.plane_size > self.image_size:
-            raise HyalineError(f"plane_size: is {self.plane_size}; expected at most the pictures' {self.image_size}")
         if self.adversarial:
             raise HyalineError("adversarial: is true; this version of deepvoxels has no discriminator")
-        if not 0 <= self.dropout < 0.5:
-            raise HyalineError(f"dropout: is {self.dropout}; expected a share from 0 to below 0.5")
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         # Fewer rays, a rate for few steps that a bounded grid stands, and no dropout: of so few channels none is spare.
@@ -107,10 +97,10 @@ class DeepVoxelsConfig(MethodConfig):
     def sized(self, resolution: Resolution) -> Self:
         """The same for pictures of this size."""
         side = resolution.mean_side
-        if resolution.width != resolution.height or side.bit_count() != 1:
+        if resolution.width != resolution.height or side.bit_count() != 1 or side < 16:
             raise HyalineError(
                 f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
-                f"so build the dataset with --resolution {2 ** round(math.log2(side))}"
+                f"so build the dataset with --resolution {max(16, 2 ** round(math.log2(side)))}"
             )
         plane_size = min(self.plane_size, side)
         return dataclasses.replace(self, image_size=side, plane_size=plane_size)

@@ -11,8 +11,6 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import next_command, say_all, tell
 from model.settings import RUNS, SEED
 
-MAX_LONGEST = 4096
-
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureChoices:
@@ -20,21 +18,16 @@ class CaptureChoices:
 
     longest: int = 256
     """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light."""
-    scale: float | None = None
-    """Metres per unit of the cameras. Default: 1 with a transforms file; otherwise a unit that puts them 1 m away."""
     diameter: str | None = None
-    """True diameter in metres of one glass object at its widest place, such as tumbler=0.08, to find the scale."""
+    """True diameter in metres of one glass object at its widest place, such as tumbler=0.08, to find the scale.
+    Default: metres with a transforms file; otherwise the cameras are put 1 m away."""
     up: Literal["auto", "x", "y", "z"] = "auto"
     """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
     largest surface below the cameras."""
 
     def __post_init__(self) -> None:
-        if not 8 <= self.longest <= MAX_LONGEST:
-            raise HyalineError(f"--longest: is {self.longest}; expected 8 to {MAX_LONGEST:,} pixels")
-        if self.scale is not None and not 1e-9 < self.scale < 1e9:
-            raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
-        if self.scale is not None and self.diameter is not None:
-            raise HyalineError("--diameter: gives the scale, as --scale does; leave one of them out")
+        if not 8 <= self.longest <= 4096:
+            raise HyalineError(f"--longest: is {self.longest}; expected 8 to 4,096 pixels")
         if self.diameter is not None:
             self.known_diameter()
 

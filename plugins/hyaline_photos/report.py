@@ -1,4 +1,4 @@
-"""Fits in the report: what `model fit` found of each object, beside the truth."""
+"""Fits in the report: what `model fit` found of each object beside the truth, and how far its mesh is off."""
 
 import functools
 import math
@@ -7,22 +7,25 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Bool, Float, Float64
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.images import read_png
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh, SurfacePoints, face_corners, is_there, points_on
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, shown
+from datagen.disk.ownership import FolderKind
 from datagen.disk.records import Json, from_json, load_sealed, to_json
 from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
-from hyaline_photos.fit.fit_folder import FIT, FIT_VERSION
 from hyaline_photos.fit.shapes import perpendicular
-from hyaline_photos.shape_errors import shape_errors
+from proxies.measure import nearest_points
 
+FIT = FolderKind(what="fit", head="fit.json")
+FIT_VERSION = 3
 CAPTURE = "capture"
 """Layout of datasets of photographs, whose scene has stand-ins for glass."""
 BESIDE_AXIS = 1e-4
@@ -134,6 +137,93 @@ def true_floor(truth: Mesh, point: np.ndarray, up: np.ndarray) -> dict[str, floa
     heights = np.sort(low_height - low * (high_height - low_height) / (high - low))
     lowest = ((truth.vertices - point) @ up).min()
     return {"floor": float(heights[1] - lowest)} if len(heights) > 1 else {}
+
+
+# Distances, normals, and the thickness of walls
+
+SAMPLES = 4096
+"""Points on each mesh where distances and normals are compared."""
+WALL_SAMPLES = 2048
+"""Points on each mesh where thickness is measured."""
+LINES_AT_ONCE = 64
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapeErrors:
+    """How far a mesh is from the true one; lengths in metres."""
+
+    chamfer: float
+    """Chamfer distance: the mean distance from each surface to the other, averaged over both directions."""
+    normal_deg: float
+    """Median angle in degrees between shading normals, on points of the mesh and the nearest true ones."""
+    thickness: float | None
+    """Median thickness of the mesh, measured from its outside; None if it is open."""
+    true_thickness: float | None
+    """Median thickness of the true mesh."""
+
+
+def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
+    """Compares two surfaces on points of both, the same ones every time."""
+    found, back = points_on(mesh, SAMPLES), points_on(truth, SAMPLES)
+    near = nearest_points(found.position, face_corners(truth).astype(np.float64))
+    back = nearest_points(back.position, face_corners(mesh).astype(np.float64))
+    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near.points))
+    return ShapeErrors(
+        chamfer=float(near.distance.mean() + back.distance.mean()) / 2,
+        normal_deg=float(np.degrees(np.arccos(np.clip(np.median(cosines), -1, 1)))),
+        thickness=_median(measure_walls(mesh)),
+        true_thickness=_median(measure_walls(truth)),
+    )
+
+
+def shading_normals(mesh: Mesh, points: SurfacePoints) -> Float64[np.ndarray, "point 3"]:
+    """Unit normals as light sees them, interpolated between the corners of each point's face."""
+    from trimesh.triangles import points_to_barycentric
+
+    weights = points_to_barycentric(face_corners(mesh)[points.face].astype(np.float64), points.position)
+    normals = np.einsum("pk,pkc->pc", weights, mesh.normals[mesh.faces[points.face]].astype(np.float64))
+    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
+
+
+def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Float64[np.ndarray, " point"]:
+    """Distances in metres along the face's normal, inwards, to the next surface, from points of the outside.
+
+    The outside is where the normal meets the mesh nowhere else; points with no surface opposite are left out.
+    """
+    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
+    corners = face_corners(mesh).astype(np.float64) - middle
+    found = points_on(mesh, count)
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    origins, directions = found.position - middle, normals[found.face]
+    directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+    tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    thickness = np.full(count, np.inf)
+    for start in range(0, count, LINES_AT_ONCE):
+        part = slice(start, start + LINES_AT_ONCE)
+        line, face = np.nonzero(_passes_through(origins[part], directions[part], corners))
+        line += start
+        along = np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face])
+        along /= np.einsum("pc,pc->p", directions[line], normals[face])
+        np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
+        thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
+    return thickness[np.isfinite(thickness)]
+
+
+def _passes_through(
+    origins: Float64[np.ndarray, "line 3"],
+    directions: Float64[np.ndarray, "line 3"],
+    corners: Float64[np.ndarray, "face 3 3"],
+) -> Bool[np.ndarray, "line face"]:
+    """Which lines pass through which triangles: all three edges lie on the same side, by Plücker coordinates."""
+    lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
+    following = np.roll(corners, -1, axis=1)
+    edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
+    sides = [lines @ edges[:, edge].T for edge in range(3)]
+    return (np.minimum.reduce(sides) > 0) | (np.maximum.reduce(sides) < 0)
+
+
+def _median(values: Float[np.ndarray, " _"]) -> float | None:
+    return float(np.median(values)) if len(values) else None
 
 
 # Tables, all of them from results.json

@@ -42,7 +42,7 @@ def export(
 
 
 def view(what: str, /, *, port: int = 8080, device: Device = "auto") -> None:
-    """Look at a dataset or a run in a browser, even during training: cameras, meshes, proxies, predictions.
+    """Look at a dataset or a run in a browser, even during training: cameras, meshes, predictions.
 
     Args:
         what: A run, trained or still training, or a dataset: its folder, or its name under runs/ (SCENE/NAME) or data/.

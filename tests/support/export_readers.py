@@ -76,29 +76,21 @@ def read_blender(root: Path, split: str) -> dict[str, ReadView]:
     return views
 
 
-def read_colmap_text(root: Path) -> tuple[dict[str, ReadView], dict[int, tuple], dict[str, list]]:
-    """sparse/0/*.txt: views, points (position, colour, track) by id, and the observations of each picture."""
+def read_colmap_text(root: Path) -> tuple[dict[str, ReadView], np.ndarray]:
+    """sparse/0/*.txt: views, and rows of points (position and colour); neither has tracks."""
     model = root / "sparse" / "0"
     (camera,) = [line.split() for line in _lines(model / "cameras.txt")]
     assert camera[:2] == ["1", "PINHOLE"]
     lens = [float(value) for value in camera[4:]]
     # Empty lines count: a picture without points has one.
     lines = [line for line in (model / "images.txt").read_text().splitlines() if not line.startswith("#")]
-    views, seen = {}, {}
+    views = {}
     for head, points in zip(lines[::2], lines[1::2], strict=True):
         _, *pose, camera_id, name = head.split()
         assert camera_id == "1"
         views[Path(name).stem] = ReadView(file=root / "images" / name, project=_colmap(list(map(float, pose)), lens))
-        values = points.split()
-        seen[Path(name).stem] = [
-            (float(x), float(y), int(point))
-            for x, y, point in zip(values[::3], values[1::3], values[2::3], strict=True)
-        ]
-    points = {}
-    for line in _lines(model / "points3D.txt"):
-        number, *rest = line.split()
-        points[int(number)] = (np.array(rest[:3], float), np.array(rest[3:6], int), np.array(rest[7:], int))
-    return views, points, seen
+        assert not points
+    return views, np.array([line.split()[1:7] for line in _lines(model / "points3D.txt")], float)
 
 
 def _lines(path: Path) -> list[str]:

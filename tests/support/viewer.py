@@ -15,7 +15,7 @@ import pytest
 from PIL import Image
 
 from datagen.data.dataset import Dataset
-from hyaline_web.view.schedule import Pose, window_pose
+from hyaline_web.view.live_run import Pose, window_pose
 
 PATIENCE_S = 180
 
@@ -101,13 +101,13 @@ class Window:
             for message in content["messages"]:
                 yield message, parts
 
-    def pictures(self) -> Iterator[tuple[str, np.ndarray]]:
-        """Format and pixels of the pictures behind the scene, as they arrive."""
+    def pictures(self) -> Iterator[np.ndarray]:
+        """The pictures behind the scene, as they arrive."""
         for message, parts in self.messages():
             if message["type"] == "BackgroundImageMessage" and message["rgb_data"] is not None:
                 data = message["rgb_data"]
                 data = parts[data["__binary_index"]] if isinstance(data, dict) else data
-                yield message["format"], np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
+                yield np.asarray(Image.open(io.BytesIO(data)).convert("RGB"))
 
 
 @contextmanager

@@ -97,7 +97,7 @@ def no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_renderer.install(monkeypatch)
 
 
-CARD_LICENSES = {"CC0-1.0": "license: cc0-1.0", "Mine alone": "license: other\nlicense_name: mine-alone"}
+CARD_LICENSES = {"CC0-1.0": "license_name: cc0-1.0", "Mine alone": "license_name: mine-alone"}
 
 
 @pytest.fixture

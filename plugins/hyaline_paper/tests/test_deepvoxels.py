@@ -298,8 +298,7 @@ def test_what_it_cannot_learn_from_is_refused(dataset: Dataset) -> None:
             open_inputs(TINY, dataset, TRUTH), "train", [0], with_images=False
         ),
         "is 100 x 100; .* so build the dataset with --resolution 128": lambda: TINY.sized(square(100)),
-        "plane_size: is 64; expected at most the pictures' 32": lambda: DeepVoxelsConfig(image_size=32),
-        "image_size: is 24; deepvoxels needs a power of two of 16 or more": lambda: DeepVoxelsConfig(image_size=24),
+        "is 8 x 8; .* so build the dataset with --resolution 16": lambda: TINY.sized(square(8)),
         "adversarial: is true; this version": lambda: DeepVoxelsConfig(adversarial=True),
     }
     for message, call_it in refused.items():

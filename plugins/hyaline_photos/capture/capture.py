@@ -28,13 +28,11 @@ from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.folder import Folder, Masks, Shot, read_capture
+from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.outlines import Outline, find_outlines, find_panes
 from hyaline_photos.capture.planes import LEAST_POINTS, find_up
-from hyaline_photos.capture.room import fit_room
+from hyaline_photos.capture.room import Outline, find_outline, find_panes, fit_room
 from hyaline_photos.capture.stereo import find_depths
-from hyaline_photos.capture.structure import find_cameras, find_points
 from hyaline_photos.commands import CaptureChoices
 from hyaline_photos.fit.shapes import perpendicular
 
@@ -44,8 +42,6 @@ DISTANCE = 1.0
 """Metres from the cameras to the glass if the scale is unknown."""
 GREY = (0.5, 0.5, 0.5)
 """Colour of the room in scene.json; renderers learn what it looks like."""
-LEAST_SIZE = 0.004
-"""Metres that the largest side of an object must have: gaps between glass and other surfaces are in millimetres."""
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,22 +66,10 @@ class World:
 
 def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     """Plans the dataset of a folder: cameras, scene, splits and remarks, without the pictures' contents."""
-
-    def with_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
-        _check_diameter(choices, masks.objects)  # Not after COLMAP's minutes.
-        find_cameras(root, pictures, masks)
-
-    folder = read_capture(root, with_cameras)
-    _check_diameter(choices, folder.objects)
+    folder = read_capture(root)
     lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
     ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
-    about_masks = _check_masks(folder, list(ids.values()))
     world, outlines, about_world = _place(folder, lens, ids, choices)
-    if not len(folder.points):  # Not before: placing is quicker, and may show that something is wrong.
-        find_points(folder)
-        folder = read_capture(folder.root, find_cameras)
-        if not folder.has_unit:  # Points say what is up.
-            world, outlines, about_world = _place(folder, lens, ids, choices)
     shots = folder.shots
     every, seen = world.cameras(shots, lens), [ids[shot.picture] for shot in shots]
     panes = find_panes(outlines, seen, every)
@@ -112,7 +96,6 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
-    about = (f"cameras: {folder.cameras}", *folder.remarks, *about_lens, *about_masks, *about_splits)
     imported = Imported(
         layout=folder.layout,
         source=root.resolve().name,
@@ -120,7 +103,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         has_masks=True,
         has_depth=False,
         has_objects=True,
-        remarks=(*about, *about_world, *about_scene),
+        remarks=(*folder.remarks, *about_lens, *about_splits, *about_world, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
@@ -142,16 +125,8 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     )
 
 
-def _check_diameter(choices: CaptureChoices, objects: Sequence[str]) -> None:
-    if choices.diameter is not None and (name := choices.known_diameter()[0]) not in objects:
-        raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(objects)}")
-
-
 def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
     return redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)
-
-
-# Masks
 
 
 def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
@@ -164,30 +139,6 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
         found[masks[place]] = 1 + place
     return found
-
-
-MAX_EDGES = 90.0
-"""Percentage of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
-
-
-def _check_masks(folder: Folder, ids: list[UInt8[np.ndarray, "h w"]]) -> list[str]:
-    every = np.stack(ids)
-    counts = np.bincount(every.reshape(-1), minlength=len(folder.objects) + 1)
-    for place, name in enumerate(folder.objects, start=1):
-        if not counts[place]:
-            raise HyalineError(
-                f"{folder.root}: the masks of {name} are black (below 128 of 255) in all {len(ids)} pictures, or under "
-                "those of other objects; expected white where the object is seen, or no folder of it"
-            )
-        masks = every == place
-        edges = 100 * np.concatenate([masks[:, [0, -1]].ravel(), masks[:, :, [0, -1]].ravel()]).mean()
-        if edges > MAX_EDGES:  # As inverted masks do.
-            raise HyalineError(
-                f"{folder.root}: {name}: its masks show {edges:.0f} % of the pictures' edges; expected white where the "
-                "object is seen, black around it: invert them, or take pictures from farther away"
-            )
-    share = 100 * counts[1:].sum() / counts.sum()
-    return [f"masks: {', '.join(folder.objects)} cover {share:.1f} % of the pixels"]
 
 
 # The world
@@ -204,26 +155,26 @@ def _place(
         up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
         rotation = np.stack([*-perpendicular(up), up])
     turned, seen = World(rotation=rotation), [ids[shot.picture] for shot in shots]
-    outlines = find_outlines(folder.objects, seen, turned.cameras(shots, lens), where=f"{folder.root}: masks")
+    cameras = turned.cameras(shots, lens)
+    outlines = [
+        find_outline(name, place, seen, cameras, where=f"{folder.root}: masks/{name}")
+        for place, name in enumerate(folder.objects, start=1)
+    ]
     middle = np.mean([outline.center for outline in outlines], axis=0)
     bottom = min(outline.center[2] - outline.radii[2] for outline in outlines)
     lines = []
     if choices.diameter is not None:
         name, metres = choices.known_diameter()
         radii = {outline.name: outline.radii for outline in outlines}
+        if name not in radii:
+            raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(radii)}")
         scale = metres / (radii[name][0] + radii[name][1])
-    elif choices.scale is not None or folder.has_unit:
-        scale = choices.scale or 1.0
+    elif folder.has_unit:
+        scale = 1.0
     else:
-        places = turned.cameras(shots, lens).world_from_camera[:, :3, 3]
+        places = cameras.world_from_camera[:, :3, 3]
         scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
         lines = [f"scale: is unknown; the cameras were put {DISTANCE:g} m away from the glass, --diameter sets it"]
-    for outline in outlines:
-        if (width := 2 * scale * max(outline.radii)) < LEAST_SIZE:
-            raise HyalineError(
-                f"{folder.root}: {outline.name} is {1000 * width:.2g} mm large by its masks and cameras; expected at "
-                f"least {1000 * LEAST_SIZE:g} mm: give the cameras' unit by --scale or --diameter"
-            )
     # A transforms file's world keeps its origin; otherwise it is below the glass.
     offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
     world = World(rotation=rotation, scale=scale, offset=offset)

@@ -1,28 +1,33 @@
-"""The folder of a capture: pictures, a mask for each picture and glass object, cameras, points.
+"""The folder of a capture: pictures, a mask for each picture and glass object, cameras, points of opaque surfaces.
 
     FOLDER/images/NAME.jpg           pictures (PNG, JPEG or WebP); or in FOLDER itself, or where a transforms file says
     FOLDER/masks/OBJECT/NAME.png     white where the object is seen
     FOLDER/transforms.json           cameras as NeRF tools write them (or transforms_{train,val,test}.json), or
     FOLDER/sparse/0/                 a model of COLMAP, binary or text, or neither
 
-Masks that a transforms file names (mask_file_path, as in RefRef) are of one object, `glass`.
+COLMAP finds cameras and points that are not there; this needs the extra `capture`. Glass is masked: features on it move
+with the light, not with the surface.
 """
 
-from collections import Counter
-from collections.abc import Callable, Sequence
+import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import cast
 
 import numpy as np
 from jaxtyping import Float
+from PIL import Image
 
 from datagen.data.config import MAX_VIEWS, license_line
+from datagen.data.images import mask_pixels
 from datagen.data.ply import read_ply_points
 from datagen.data.transforms import Frame, Transforms, relative_name
 from datagen.disk.errors import HyalineError, shown
-from datagen.disk.storage import check_regular, find_file
+from datagen.disk.storage import check_regular, commit, find_file
 from datagen.scene.description import MAX_OBJECTS
+from datagen.terminal.command import say
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
 from hyaline_import.datasets.layouts import (
     ROLES,
@@ -31,6 +36,7 @@ from hyaline_import.datasets.layouts import (
     Role,
     about_unlisted,
     find_named,
+    opened,
     picture_size,
     split_evenly,
     split_listed,
@@ -43,11 +49,8 @@ PICTURES, MASKS, FOUND = "images", "masks", "colmap"
 LAYOUT = "capture"
 """Name of the layout in a dataset's record of its import."""
 ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
-OTHER_ENDINGS = (".heic", ".heif", ".avif", ".tif", ".tiff", ".bmp")
-"""Pictures of kinds that are not read."""
 POINTS = ("points3d.ply", "sparse_pc.ply")
 """Files of points beside a transforms file that names none."""
-ONE_OBJECT = "glass"
 NAMED = 3
 """Files that an error names."""
 
@@ -71,8 +74,6 @@ class Folder(ForeignDataset):
     points_file: Path | None
     has_unit: bool
     """True if the cameras' world is upright and in metres, as in a transforms file."""
-    cameras: str
-    """Where the cameras come from."""
 
     @property
     def shots(self) -> list[Shot]:
@@ -86,65 +87,52 @@ class Folder(ForeignDataset):
         return [*parts, *([self.points_file] if self.points_file else [])]
 
 
-def read_capture(root: Path, find_cameras: Callable[[Path, list[Path], "Masks"], None]) -> Folder:
-    """Lists the contents of a folder without decoding pictures.
-
-    Args:
-        find_cameras: writes a model of COLMAP for pictures without cameras into FOLDER/colmap.
-    """
+def read_capture(root: Path) -> Folder:
+    """Lists the contents of a folder without decoding pictures; finds cameras and points that it lacks."""
     if not root.is_dir():
         raise HyalineError(f"{root}: is not a folder; expected one with {PICTURES}/ and {MASKS}/OBJECT/")
+    folder = _read(root)
+    if not len(folder.points):
+        find_points(folder)
+        folder = _read(root)
+    return folder
+
+
+def _read(root: Path) -> Folder:
     if files := transforms_in(root):
         return _with_transforms(root, files)
     pictures = find_pictures(root)
-    masks = find_masks(root, pictures)
+    objects, masks = find_masks(root, pictures)
     if not has_colmap(root):
         find_cameras(root, pictures, masks)
-    return _with_colmap(root, pictures, masks)
+    return _with_colmap(root, pictures, objects, masks)
 
 
 def find_pictures(root: Path) -> list[Path]:
     """The pictures in images/, or else in the folder itself, by name."""
-    found = _listed(root, ENDINGS)
+    folder = root / PICTURES if (root / PICTURES).is_dir() else root
+    found = [path for path in _pictures_below(folder) if path.relative_to(root).parts[0] != MASKS]
     if not 3 <= len(found) <= MAX_VIEWS:
-        others = f" beside {kinds}" if (kinds := _other_kinds(root)) else ""
         expected = f"expected 3 to {MAX_VIEWS:,} PNG, JPEG or WebP files in it or in {PICTURES}/"
-        raise HyalineError(f"{root}: has {len(found)} pictures{others}; {expected}")
+        raise HyalineError(f"{root}: has {len(found)} pictures; {expected}")
     for path in found:
         check_regular(path, root, where=str(root))
         picture_size(path)  # Refuses turned pictures before COLMAP spends minutes on them.
     return found
 
 
-def _listed(root: Path, endings: tuple[str, ...]) -> list[Path]:
-    folder = root / PICTURES if (root / PICTURES).is_dir() else root
-    return [path for path in _pictures_below(folder, endings) if path.relative_to(root).parts[0] != MASKS]
-
-
-def _other_kinds(root: Path) -> str:
-    """How many pictures are of kinds that are not read, and which; empty without any."""
-    found = _listed(root, OTHER_ENDINGS)
-    kinds = ", ".join(sorted({path.suffix.lower() for path in found}))
-    return f"{len(found)} of other kinds ({kinds})" if found else ""
-
-
-def _pictures_below(folder: Path, endings: tuple[str, ...] = ENDINGS) -> list[Path]:
+def _pictures_below(folder: Path) -> list[Path]:
     """The pictures in a folder and the folders in it, except hidden ones, such as macOS leaves."""
-    found = (path for path in folder.rglob("*") if path.suffix.lower() in endings)
+    found = (path for path in folder.rglob("*") if path.suffix.lower() in ENDINGS)
     return sorted(path for path in found if not any(part[0] == "." for part in path.relative_to(folder).parts))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Masks:
-    """The names of the objects, and for each picture the masks of all of them."""
-
-    objects: tuple[str, ...]
-    of: dict[Path, tuple[Path, ...]]
+Masks = dict[Path, tuple[Path, ...]]
+"""For each picture the masks of all objects."""
 
 
-def find_masks(root: Path, pictures: Sequence[Path]) -> Masks:
-    """The mask of each picture and object, by the picture's path below images/ or by its name alone, with or without
-    its ending."""
+def find_masks(root: Path, pictures: Sequence[Path]) -> tuple[tuple[str, ...], Masks]:
+    """Names of the objects, and masks by the pictures' paths below images/, with or without their endings."""
     folder = root / MASKS
     folders = sorted(path for path in folder.glob("[!.]*") if path.is_dir()) if folder.is_dir() else []
     if not 1 <= len(folders) < MAX_OBJECTS:
@@ -152,35 +140,24 @@ def find_masks(root: Path, pictures: Sequence[Path]) -> Masks:
             f"{folder}: has {len(folders)} folders; expected one for each object of glass with a PNG for each "
             "picture, white where the object is seen"
         )
-    names = [Path(name_of(root, path)).with_suffix("").as_posix() for path in pictures]
-    if again := [name for name, count in Counter(names).items() if count > 1]:
-        raise HyalineError(
-            f"{root}: two pictures are called {shown(again[0])}; expected names that differ before the dot"
-        )
-    stems = Counter(path.stem for path in pictures)
-    found: list[list[Path]] = [[] for _ in pictures]
+    found: Masks = dict.fromkeys(pictures, ())
     for one in folders:
-        listed: dict[str, Path] = {}
-        for path in _pictures_below(one):
-            name = path.relative_to(one).with_suffix("").as_posix()
-            if (other := listed.setdefault(name, path)) != path:
-                raise HyalineError(f"{other} and {path}: two masks of one picture; expected one")
+        listed = {path.relative_to(one).with_suffix("").as_posix(): path for path in _pictures_below(one)}
         lacking = []
-        for masks, name, picture in zip(found, names, pictures, strict=True):
-            known = [name, name_of(root, picture), *([picture.stem] if stems[picture.stem] == 1 else [])]
-            path = next((listed[each] for each in known if each in listed), None)
+        for picture in found:
+            name = name_of(root, picture)
+            path = listed.get(Path(name).with_suffix("").as_posix(), listed.get(name))
             if path is None:
-                lacking.append(f"{name}.png")
+                lacking.append(name)
             else:
                 check_regular(path, root, where=str(root))
-                masks.append(path)
+                found[picture] += (path,)
         if lacking:
             raise HyalineError(
-                f"{one}: has no mask for {len(lacking)} of {len(pictures)} pictures ({', '.join(lacking[:NAMED])}); "
+                f"{one}: has no mask for {len(lacking)} of {len(found)} pictures ({', '.join(lacking[:NAMED])}); "
                 "expected one for each, black where the object is not seen"
             )
-    objects = tuple(unique_names([path.name for path in folders]))
-    return Masks(objects=objects, of=dict(zip(pictures, map(tuple, found), strict=True)))
+    return tuple(unique_names([path.name for path in folders])), found
 
 
 def name_of(root: Path, picture: Path) -> str:
@@ -197,22 +174,16 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     frames: list[tuple[Role, Transforms, Frame]]
     frames = [(role, file, frame) for role, file in found.items() for frame in file.frames]
     pictures = [find_named(root, frame, "file_path") for _, _, frame in frames]
-    sizes = {path: picture_size(path) for path in pictures}
-    remarks, has_folders = [], (root / MASKS).is_dir() and any(path.is_dir() for path in (root / MASKS).iterdir())
-    if not has_folders and all("mask_file_path" in frame.data for _, _, frame in frames):
-        objects, masks = (ONE_OBJECT,), [(find_named(root, frame, "mask_file_path"),) for _, _, frame in frames]
-        remarks.append(f"masks: {MASKS}/ is not there; the files' masks are those of one object, {ONE_OBJECT}")
-    else:
-        given = find_masks(root, list(sizes))
-        objects, masks = given.objects, [given.of[picture] for picture in pictures]
+    objects, masks = find_masks(root, pictures)
     views: dict[Role, list[Shot]] = {role: [] for role in ROLES}
-    for (role, file, frame), picture, own in zip(frames, pictures, masks, strict=True):
-        lens = lens_of_frame(file, frame, sizes[picture])
-        views[role].append(Shot(picture=picture, mask=None, world_from_camera=file.pose(frame), lens=lens, masks=own))
+    for (role, file, frame), picture in zip(frames, pictures, strict=True):
+        lens, pose, own = lens_of_frame(file, frame, picture_size(picture)), file.pose(frame), masks[picture]
+        views[role].append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=own))
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
+    remarks = []
     if len(found) == 1:
         listed = split_listed(first, listed["train"])
-        remarks += about_unlisted(first, listed)
+        remarks = about_unlisted(first, listed)
     points, points_file = _points(root, first.content.get("ply_file_path"))
     return Folder(
         root=root,
@@ -223,7 +194,6 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
         points=points,
         points_file=points_file,
         has_unit=True,
-        cameras=", ".join(Path(file.where).name for file in found.values()),
         license=license_line(first.content.get("license")),
         remarks=tuple(remarks),
     )
@@ -237,7 +207,7 @@ def _points(root: Path, named: object = None) -> tuple[Float[np.ndarray, "point 
     return (np.zeros((0, 3)) if file is None else read_ply_points(file)), file
 
 
-def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
+def _with_colmap(root: Path, pictures: list[Path], objects: tuple[str, ...], masks: Masks) -> Folder:
     listed = colmap_images(root)
     shots, lost = [], []
     for picture in pictures:
@@ -247,15 +217,13 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
             continue
         row, pose, where = listed[name]
         lens = lens_of_colmap(row, picture_size(picture), where=where)
-        shots.append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=masks.of[picture]))
+        shots.append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=masks[picture]))
     if len(shots) < 3:
         raise HyalineError(
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
             f"{shown(next(iter(listed)))}; expected those below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
     remarks = []
-    if others := _other_kinds(root):
-        remarks.append(f"pictures: {others} were left out; convert them to PNG or JPEG")
     if lost:
         remarks.append(
             f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
@@ -269,10 +237,159 @@ def _with_colmap(root: Path, pictures: list[Path], masks: Masks) -> Folder:
         layout=LAYOUT,
         lens=shots[0].lens.pinhole,
         views={**split_evenly(shots)},
-        objects=masks.objects,
+        objects=objects,
         points=points,
         points_file=points_file,
         has_unit=False,
-        cameras="COLMAP",
         remarks=tuple(remarks),
     )
+
+
+# What COLMAP finds
+
+
+EXTRA = "pip install 'hyaline-glass[capture]'"
+SMALL = 400
+"""Pictures with a shorter longest side are enlarged: SIFT finds too little in them."""
+LARGE = 1600
+"""Larger ones are made smaller: that costs no accuracy that a dataset's pictures could show."""
+MOST_FEATURES = 1200
+LEAST_SHARE = 0.5
+"""Share of the pictures whose cameras must be found."""
+LEAST_SEEN = 20
+"""Points that a picture must show: cameras by fewer are often wrong."""
+MODEL, KNOWN = "SIMPLE_RADIAL", "OPENCV"
+"""COLMAP's models of lenses that are found, and that are known."""
+
+
+def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
+    """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them."""
+    colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
+    say(f"{root}: has no cameras; finding them in {len(pictures)} pictures, which takes minutes")
+    with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
+        folder = Path(scratch)
+        times = _write_pictures(folder, [(path, masks[path]) for path in pictures])
+        database = _matched(colmap, folder, model=MODEL)
+        options = colmap.IncrementalPipelineOptions()
+        options.min_model_size = 3
+        # Small pictures have few features.
+        options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
+        models = colmap.incremental_mapping(database, folder / "images", folder, options)
+        found = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
+        for image in list(found.images.values()) if found else []:
+            image.name = name_of(root, pictures[int(Path(image.name).stem)])
+            if image.num_points3D < LEAST_SEEN:
+                found.deregister_frame(image.frame_id)  # pyright: ignore[reportOptionalMemberAccess]
+        count = found.num_reg_images() if found else 0
+        if not found or count < max(3, LEAST_SHARE * len(pictures)):
+            raise HyalineError(
+                f"{root}: COLMAP found the cameras of {count} of {len(pictures)} pictures; expected at least half: "
+                "take more pictures with texture around the glass, at least 500 pixels wide, or bring transforms.json"
+            )
+        for camera in found.cameras.values():
+            camera.rescale(round(camera.width / times), round(camera.height / times))
+        found.write_text(folder)
+        # Without its images the model does not count, so they are the last to be there.
+        for name in ("points3D.txt", "cameras.txt", "images.txt"):
+            commit(root / FOUND / "sparse" / "0" / name, (folder / name).read_bytes())
+    say(f"{root}: {count} cameras and {len(found.points3D):,} points were found, and kept in {root / FOUND}")
+
+
+def find_points(folder: Folder) -> None:
+    """Writes points of opaque surfaces, seen by cameras that are known, to FOLDER/points3d.ply.
+
+    Without the extra `capture`, there are none.
+    """
+    try:
+        colmap = _colmap("")
+    except HyalineError:
+        return
+    shots = folder.shots
+    say(f"{folder.root}: has no points for the room; finding them in {len(shots)} pictures, which takes minutes")
+    with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
+        work = Path(scratch)
+        times = _write_pictures(work, [(shot.picture, shot.masks) for shot in shots])
+        database = _matched(colmap, work, model=KNOWN)
+        known = _known(colmap, database, shots, times)
+        found = colmap.triangulate_points(known, database, work / "images", work)
+    points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
+    if not len(points):
+        return
+    import trimesh
+
+    data = trimesh.PointCloud(points).export(file_type="ply")
+    assert isinstance(data, bytes), "a binary PLY"
+    commit(folder.root / POINTS[0], data)
+    say(f"{folder.root}: {len(points):,} points were found, and kept in {folder.root / POINTS[0]}")
+
+
+def _colmap(why: str) -> ModuleType:
+    try:
+        import pycolmap  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise HyalineError(f"{why}, and pycolmap, which finds them, is not installed: `{EXTRA}`") from None
+    pycolmap.logging.minloglevel = 2  # It logs every step; its errors are enough.
+    pycolmap.set_random_seed(0)
+    return pycolmap
+
+
+def _write_pictures(folder: Path, pictures: Sequence[tuple[Path, Sequence[Path]]]) -> float:
+    """Pictures and masks by their numbers, as COLMAP takes them, all made larger or smaller alike; by how much."""
+    longest = max(max(picture_size(path)) for path, _ in pictures)
+    times = LARGE / longest if longest > LARGE else float(np.ceil(SMALL / longest)) if longest < SMALL else 1.0
+    for name in ("images", "masks"):
+        (folder / name).mkdir()
+    for place, (path, masks) in enumerate(pictures):
+        picture = opened(path).convert("RGB")
+        size = (round(times * picture.width), round(times * picture.height))
+        picture.resize(size, Image.Resampling.LANCZOS).save(folder / "images" / f"{place:05d}.png")
+        seen = np.zeros((picture.height, picture.width), bool)
+        for mask in masks:
+            seen |= mask_pixels(opened(mask, picture.size))
+        hidden = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
+        hidden.save(folder / "masks" / f"{place:05d}.png.png")
+    return times
+
+
+def _matched(colmap: ModuleType, folder: Path, *, model: str) -> Path:
+    """The database of features and matches of all pairs of pictures."""
+    database = folder / "database.db"
+    reader = colmap.ImageReaderOptions()
+    reader.camera_model, reader.mask_path = model, folder / "masks"
+    features = colmap.FeatureExtractionOptions()
+    features.sift.max_num_features = MOST_FEATURES
+    sizes = {picture_size(path) for path in (folder / "images").iterdir()}
+    found = colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO
+    options = {
+        "camera_mode": colmap.CameraMode.PER_IMAGE if model == KNOWN else found,
+        "reader_options": reader,
+        "extraction_options": features,
+        "device": colmap.Device.cpu,
+    }
+    colmap.extract_features(database, folder / "images", **options)
+    colmap.match_exhaustive(database, device=colmap.Device.cpu)
+    return database
+
+
+def _known(colmap: ModuleType, database: Path, shots: Sequence[Shot], times: float) -> object:
+    """A model of COLMAP that holds cameras and no points."""
+    known = colmap.Reconstruction()
+    with colmap.Database.open(database) as opened_database:
+        for image in opened_database.read_all_images():
+            shot = shots[int(Path(image.name).stem)]
+            lens = shot.lens
+            k1, k2 = (*lens.radial, 0.0, 0.0)[:2]
+            camera = colmap.Camera(
+                camera_id=image.camera_id,
+                model=KNOWN,
+                width=round(times * lens.width),
+                height=round(times * lens.height),
+                params=[*(times * f for f in lens.focal), *(times * c for c in lens.center), k1, k2, *lens.tangential],
+            )
+            known.add_camera_with_trivial_rig(camera)
+            pose = shot.world_from_camera
+            rotation = (pose[:3, :3] * [1, -1, -1]).T
+            camera_from_world = np.concatenate([rotation, -rotation @ pose[:3, 3:]], axis=1)
+            placed = colmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+            known.add_image_with_trivial_frame(placed, colmap.Rigid3d(camera_from_world))
+    return known

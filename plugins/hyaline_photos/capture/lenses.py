@@ -86,10 +86,8 @@ def lens_of_frame(file: Transforms, frame: Frame, size: tuple[int, int]) -> Take
     def number(key: str, default: float = 0.0) -> float:
         return file.number(key, default, frame=frame)
 
-    model = str(frame.data.get("camera_model", file.content.get("camera_model", "")))
-    is_rational = model.upper() == "FULL_OPENCV"
     # nerfstudio writes k4 for fisheyes alone.
-    if other := file.other_model(frame) or "k4" * (not is_rational and abs(number("k4")) > 1e-9):
+    if other := file.other_model(frame) or "k4" * (abs(number("k4")) > 1e-9):
         raise HyalineError(
             f"{frame.where}: its camera is not a pinhole camera ({other}); expected PINHOLE or OPENCV: undistort the "
             "pictures first (`colmap image_undistorter`)"
@@ -103,7 +101,7 @@ def lens_of_frame(file: Transforms, frame: Frame, size: tuple[int, int]) -> Take
         height=round(height),
         focal=(focal, number("fl_y") or focal),
         center=(number("cx", width / 2), number("cy", height / 2)),
-        radial=tuple(number(f"k{place}") for place in range(1, 7 if is_rational else 4)),
+        radial=tuple(number(f"k{place}") for place in (1, 2, 3)),
         tangential=(number("p1"), number("p2")),
     )
     return _checked(lens, size, where=frame.where)

@@ -7,6 +7,7 @@ Each ray at a mask's edge tells on which side of 0 that minimum lies: a logistic
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float, Float64
@@ -90,14 +91,12 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
 
-    def wrong(box: Box) -> float:
-        return box.unexplained
-
     def sharpen(box: Box, steps: Sequence[float]) -> Box:
         for softness in steps:
             box = _fitted(box, edge, softness, support)
         return _judged(box, edge)
 
+    wrong = attrgetter("unexplained")
     turns = [rotation(tuple(up), angle) for angle in range(0, 90, 15)]
     turned = [dataclasses.replace(start, axes=start.axes @ turn.T) for turn in turns]
     rough = [_fitted(_fitted(box, few, SOFTNESS[0], support), few, SOFTNESS[1], support) for box in turned]

@@ -5,6 +5,10 @@ outside   each object's outside, from masks
 grid      solid or vessel, wall and floor, by drawing every cell of a grid through the room's textures
 search    one number after the other, in brackets that narrow
 again     the textures once more, from all pixels with the glass that was found, then a search once more
+
+FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
+FIT/STAGE.pt         what a stage found, with the digest of what it was found from
+FIT/STAGE.png        a picture of it, for stages that draw
 """
 
 import dataclasses
@@ -22,22 +26,22 @@ from scipy import ndimage
 from datagen.builder.build import peel_dataset
 from datagen.builder.variants import peel_variants
 from datagen.data.dataset import Dataset, check_has_meshes, find_num_layers, has_layers
-from datagen.data.geometries import read_meshes
-from datagen.data.images import to_8bit
+from datagen.data.geometries import list_geometries, read_assignment, read_meshes
+from datagen.data.images import png_bytes, to_8bit
 from datagen.data.meshes import Mesh, is_there
-from datagen.data.paths import TRUTH, geometry_root
+from datagen.data.paths import FITTED, TRUTH, geometry_root
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import PROXIES, holding
-from datagen.disk.records import Json, to_json
+from datagen.disk.ownership import PROXIES, begin, holding, refuse_others, remove_files
+from datagen.disk.records import Json, commit_sealed, dump_json, load_sealed, to_json
+from datagen.disk.storage import commit, sha256
 from datagen.scene.description import Scene
 from datagen.scene.folder import open_scene, with_materials
 from datagen.scene.materials import Diffuse
 from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
 from hyaline_photos.commands import FitChoices
-from hyaline_photos.fit import drinks, room
+from hyaline_photos.fit import room
 from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.fit_folder import FIT, FitFolder, refuse_losing
 from hyaline_photos.fit.found import (
     FoundGlass,
     Objects,
@@ -48,22 +52,85 @@ from hyaline_photos.fit.found import (
     to_state,
     write_geometry,
 )
-from hyaline_photos.fit.kinds import choose_outside, choose_shown
+from hyaline_photos.fit.kinds import choose_outside, choose_shown, find_holders, merged, with_drink
 from hyaline_photos.fit.search import find_absorption, guess, guesses, in_even_views, refine
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
+from hyaline_photos.report import FIT, FIT_VERSION
 from model.methods.light_path.pixels import LightPathPixels
-from model.state import State, fingerprint
+from model.runtime import leaving_settings
+from model.state import State, fingerprint, load_state, save_state
 
 GRID_PIXELS, SEARCH_PIXELS = 2000, 4000
 """Pixels of each object, drawn from all training views."""
 ROUNDS, LAST_ROUNDS = 4, 1
-MOST_WRONG = 0.15
-"""Share of edge pixels that an outside may get wrong without a remark; masks of other views give 0.2 and more."""
 MATT = Diffuse(color=(0.5, 0.5, 0.5))
 """Of everything whose material is unknown; light paths do not read its colour."""
 UP = np.array([0.0, 0.0, 1.0])
 ENLARGED, SHOWN_VIEWS, AMPLIFIED = 3, 4, 4
 """In pictures of stages: width of a pixel, views, and factor on differences."""
+STAGES = ("room", "outside", "grid", "search", "textures", "again")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FitFolder:
+    """The folder of one fit, held by its writer."""
+
+    root: Path
+    asked: dict[str, Json]
+    """Everything that determines the result."""
+
+    @property
+    def head(self) -> dict[str, Json]:
+        """What fit.json begins with."""
+        return {"version": FIT_VERSION, **self.asked}
+
+    def begin(self, *, overwrite: bool) -> None:
+        """Claims the folder; what another fit left there stays only where this one asks for the same."""
+        path = self.root / FIT.head
+        if not path.is_file():
+            refuse_others(self.root, FIT)
+            begin(self.root, FIT, self.head)
+        elif overwrite:
+            remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
+            commit_sealed(path, self.head)
+        else:
+            before = load_sealed(path)
+            if different := [key for key, value in self.head.items() if before.get(key) != value]:
+                raise HyalineError(
+                    f"{self.root}: holds a fit with another {different[0]}; start over with --overwrite, or choose "
+                    "another --name"
+                )
+
+    def stage(self, name: str, depends_on: str, make: Callable[[], dict[str, State]]) -> dict[str, State]:
+        """Runs a stage, or reads its stored result.
+
+        Args:
+            depends_on: digest of what it is found from.
+        """
+        path, key = self.root / f"{name}.pt", sha256(dump_json([self.asked, name, depends_on]))
+        try:
+            state = load_state(path) if path.is_file() else {}
+        except HyalineError as error:
+            say(f"{error}; making it again")
+            state = {}
+        if state.pop("key", None) == key:
+            say(f"{name}: found before")
+            return state
+        say(f"{name} ...")
+        state = make()
+        save_state(path, {**state, "key": key})
+        return state
+
+
+def refuse_losing(dataset: Dataset, geometry: str, unknown: tuple[int, ...]) -> None:
+    """Refuses a fit whose geometry would lose glass that another fit has found."""
+    own = (read_assignment(dataset, geometry) or ()) if geometry in list_geometries(dataset) else ()
+    found = {place: item.name for place, (item, by) in enumerate(zip(dataset.objects, own), start=1) if by == FITTED}
+    if lost := [name for place, name in found.items() if place not in unknown]:
+        raise HyalineError(
+            f"{geometry_root(dataset.root, geometry)}: holds a fit of {', '.join(lost)}, too; replace it with "
+            "--overwrite, or choose another --name"
+        )
 
 
 def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, overwrite: bool) -> None:
@@ -103,7 +170,8 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         "steps": choices.steps,
         "seed": choices.seed,
     }
-    with holding(out, FIT), room.one_thread():
+    with holding(out, FIT), leaving_settings():
+        torch.set_num_threads(1)  # On so few pixels a second one costs more than it saves.
         folder = FitFolder(root=out, asked=asked)
         folder.begin(overwrite=overwrite)
         work = _Work(
@@ -119,7 +187,7 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
         with holding(root, PROXIES, within=dataset.root):
             materials = {name: to_json(each) for name, each in assumed.items()}
             write_geometry(dataset, geometry, meshes, materials, found)
-        folder.finish(summary(dataset, found))
+        commit_sealed(out / FIT.head, {**folder.head, **summary(dataset, found)})
     if has_layers(dataset):
         num_layers = dataset.layer_store().head.num_layers
         is_other = find_num_layers(dataset, geometry) not in (None, num_layers)
@@ -180,7 +248,7 @@ class _Work:
 
     def _find_outsides(self) -> Objects:
         found: Objects = {}
-        sightings, holders = self.sightings, drinks.find_holders(self.sightings)
+        sightings, holders = self.sightings, find_holders(self.sightings)
         apart = [each for each in sightings.unknown if each not in {*holders, *holders.values()}]
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
@@ -188,8 +256,8 @@ class _Work:
             if object_id in found and isinstance(found[object_id].glass, Box):
                 sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
         for inside, vessel in holders.items():
-            outside = self._found_if_shown(vessel, drinks.merged(sightings, {inside: vessel})).get(vessel)
-            glass = outside and drinks.with_drink(outside.glass, sightings, inside, vessel)
+            outside = self._found_if_shown(vessel, merged(sightings, {inside: vessel})).get(vessel)
+            glass = outside and with_drink(outside.glass, sightings, inside, vessel)
             if outside and glass:
                 found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
                 say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
@@ -212,8 +280,6 @@ class _Work:
             say(f"  taken as known: {name}: {error}")
             return {}
         say(f"  {name}: {glass.kind}; {wrong:.2%} of the pixels at its mask's edge are wrong")
-        if wrong > MOST_WRONG:
-            say(f"  {name}: its masks contradict the cameras; check the order of the masks")
         return {object_id: FoundGlass(glass=glass, unexplained=wrong)}
 
     def _scan(self, textures: dict[str, State], found: Objects) -> Objects:
@@ -291,4 +357,4 @@ class _Work:
             difference = np.abs(colors - truth / np.float32(255)) * AMPLIFIED
             rows.append(np.hstack([truth, to_8bit(colors), to_8bit(np.clip(difference, 0, 1))]))
         picture = np.vstack(rows).repeat(ENLARGED, axis=0).repeat(ENLARGED, axis=1)
-        self.folder.write_picture(stage, picture)
+        commit(self.folder.root / f"{stage}.png", png_bytes(picture))

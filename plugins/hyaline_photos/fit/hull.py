@@ -114,10 +114,8 @@ def _carved(
     coarse_step = 2 * radius / (COARSE - 1)
     grid = low + coarse_step * np.argwhere(np.ones((COARSE,) * 3))
     field = depth_inside(grid).reshape((COARSE,) * 3)
-    if not (field > 0).any():
-        raise HyalineError(f"object {object_id}: its masks have no point in common; check the masks and the cameras")
-    if (field > 0).all():
-        raise HyalineError(f"object {object_id}: no ray passes beside it")
+    if not (field > 0).any() or (field > 0).all():
+        raise HyalineError(f"object {object_id}: its masks have no point in common, or no ray passes beside it")
     area = 1.5 * coarse_step**2 * sum(int((np.diff(field > 0, axis=axis)).sum()) for axis in range(3)) / 2
     step = np.sqrt(2 * area / FACES)
     count = int(np.clip(2 * radius / step + 1, COARSE, FINEST))

@@ -1,8 +1,7 @@
 """The textures of the room, and drawing through glass that changes in front of them."""
 
-import contextlib
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -56,17 +55,6 @@ has a loss of 0.006 where more than 95 % of a pixel's light is known, 0.02 at 85
 COUNTED_BRANCHES = 4
 LEAST_TRUST = 1e-6
 """Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
-
-
-@contextlib.contextmanager
-def one_thread() -> Iterator[None]:
-    """Lets torch use one thread: on so few pixels a second one costs more than it saves."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ import trimesh
 from support.meshes import box, mesh_of
 
 from datagen.data.meshes import Mesh
-from hyaline_photos.shape_errors import measure_walls, shape_errors
+from hyaline_photos.report import measure_walls, shape_errors
 from proxies.measure import nearest_points
 
 

@@ -22,7 +22,7 @@ function vertexTable(arrays, manifest) {
   return table;
 }
 
-// Texels: as they are, or in steps, each as its difference from a guess (plugins/hyaline_web/page/packing.py).
+// Texels: as they are, or in steps, each as its difference from a guess (plugins/hyaline_web/page/scene.py).
 function texelTable(arrays, manifest) {
   if (arrays.texels instanceof Float32Array) return arrays.texels;
   const channels = 4 * manifest.defines.FEATURE_TEXELS, table = new Float32Array(arrays.texels.length);

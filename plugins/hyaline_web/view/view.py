@@ -10,11 +10,13 @@ import http
 import io
 import logging
 import math
+import os
+import re
 import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -25,13 +27,15 @@ import websockets.asyncio.server
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
-from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.paths import find_dataset
+from datagen.data.cameras import Camera
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.geometries import read_meshes
+from datagen.data.meshes import is_there
+from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError
+from datagen.look.drawings import object_colors
 from datagen.terminal.command import Held, hold_signals, say, tell
-from hyaline_web.view.live_run import LiveRun, MovedOn
-from hyaline_web.view.schedule import Job, Pose, Schedule
-from hyaline_web.view.stage import Stage
+from hyaline_web.view.live_run import Job, LiveRun, MovedOn, Pose, Schedule, window_pose
 from model.run.run_folder import RUN, open_trained
 from model.runtime import choose_device
 from model.settings import RUNS, Device
@@ -41,22 +45,15 @@ NAMES = (HOST, "localhost", "::1")
 """What a browser may call this machine; the port may be another, through `ssh -L`."""
 UNFRAMED = {"Content-Security-Policy": "frame-ancestors 'none'", "X-Frame-Options": "DENY"}
 """Headers that forbid other pages to show the viewer's inside of them."""
-TRAINING_SHARE = 0.09
-"""Share of one core that this process takes while a run trains, for any number of browsers: it slows training by less
-than a tenth, and takes nothing without a browser."""
 LOOK_EVERY_S = 2.0
 """Seconds between two checks for newer weights."""
 WAIT_S, IDLE_S = 0.05, 0.5
 """Seconds to wait for work with a connected browser, and without one."""
-JPEG_QUALITY = 85
-"""Quality of pictures while a camera moves; the others are sent losslessly."""
 
 
 class Server(viser.ViserServer):
-    """A viser server that only answers its own page, and only once there is something to see."""
+    """A viser server that only answers its own page."""
 
-    is_open = False
-    """False until the scene is complete: viser's page keeps its first camera for good. Earlier browsers try again."""
     is_guarded = False
     """True once viser has started its web server through the guard."""
 
@@ -87,8 +84,6 @@ class Server(viser.ViserServer):
             is_here = len(hosts) == 1 and urlsplit(site).hostname in NAMES
         if not is_here or {item.lower() for item in origins} - {site}:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "The viewer only answers its own page on localhost.\n")
-        if not self.is_open:
-            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, "The viewer is starting; reload it soon.\n")
         return None
 
 
@@ -121,31 +116,136 @@ def serving(port: int, label: str) -> Iterator[Server]:
             server.stop()
 
 
+# What is shown: all browsers share it, and viser calls its callbacks in threads of its own
+
+COLORS = {"train": (90, 140, 230), "interpolating": (70, 180, 110), "extrapolating": (220, 90, 80)}
+"""Colours of camera frames by split."""
+FRAME_SHARE = 0.05
+"""Size of a camera's frame, relative to its distance from the centre of the scene."""
+MOST_PIXELS = 160
+"""Longer side of a picture in its frame; larger ones are subsampled."""
+GLASS_OPACITY = 0.35
+
+
+def as_text(text: str) -> str:
+    """Markdown that shows a text as it is, such as a folder's name, and loads nothing."""
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
+
+
+class Stage:
+    """A dataset in the viewer's scene, and its controls."""
+
+    def __init__(self, server: viser.ViserServer, dataset: Dataset, *, has_run: bool) -> None:
+        """Adds the cameras without pictures, and the controls."""
+        self._server, gui = server, server.gui
+        meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()  # Imported pictures may have none.
+        places = [dataset.cameras(split).world_from_camera[:, :3, 3] for split in dataset.splits]
+        corners = np.concatenate([mesh.vertices for mesh in meshes if is_there(mesh)] or places)
+        self._middle = (corners.min(axis=0) + corners.max(axis=0)).astype(np.float64) / 2
+        first = dataset.view("interpolating" if "interpolating" in dataset.splits else dataset.splits[0], 0).camera
+        # Before the frames: viser 1.1 sends at most 128 messages together, and its page places its camera once, when
+        # the first batch arrives. If the camera's messages come later, it looks at the world's origin instead.
+        server.initial_camera.position, _, server.initial_camera.fov = window_pose(first)
+        server.initial_camera.look_at = self._ahead(first)
+        server.initial_camera.up = (0.0, 0.0, 1.0)
+        self._frames = [(view, self._add_frame(view)) for split in dataset.splits for view in dataset.views(split)]
+        colors = object_colors(len(dataset.objects))[1:]
+        solids = [
+            server.scene.add_mesh_simple(
+                f"/meshes/{item.name}",
+                mesh.vertices,
+                mesh.faces,
+                color=color,
+                opacity=GLASS_OPACITY if item.is_glass else None,
+                side="double",
+            )
+            for item, mesh, color in zip(dataset.objects, meshes, colors)
+            if is_there(mesh)
+        ]
+        self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
+        for label, handles in (("meshes", solids), ("cameras", [frame for _, frame in self._frames])):
+            self._add_switch(label, handles, is_on=not has_run)  # They would cover the prediction.
+        gui.add_markdown("Click a camera to look through it.")
+
+    def tell_run(self, status: str) -> None:
+        """Shows the run's progress."""
+        self._status.content = as_text(status)
+
+    def tell_trouble(self, trouble: str) -> None:
+        """Shows why there is no picture; empty: hides the message."""
+        self._trouble.content, self._trouble.visible = as_text(trouble), bool(trouble)
+
+    def pictures(self) -> Iterator[None]:
+        """Adds the pictures to the cameras' frames, one per step; views that are not built stay empty."""
+        for view, frame in self._frames:
+            with contextlib.suppress(HyalineError):
+                picture = view.image
+                step = -(-max(picture.shape[:2]) // MOST_PIXELS)
+                frame.image = picture[::step, ::step]
+                yield
+
+    def _add_switch(self, label: str, handles: Sequence[viser.SceneNodeHandle], *, is_on: bool) -> None:
+        """A check box that shows or hides parts of the scene."""
+        box = self._server.gui.add_checkbox(label, is_on)
+
+        def show(_: object = None) -> None:
+            for handle in handles:
+                handle.visible = box.value
+
+        box.on_update(show)
+        show()
+
+    def _add_frame(self, view: View) -> viser.CameraFrustumHandle:
+        camera = view.camera
+        position, wxyz, fov_y = window_pose(camera)
+        frame = self._server.scene.add_camera_frustum(
+            f"/cameras/{view.split}/{view_name(view.index)}",
+            fov_y,
+            camera.width / camera.height,
+            scale=FRAME_SHARE * float(np.linalg.norm(position - self._middle)),
+            thickness=1.5,
+            thickness_units="screen",
+            color=COLORS.get(view.split, COLORS["extrapolating"]),
+            wxyz=wxyz,
+            position=position,
+        )
+
+        @frame.on_click
+        def _(event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
+            if event.client is not None:
+                with event.client.atomic():
+                    looking = event.client.camera
+                    looking.position, looking.look_at = position, self._ahead(camera)
+                    looking.wxyz, looking.fov = wxyz, fov_y
+
+        return frame
+
+    def _ahead(self, camera: Camera) -> np.ndarray:
+        """The point on a camera's axis to orbit: as far away as the centre of the scene."""
+        position, forward = camera.world_from_camera[:3, 3], -camera.world_from_camera[:3, 2]
+        return position + forward * max(float(np.linalg.norm(self._middle - position)), 1e-3)
+
+
 class Viewer:
     """Serves the connected browsers."""
 
     def __init__(self, server: Server, dataset: Dataset, run: LiveRun | None) -> None:
         self._server, self._run = server, run
         self._schedule = Schedule()
-        self._ready_at = self._looked_at = -math.inf
+        self._looked_at = -math.inf
         self._news = threading.Event()
         self._stage = Stage(server, dataset, has_run=run is not None)
         self._pictures: Iterator[None] = self._stage.pictures()
         server.on_client_connect(self._connect)
         server.on_client_disconnect(lambda client: self._schedule.forget(client.client_id))
-        server.is_open = True
 
     def step(self, held: Held) -> None:
         """Does the most urgent piece of work, or waits a moment for one."""
         if not self._schedule.is_watched:
             self._wait(IDLE_S)
             return
-        started, processor = time.monotonic(), time.process_time()
-        if started < self._ready_at:
-            self._wait(WAIT_S)
-            return
-        if started - self._looked_at >= LOOK_EVERY_S:
-            self._looked_at = started
+        if time.monotonic() - self._looked_at >= LOOK_EVERY_S:
+            self._looked_at = time.monotonic()
             self._look()
         job = self._schedule.next_job(time.monotonic())
         if job is not None:
@@ -153,8 +253,6 @@ class Viewer:
                 self._draw(job, lambda: held.number is None and self._schedule.is_wanted(job))
         elif next(self._pictures, self) is self:
             self._wait(WAIT_S)
-        if self._run is not None and not self._run.is_trained:
-            self._ready_at = time.monotonic() + (time.process_time() - processor) * (1 / TRAINING_SHARE - 1)
 
     def _look(self) -> None:
         """Reads newer weights, if there are any."""
@@ -168,7 +266,7 @@ class Viewer:
             self._stage.tell_run(str(error))
 
     def _draw(self, job: Job, is_wanted: Callable[[], bool]) -> None:
-        started, picture, trouble = time.monotonic(), None, ""
+        picture, trouble = None, ""
         if self._run is not None:
             try:
                 picture = self._run.draw(job.camera, is_quick=job.is_quick, is_wanted=is_wanted)
@@ -179,10 +277,9 @@ class Viewer:
         if client is None:  # It disconnected before its last move was processed.
             self._schedule.forget(job.client)
         else:
-            kind = "jpeg" if job.is_quick else "png"
-            client.scene.set_background_image(picture, format=kind, jpeg_quality=JPEG_QUALITY)
+            client.scene.set_background_image(picture, format="png")
             client.flush()
-        self._schedule.finish(job, time.monotonic() - started)
+        self._schedule.finish(job)
 
     # Callbacks in viser's threads.
 
@@ -229,6 +326,8 @@ def show(what: str, *, port: int, device: Device) -> None:
 
     if live is not None:
         live.refresh()
+        if not live.is_trained:
+            os.nice(19)  # Training comes first.
     with serving(port, opened.name) as server:
         viewer = Viewer(server, opened, live)
         with hold_signals() as held:

@@ -38,7 +38,7 @@ READ_MATERIALS = (
     f"datagen add {DATA} --edit remove:cube",
     f"datagen add {DATA} --larger 2",
     f"datagen film {DATA} {FILM} --spp 1 --out film.webp",
-    f"datagen export {DATA} --format quantities --out exported",
+    f"datagen export {DATA} --format nerfstudio --out exported",
     "report",
 )
 READ_FIT = (

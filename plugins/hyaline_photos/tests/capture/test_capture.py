@@ -20,14 +20,12 @@ from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
-from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
 from datagen.scene.rig import towards
-from hyaline_photos.capture.folder import find_masks, find_pictures, read_capture
+from hyaline_photos.capture.folder import find_masks, read_capture
 from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.outlines import Outline, Pane
 from hyaline_photos.capture.planes import Rectangle, find_up
-from hyaline_photos.capture.room import fit_room
+from hyaline_photos.capture.room import Outline, Pane, fit_room
 
 SIDE = 48
 FOV = 0.6
@@ -144,8 +142,8 @@ def test_masks_are_found_whatever_their_ending(tmp_path: Path) -> None:
     folder.mkdir()
     for name in (*names, "._a.png"):
         (folder / name).touch()
-    masks = find_masks(tmp_path, pictures)
-    assert masks.objects == ("ball",) and [masks.of[path][0].name for path in pictures] == list(names)
+    objects, masks = find_masks(tmp_path, pictures)
+    assert objects == ("ball",) and [masks[path][0].name for path in pictures] == list(names)
 
 
 # The dataset
@@ -208,20 +206,6 @@ def test_an_exported_dataset_comes_back_without_its_shapes(tmp_path: Path) -> No
             first = old.object_ids()[0]
             for name in glass:
                 assert np.array_equal(new.imported_object_ids == again.object_id(name), first == ours.object_id(name))
-
-
-def test_masks_that_a_refref_scene_names_are_of_one_object(own: Path) -> None:
-    content = json.loads((own / "transforms.json").read_text())
-    (own / "masks" / "ball").rename(own / "silhouettes")
-    shutil.rmtree(own / "masks")
-    (own / "transforms.json").unlink()
-    for frame in content["frames"]:
-        frame["mask_file_path"] = frame["file_path"].replace("images/", "silhouettes/")
-    for role, frames in (("train", content["frames"][4:]), ("test", content["frames"][:4])):
-        (own / f"transforms_{role}.json").write_text(json.dumps({**content, "frames": frames}))
-    found = read_capture(own, lambda *_: None)
-    assert found.objects == ("glass",) and [len(found.views[role]) for role in ("train", "val", "test")] == [14, 0, 4]
-    assert all(shot.masks[0].parent.name == "silhouettes" for shot in found.shots)
 
 
 # COLMAP's world
@@ -305,23 +289,11 @@ def test_without_points_the_floor_is_below_all_glass() -> None:
     assert room.parts["floor"].vertices[:, 2].max() < -0.02
 
 
-def test_pictures_of_kinds_that_are_not_read_are_counted(tmp_path: Path) -> None:
-    write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
-    for name in ("a.HEIC", "b.heic", "c.tif"):
-        (tmp_path / "images" / name).touch()
-    remarks = read_capture(tmp_path, lambda *_: None).remarks
-    assert remarks == ("pictures: 3 of other kinds (.heic, .tif) were left out; convert them to PNG or JPEG",)
-    for path in (tmp_path / "images").glob("*.png"):
-        path.unlink()
-    with pytest.raises(HyalineError, match=r"has 0 pictures beside 3 of other kinds \(\.heic, \.tif\); expected 3"):
-        find_pictures(tmp_path)
-
-
 def test_points_beside_a_model_of_colmap_without_points_are_read(tmp_path: Path) -> None:
     write_colmap(tmp_path, write_folder(tmp_path, cameras="none"), np.zeros((0, 3)), turned=np.eye(3), scale=1.0)
     header = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {axis}\n" for axis in "xyz")
     (tmp_path / "points3d.ply").write_text(f"{header}end_header\n1 2 3\n4 5 6\n")
-    assert read_capture(tmp_path, lambda *_: None).points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert read_capture(tmp_path).points.tolist() == [[1, 2, 3], [4, 5, 6]]
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -427,19 +399,6 @@ def without_pictures(root: Path) -> None:
     shutil.rmtree(root / "images")
 
 
-def with_two_of_one_name(root: Path) -> None:
-    (root / "transforms.json").unlink()
-    Image.new("RGB", (SIDE, SIDE)).save(root / "images" / "DSC 0003 é.jpg")
-
-
-def in_kilometres(root: Path) -> None:
-    frames = json.loads((root / "transforms.json").read_text())["frames"]
-    for frame in frames:
-        for row in frame["transform_matrix"][:3]:
-            row[3] /= 1000
-    edit(root, frames=frames)
-
-
 @pytest.mark.parametrize(
     ("spoil", "expected"),
     [
@@ -447,15 +406,11 @@ def in_kilometres(root: Path) -> None:
         (lambda root: (root / THIRD).unlink(), "has no mask for 1 of 18 pictures (DSC 0003 é.png)"),
         (lambda root: Image.new("L", (SIDE, SIDE // 2)).save(root / THIRD), "DSC 0003 é.png: is 48 x 24 pixels"),
         (lambda root: (root / THIRD).write_bytes(b"no picture"), "DSC 0003 é.png: not a picture"),
-        (lambda root: shutil.copy(root / THIRD, (root / THIRD).with_suffix(".webp")), "two masks of one picture"),
         (with_masks_of_other_pictures, "masks/ball: has no mask for 18 of 18 pictures"),
-        (with_two_of_one_name, "two pictures are called 'DSC 0003"),
-        (lambda root: redraw_masks(root, lambda _, mask: 0 * mask), "the masks of ball are black"),
-        (lambda root: redraw_masks(root, lambda _, mask: 255 - mask), "invert them"),
+        (lambda root: redraw_masks(root, lambda _, mask: 0 * mask), "masks/ball: shows its object in 0 of 18 pictures"),
         (lambda root: redraw_masks(root, square_somewhere), "masks/ball: its masks do not meet in space"),
         (without_pictures, "has 0 pictures; expected 3 to"),
         (lambda root: edit(root, is_fisheye=True, k1=0.05), "not a pinhole camera (is_fisheye)"),
-        (in_kilometres, "ball is 0.19 mm large by its masks and cameras"),
         (lambda root: edit(root, fl_x=50.0, w=SIDE, h=2 * SIDE), "its camera is for pictures of 48 x 96 pixels"),
     ],
 )
@@ -474,8 +429,6 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
     answer = call(f"datagen capture {own} --out {tmp_path / 'out'}")
     assert answer.status == 1 and "pip install 'hyaline-glass[capture]'" in answer.error
     assert "has no cameras (transforms.json, or COLMAP's sparse/0)" in answer.error
-    answer = call(f"datagen capture {own} --diameter bottle=0.1 --out {tmp_path / 'out'}")
-    assert "--diameter: bottle is not an object" in answer.error, "before COLMAP's minutes"
 
 
 @pytest.mark.parametrize(
@@ -483,7 +436,6 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
     [
         ("--diameter bottle=0.1", "bottle is not an object; expected one of ball, wine_glass__1_"),
         ("--diameter ball=tall", "expected an object and metres, such as tumbler=0.08"),
-        ("--diameter ball=0.2 --scale 2", "gives the scale, as --scale does"),
         ("--longest 2", "expected 8 to"),
     ],
 )

@@ -10,9 +10,8 @@ from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.meshes import Mesh
 from datagen.scene.modelling import sheet
 from datagen.scene.rig import towards
-from hyaline_photos.capture.outlines import Outline, Pane, find_outlines, find_panes
 from hyaline_photos.capture.planes import Rectangle
-from hyaline_photos.capture.room import fit_room
+from hyaline_photos.capture.room import Outline, Pane, find_outline, find_panes, fit_room
 
 SIDE, VIEWS = 96, 10
 ANGLE = math.radians(25)
@@ -60,7 +59,8 @@ def ids() -> list[UInt8[np.ndarray, "h w"]]:
 
 def test_a_pane_is_found_and_a_ball_is_none(ids: list[UInt8[np.ndarray, "h w"]]) -> None:
     cameras = around()
-    (pane,) = find_panes(find_outlines(("ball", "pane"), ids, cameras, where="masks"), ids, cameras)
+    outlines = [find_outline(name, index, ids, cameras, where="") for index, name in ((1, "ball"), (2, "pane"))]
+    (pane,) = find_panes(outlines, ids, cameras)
     assert pane.name == "pane"
     pixel = 1.3 * 0.8 / SIDE
     assert pane.top == pytest.approx(TOP, abs=pixel)

@@ -8,8 +8,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.scene.rig import towards
-from hyaline_photos.capture.outlines import Outline
-from hyaline_photos.capture.room import fit_room
+from hyaline_photos.capture.room import Outline, fit_room
 from hyaline_photos.capture.stereo import DepthMaps, find_depths, fuse
 
 RADIUS, FLOOR = 0.25, -0.25

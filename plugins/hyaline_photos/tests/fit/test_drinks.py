@@ -9,7 +9,7 @@ from support.silhouettes import views_around
 from datagen.data.meshes import Mesh, check_mesh, open_edges, signed_volume
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
-from hyaline_photos.fit.drinks import find_holders, merged, with_drink
+from hyaline_photos.fit.kinds import find_holders, merged, with_drink
 from hyaline_photos.fit.shapes import OUTSIDE, Axis, Revolution, evenly, revolved
 from hyaline_photos.fit.views import Sightings
 

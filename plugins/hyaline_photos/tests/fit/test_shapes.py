@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from datagen.data.meshes import check_mesh, open_edges, signed_volume
-from hyaline_photos.fit.found import from_state, to_state
 from hyaline_photos.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly
 
 AXIS = Axis(point=np.array([0.1, -0.2, 0.3]), direction=np.array([0.0, 0.6, 0.8]))
@@ -59,11 +58,3 @@ def test_a_solid_keeps_its_own_ends_and_a_vessel_does_not() -> None:
     hollow, cylinder = both.hollowed(0.1, 0.2, 0.3).mesh(), CYLINDER.hollowed(0.1, 0.2, 0.3).mesh()
     assert np.array_equal(hollow.vertices, cylinder.vertices)
     assert both.mesh().faces.shape == hollow.faces.shape
-
-
-def test_a_state_gives_the_same_glass_back() -> None:
-    both = dataclasses.replace(CYLINDER, solid=CYLINDER.outline())
-    glass = dataclasses.replace(both.hollowed(0.08, 0.2, 0.3), absorption=(1.0, 2.0, 3.0)).having(roughness=0.1)
-    again = from_state(to_state(glass))
-    assert np.array_equal(again.mesh().vertices, glass.mesh().vertices)
-    assert again.material() == glass.material()
