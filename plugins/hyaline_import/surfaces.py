@@ -10,14 +10,12 @@ from jaxtyping import Bool, Float, Int
 from datagen.data.meshes import (
     MIN_AREA,
     Mesh,
-    component_of_faces,
     face_areas,
-    face_corners,
     open_edges,
+    parts_inside_out,
     signed_volume,
     vertex_normals,
     welded,
-    windings,
 )
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
@@ -151,15 +149,8 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     if signed_volume(mesh) < 0:
         mesh = _turned(mesh, np.ones(len(mesh.faces), bool))
         remarks.note(where, "was inside out; its faces were turned round")
-    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
-    suspects = np.flatnonzero(volumes < 0)
-    if not len(suspects):
-        return mesh
-    face = np.unique(part, return_index=True)[1][suspects]
-    inside_out = suspects[windings(corners, corners[face].mean(axis=1), face) < 0]
-    if not len(inside_out):
+    part, volumes, inside_out = parts_inside_out(mesh)
+    if not inside_out:
         return mesh
     remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts were inside out; their faces were turned round")
     return _turned(mesh, np.isin(part, inside_out))

@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64
 
-from datagen.data.meshes import Mesh, SurfacePoints, face_corners, points_on
-from proxies.measure import nearest_points
+from datagen.data.meshes import Mesh, SurfacePoints, crossings, face_corners, nearest_points, normals_of, points_on
 
 SAMPLES = 4096
 """Points on each mesh where distances and normals are compared."""
 WALL_SAMPLES = 2048
 """Points on each mesh where thickness is measured."""
-LINES_AT_ONCE = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,33 +58,14 @@ def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Float64[np.ndarray, 
     middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
     corners = face_corners(mesh).astype(np.float64) - middle
     found = points_on(mesh, count)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    origins, directions = found.position - middle, normals[found.face]
+    directions = normals_of(corners)[found.face]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     thickness = np.full(count, np.inf)
-    for start in range(0, count, LINES_AT_ONCE):
-        part = slice(start, start + LINES_AT_ONCE)
-        line, face = np.nonzero(_passes_through(origins[part], directions[part], corners))
-        line += start
-        along = np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face])
-        along /= np.einsum("pc,pc->p", directions[line], normals[face])
+    for line, _, along in crossings(corners, found.position - middle, directions):
         np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
         thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
     return thickness[np.isfinite(thickness)]
-
-
-def _passes_through(
-    origins: Float64[np.ndarray, "line 3"],
-    directions: Float64[np.ndarray, "line 3"],
-    corners: Float64[np.ndarray, "face 3 3"],
-) -> Bool[np.ndarray, "line face"]:
-    """Which lines pass through which triangles: all three edges lie on the same side, by Plücker coordinates."""
-    lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
-    following = np.roll(corners, -1, axis=1)
-    edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
-    sides = [lines @ edges[:, edge].T for edge in range(3)]
-    return (np.minimum.reduce(sides) > 0) | (np.maximum.reduce(sides) < 0)
 
 
 def _median(values: Float[np.ndarray, " _"]) -> float | None:

@@ -171,7 +171,7 @@ def check_inside(things: list[Thing], *, where: str) -> None:
                 one, other = other, one
             if isinstance(one.material, ThinDielectric):
                 continue
-            inside = windings(one.mesh.vertices[one.mesh.faces], other.mesh.vertices[::3]) > 0
+            inside = windings(face_corners(one.mesh), other.mesh.vertices[::3]) > 0
             if inside.any() and not inside.all():
                 raise HyalineError(
                     f"{where}: {other.name} reaches into {one.name}; expected it to be clear of it or wholly inside"

@@ -7,9 +7,8 @@ import pytest
 import trimesh
 from support.meshes import box, mesh_of
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, nearest_points
 from hyaline_photos.shape_errors import measure_walls, shape_errors
-from proxies.measure import nearest_points
 
 
 def ball(radius: float = 1.0, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
