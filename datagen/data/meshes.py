@@ -25,6 +25,9 @@ MAX_SHARE_INSIDE = 0.005
 FOLDED = 1e-6
 """Share of a polygon's area that a triangle of its fan may cover the wrong way round: more is no rounding."""
 
+FLAT = 1e-9
+"""Sine of the angle between a line and a face's plane below which the line counts as lying in it."""
+
 _PAIRS_AT_ONCE = 1 << 20
 
 
@@ -321,16 +324,10 @@ def near_pairs(
             yield np.repeat(piece, counts[piece]), np.concatenate([np.asarray(p, np.int64) for p in found])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Nearest:
-    """The nearest point of a surface to each of some points."""
-
-    distance: Float64[np.ndarray, " point"]
-    points: SurfacePoints
-
-
-def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Nearest:
-    """The exact nearest point of some triangles to each point."""
+def nearest_points(
+    points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]
+) -> tuple[Float64[np.ndarray, " point"], SurfacePoints]:
+    """The distance of each point from some triangles, and the exact nearest point on them."""
     from scipy.spatial import KDTree
     from trimesh.triangles import closest_point
 
@@ -357,7 +354,7 @@ def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.n
                 first = first[distance[first] < best[row[first]]]
                 best[row[first]], best_face[row[first]] = distance[first], face[first]
                 best_position[row[first]] = position[first]
-    return Nearest(distance=best, points=SurfacePoints(face=best_face, position=best_position))
+    return best, SurfacePoints(face=best_face, position=best_position)
 
 
 def crossings(
@@ -368,19 +365,23 @@ def crossings(
     """(line, face, distance) where lines pass through triangles, in pieces; a line through an edge meets its faces.
 
     All three edges lie on one side of the line, by Plücker coordinates. Distances are in lengths of the direction and
-    negative behind the origin.
+    negative behind the origin. Lines in a face's plane do not meet it.
     """
-    corners, normals = corners.astype(np.float64), normals_of(corners)
+    middle = corners.mean(axis=(0, 1), dtype=np.float64) if len(corners) else np.zeros(3)
+    corners, origins, normals = corners - middle, origins - middle, normals_of(corners)
     following = np.roll(corners, -1, axis=1)
     edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
     lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
+    length, size = np.linalg.norm(directions, axis=-1), np.linalg.norm(normals, axis=-1)
     step = max(1, _PAIRS_AT_ONCE // max(1, len(corners)))
     for start in range(0, len(lines), step):
         sides = [lines[start : start + step] @ edges[:, edge].T for edge in range(3)]
         line, face = np.nonzero((np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0))
-        slope = np.einsum("pc,pc->p", directions[line + start], normals[face])
-        line, face, slope = line[slope != 0] + start, face[slope != 0], slope[slope != 0]
-        yield line, face, np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face]) / slope
+        line += start
+        slope = np.einsum("pc,pc->p", directions[line], normals[face])
+        is_steep = np.abs(slope) > FLAT * length[line] * size[face]
+        line, face = line[is_steep], face[is_steep]
+        yield line, face, np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face]) / slope[is_steep]
 
 
 # Checks of glass

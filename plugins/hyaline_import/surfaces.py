@@ -23,6 +23,7 @@ from datagen.scene.shading_normals import (
     MAX_OPPOSING,
     is_without_normal,
     opposing_share,
+    unit,
     with_new_normals,
 )
 from hyaline_import.remarks import Remarks
@@ -60,7 +61,7 @@ def mesh_of(
     mesh = Mesh(
         vertices=vertices,
         faces=np.ascontiguousarray(faces, np.int32),
-        normals=np.zeros_like(vertices) if normals is None else _unit(normals),
+        normals=np.zeros_like(vertices) if normals is None else unit(normals).astype(np.float32),
         uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
     )
     return mesh if normals is not None else with_new_normals(mesh, crease_deg=crease_deg)
@@ -81,11 +82,6 @@ def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     if not open_edges(mesh):
         mesh = _outward(mesh, remarks, where=where)
     return mesh
-
-
-def _unit(normals: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1), 0).astype(np.float32)
 
 
 def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:

@@ -30,11 +30,11 @@ class ShapeErrors:
 def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
     """Compares two surfaces on points of both, the same ones every time."""
     found, back = points_on(mesh, SAMPLES), points_on(truth, SAMPLES)
-    near = nearest_points(found.position, face_corners(truth).astype(np.float64))
-    back = nearest_points(back.position, face_corners(mesh).astype(np.float64))
-    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near.points))
+    forth, near = nearest_points(found.position, face_corners(truth).astype(np.float64))
+    back, _ = nearest_points(back.position, face_corners(mesh).astype(np.float64))
+    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near))
     return ShapeErrors(
-        chamfer=float(near.distance.mean() + back.distance.mean()) / 2,
+        chamfer=float(forth.mean() + back.mean()) / 2,
         normal_deg=float(np.degrees(np.arccos(np.clip(np.median(cosines), -1, 1)))),
         thickness=_median(measure_walls(mesh)),
         true_thickness=_median(measure_walls(truth)),
@@ -55,14 +55,12 @@ def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Float64[np.ndarray, 
 
     The outside is where the normal meets the mesh nowhere else; points with no surface opposite are left out.
     """
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
-    corners = face_corners(mesh).astype(np.float64) - middle
-    found = points_on(mesh, count)
+    corners, found = face_corners(mesh), points_on(mesh, count)
     directions = normals_of(corners)[found.face]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     thickness = np.full(count, np.inf)
-    for line, _, along in crossings(corners, found.position - middle, directions):
+    for line, _, along in crossings(corners, found.position, directions):
         np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
         thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
     return thickness[np.isfinite(thickness)]
