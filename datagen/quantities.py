@@ -20,7 +20,7 @@ from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, View
 from datagen.data.geometries import read_meshes
 from datagen.data.layers import Layers
-from datagen.data.meshes import Mesh, is_there
+from datagen.data.meshes import Mesh, is_there, normals_of
 from datagen.data.paths import TRUTH
 from datagen.disk.records import checked
 from datagen.machine.mitsuba_variant import use_mitsuba
@@ -307,8 +307,7 @@ class ViewQuantities:
             of_mesh = hits.shape[0] == place
             mask = of_mesh.reshape(self.object_id.shape)
             face, (b1, b2) = mesh.faces[hits.prim[0, of_mesh]], hits.barycentric[0, of_mesh].astype(np.float64).T
-            corners = mesh.vertices[face].astype(np.float64)
-            found = across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            found = across = normals_of(mesh.vertices[face])
             if kind == "shading":
                 found = np.einsum("kh,hkc->hc", [1 - b1 - b2, b1, b2], mesh.normals[face].astype(np.float64))
             side = np.where((across * directions[mask]).sum(axis=-1, keepdims=True) < 0, 1.0, -1.0)

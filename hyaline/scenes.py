@@ -18,12 +18,11 @@ from datagen.scene.description import (
     CameraList,
     CameraRig,
     Environment,
-    EnvironmentMap,
     RectangleLight,
     SceneObject,
-    image_bytes,
 )
 from datagen.scene.description import Card as Card
+from datagen.scene.description import EnvironmentMap as EnvironmentMap
 from datagen.scene.description import Lobe as Lobe
 from datagen.scene.description import SoftEnvironment as SoftEnvironment
 from datagen.scene.description import WalkPoint as WalkPoint
@@ -36,7 +35,6 @@ from datagen.scene.materials import Plastic as Plastic
 from datagen.scene.materials import RoughDielectric as RoughDielectric
 from datagen.scene.materials import SolidTexture as SolidTexture
 from datagen.scene.materials import ThinDielectric as ThinDielectric
-from datagen.scene.soundness import check_names
 
 
 @runtime_checkable
@@ -152,10 +150,8 @@ class Scene:
         Raises:
             HyalineError: an object that would render wrong, such as glass with holes, or a file that cannot be read.
         """
-        from datagen.scene.images import read_map
-        from datagen.scene.mending import mend_scene
+        from datagen.scene.mending import assemble
         from datagen.scene.rig import LIGHT
-        from datagen.scene.soundness import check_scene
 
         read = [_described(item) for item in self.objects]
         objects = tuple(item for item, _ in read)
@@ -168,12 +164,7 @@ class Scene:
             cameras=_rig(self.cameras, objects) if isinstance(self.cameras, Hemisphere) else self.cameras,
             folder=Path(self.folder),
         )
-        check_names(scene)
-        if isinstance(self.light, EnvironmentMap):
-            read_map(image_bytes(scene, self.light), where=f"scene {self.name}: {self.light.path}")
-        scene = mend_scene(scene, without_uv={item.name for item, has_uv in read if not has_uv})
-        check_scene(scene)
-        return scene
+        return assemble(scene, without_uv={item.name for item, has_uv in read if not has_uv})
 
 
 def _rig(cameras: Hemisphere, objects: Sequence[SceneObject]) -> CameraRig:

@@ -8,14 +8,15 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Float64
 
 from datagen.data.geometries import ProxyStatistics
 from datagen.data.meshes import (
     Mesh,
-    SurfacePoints,
     component_of_faces,
+    crossings,
     face_corners,
+    nearest_points,
     open_edges,
     points_on,
     signed_volume,
@@ -29,8 +30,8 @@ SAMPLES = 4096
 ROUNDING = 32 * 2.0**-24
 """Largest distance of a facet with float32 vertices from its plane, relative to the largest coordinate."""
 
-FLAT = 1e-9
-"""Sine of the angle between an edge and a face's plane below which the edge counts as lying in it."""
+TOUCH = 1e-9
+"""Share of an edge's length up to which it touches what it does not reach."""
 
 EDGES_AT_ONCE = 512
 
@@ -72,48 +73,9 @@ def proxy_statistics(mesh: Mesh, truth: Mesh, solid: Solid) -> ProxyStatistics:
     if mesh is truth:
         return ProxyStatistics(volume_ratio=ratio, mean_distance=0.0, max_distance=0.0)
     points = np.concatenate([points_on(mesh, SAMPLES).position, mesh.vertices.astype(np.float64)])
-    distances = nearest_points(points, face_corners(truth).astype(np.float64)).distance
+    distances, _ = nearest_points(points, face_corners(truth).astype(np.float64))
     mean, farthest = (float(f"{value:.6g}") for value in (distances[:SAMPLES].mean(), distances.max()))
     return ProxyStatistics(volume_ratio=ratio, mean_distance=mean, max_distance=farthest)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Nearest:
-    """The nearest point of a surface to each of some points."""
-
-    distance: Float64[np.ndarray, " point"]
-    points: SurfacePoints
-
-
-def nearest_points(points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Nearest:
-    """The exact nearest point of some triangles to each point."""
-    from scipy.spatial import KDTree
-    from trimesh.triangles import closest_point
-
-    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
-    best, corner = map(np.asarray, KDTree(corners.reshape(-1, 3)).query(points))
-    best_face, best_position = corner // 3, corners.reshape(-1, 3)[corner]
-    centers = corners.mean(axis=1)
-    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
-    # One tree per triangle size; otherwise one large triangle would make every search large.
-    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
-    for size in np.unique(sizes)[::-1]:
-        index = np.flatnonzero(sizes == size)
-        tree, reach = KDTree(centers[index]), radii[index].max()
-        for start in range(0, len(points), 512):
-            rows = np.arange(start, min(start + 512, len(points)))
-            near = tree.query_ball_point(points[rows], best[rows] + reach)
-            row = np.repeat(rows, [len(found) for found in near])
-            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
-            if len(row):
-                position = closest_point(corners[face], points[row])
-                distance = np.linalg.norm(position - points[row], axis=-1)
-                order = np.lexsort((distance, row))
-                first = order[np.unique(row[order], return_index=True)[1]]
-                first = first[distance[first] < best[row[first]]]
-                best[row[first]], best_face[row[first]] = distance[first], face[first]
-                best_position[row[first]] = position[first]
-    return Nearest(distance=best, points=SurfacePoints(face=best_face, position=best_position))
 
 
 def _inside_share(proxy: Mesh, truth: Mesh) -> float:
@@ -154,28 +116,13 @@ def _edges(corners: Float64[np.ndarray, "face 3 3"]) -> Float64[np.ndarray, "edg
     return np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2, 3)
 
 
-Pairs = tuple[Int64[np.ndarray, " pair"], Int64[np.ndarray, " pair"]]
+def _crossings(
+    edges: Float64[np.ndarray, "edge 2 3"], corners: Float64[np.ndarray, "face 3 3"]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Pairs (edge, face), in pieces, where the edge intersects or touches the face.
 
-
-def _crossings(edges: Float64[np.ndarray, "edge 2 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Iterator[Pairs]:
-    """Pairs (edge, face), in pieces, where the edge intersects or touches the face."""
-    for edge, face in _near_pairs(edges, corners):
-        (p, q), (a, b, c) = np.moveaxis(edges[edge], 1, 0), np.moveaxis(corners[face], 1, 0)
-        normal = np.cross(b - a, c - a)
-        # Edges in the face's plane are undecidable, and not needed: other edges meet where they do.
-        from_p, from_q = (np.einsum("pi,pi->p", normal, end - a) for end in (p, q))
-        even = FLAT * np.linalg.norm(normal, axis=-1) * np.linalg.norm(q - p, axis=-1)
-        meets = (from_p * from_q <= 0) & (np.maximum(np.abs(from_p), np.abs(from_q)) > even)
-        edge, face, p, q, a, b, c = (array[meets] for array in (edge, face, p, q, a, b, c))
-        # The line passes all three sides of the triangle on the same side.
-        sides = ((a, b), (b, c), (c, a))
-        signs = [np.einsum("pi,pi->p", q - p, np.cross(one - p, other - p)) for one, other in sides]
-        within = (np.min(signs, axis=0) >= 0) | (np.max(signs, axis=0) <= 0)
-        yield edge[within], face[within]
-
-
-def _near_pairs(edges: Float64[np.ndarray, "edge 2 3"], corners: Float64[np.ndarray, "face 3 3"]) -> Iterator[Pairs]:
-    """Pairs (edge, face), in pieces, with overlapping bounding boxes."""
+    Edges in a face's plane are undecidable, and not needed: other edges meet where they do.
+    """
     low, high = edges.min(axis=1), edges.max(axis=1)
     face_low, face_high = corners.min(axis=1), corners.max(axis=1)
     order = np.argsort(low[:, int(np.ptp(low, axis=0).argmax())])
@@ -183,9 +130,6 @@ def _near_pairs(edges: Float64[np.ndarray, "edge 2 3"], corners: Float64[np.ndar
         part = order[start : start + EDGES_AT_ONCE]
         is_near = (face_low <= high[part].max(axis=0)) & (face_high >= low[part].min(axis=0))
         near = np.flatnonzero(is_near.all(axis=1))
-        meet = np.ones((len(part), len(near)), bool)
-        for axis in range(3):
-            meet &= low[part, None, axis] <= face_high[near, axis]
-            meet &= face_low[near, axis] <= high[part, None, axis]
-        edge, face = np.nonzero(meet)
-        yield part[edge], near[face]
+        for edge, face, share in crossings(corners[near], edges[part, 0], edges[part, 1] - edges[part, 0]):
+            within = np.abs(share - 0.5) <= 0.5 + TOUCH
+            yield part[edge[within]], near[face[within]]

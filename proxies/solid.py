@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, normals_of
 from datagen.scene.atlas import coverage, unwrap_all
 
 MIN_THICKNESS = 1e-3
@@ -86,10 +86,9 @@ def principal_directions(points: Float64[np.ndarray, "point 3"]) -> Float64[np.n
 
 def outside_by(corners: Float64[np.ndarray, "face 3 3"], points: Float64[np.ndarray, "point 3"]) -> np.ndarray:
     """How far each point (point,) lies outside the convex polyhedron of outward triangles; negative inside. Metres."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normals = np.cross(b - a, c - a)
+    normals = normals_of(corners)
     normals /= np.linalg.norm(normals, axis=-1, keepdims=True)
-    offsets = np.einsum("fi,fi->f", normals, a)
+    offsets = np.einsum("fi,fi->f", normals, corners[:, 0])
     largest = np.full(len(points), -np.inf)
     for start in range(0, len(normals), 256):
         part = slice(start, start + 256)
@@ -99,9 +98,8 @@ def outside_by(corners: Float64[np.ndarray, "face 3 3"], points: Float64[np.ndar
 
 def planes_of(corners: Float64[np.ndarray, "face 3 3"]) -> Float64[np.ndarray, "face 3"]:
     """The planes of triangles that miss the origin, each as the n of n x = 1."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    planes = np.cross(b - a, c - a)
-    return planes / np.einsum("fi,fi->f", planes, a)[:, None]
+    planes = normals_of(corners)
+    return planes / np.einsum("fi,fi->f", planes, corners[:, 0])[:, None]
 
 
 def gauge(planes: Float64[np.ndarray, "face 3"], points: Float64[np.ndarray, "point 3"]) -> float:
@@ -116,9 +114,8 @@ def convex_hull(
     from scipy.spatial import ConvexHull
 
     hull = ConvexHull(points)
-    a, b, c = np.moveaxis(points[hull.simplices], 1, 0)
     # Qhull winds its triangles at random; its plane equations know what is outside.
-    is_inward = np.einsum("fi,fi->f", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    is_inward = np.einsum("fi,fi->f", normals_of(points[hull.simplices]), hull.equations[:, :3]) < 0
     faces = np.where(is_inward[:, None], hull.simplices[:, ::-1], hull.simplices)
     used, compact = np.unique(faces, return_inverse=True)
     return used.astype(np.int64), compact.reshape(faces.shape).astype(np.int64)

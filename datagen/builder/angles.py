@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 from datagen.data.cameras import Cameras, direction_of, look_at
 from datagen.data.config import ANGLE_SPLITS, DatasetConfig, Split
-from datagen.data.meshes import Mesh, face_corners
+from datagen.data.meshes import Mesh, crossings, face_corners
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene
 
@@ -144,25 +144,7 @@ def _runs_into(
     farthest = np.linalg.norm(corners, axis=2).max(axis=1)
     is_near = np.linalg.norm(center[:, 0], axis=1) - size < rig.radius
     # A chord of 4 degrees is 0.06 % nearer than the sphere.
-    crossing = corners[is_near & (farthest > 0.999 * rig.radius)]
     hits = np.zeros(len(origins), bool)
-    for triangle in crossing:
-        hits |= _segments_hit(triangle, origins, spans)
+    for segment, _, share in crossings(corners[is_near & (farthest > 0.999 * rig.radius)], origins, spans):
+        hits[segment[(share >= 0) & (share <= 1)]] = True
     return np.logical_or.reduce(hits.reshape(len(knots) - 1, -1))
-
-
-def _segments_hit(
-    triangle: Float[np.ndarray, "3 3"], origins: Directions, spans: Directions
-) -> Bool[np.ndarray, " place"]:
-    """True where the segment from an origin, one span long, meets a triangle. Source: Moeller and Trumbore 1997."""
-    a, e1, e2 = triangle[0], triangle[1] - triangle[0], triangle[2] - triangle[0]
-    # Most segments lie on one side of its plane.
-    height = (origins - a) @ np.cross(e1, e2)
-    across = np.flatnonzero(height * (height + spans @ np.cross(e1, e2)) <= 0)
-    s, d = origins[across] - a, spans[across]
-    p, q = np.cross(d, e2), np.cross(s, e1)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = np.sum(s * p, axis=1) / (p @ e1), np.sum(d * q, axis=1) / (p @ e1)
-    hits = np.zeros(len(origins), bool)
-    hits[across] = (u >= 0) & (v >= 0) & (u + v <= 1)
-    return hits

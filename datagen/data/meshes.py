@@ -1,9 +1,10 @@
-"""Triangle meshes: the record, its measures and checks, points on a mesh, and winding numbers."""
+"""Triangle meshes: the record, its measures, what points and lines meet (the queries), and checks."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32
+from jaxtyping import Float, Float32, Float64, Int, Int32
 
 from datagen.disk.errors import HyalineError
 
@@ -24,7 +25,10 @@ MAX_SHARE_INSIDE = 0.005
 FOLDED = 1e-6
 """Share of a polygon's area that a triangle of its fan may cover the wrong way round: more is no rounding."""
 
-_POINTS_AT_ONCE = 1 << 20
+FLAT = 1e-9
+"""Sine of the angle between a line and a face's plane below which the line counts as lying in it."""
+
+_PAIRS_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,10 +64,15 @@ def face_corners(mesh: Mesh) -> Float32[np.ndarray, "face 3 3"]:
     return mesh.vertices[mesh.faces]
 
 
+def normals_of(corners: Float[np.ndarray, "face 3 3"]) -> Float64[np.ndarray, "face 3"]:
+    """Outward normals of triangles, each as long as twice the area."""
+    a, b, c = np.moveaxis(corners.astype(np.float64), 1, 0)
+    return np.cross(b - a, c - a)
+
+
 def face_areas(mesh: Mesh) -> np.ndarray:
     """Areas in square metres, one a face, in float64."""
-    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    return 0.5 * np.linalg.norm(normals_of(face_corners(mesh)), axis=-1)
 
 
 def welded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -107,10 +116,15 @@ def open_edges(mesh: Mesh) -> int:
     return int((counts != 1).sum() + len(np.setdiff1d(forward, backward, assume_unique=True)))
 
 
+def boxes_meet(mesh: Mesh, other: Mesh, margin: float = 0.0) -> bool:
+    """Whether the bounding boxes of two meshes overlap, or are at most `margin` apart."""
+    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
+    return bool(((low <= other_high + margin) & (other_low <= high + margin)).all())
+
+
 def count_shared_faces(mesh: Mesh, other: Mesh) -> int:
     """The number of faces whose corners are all vertices of the other mesh, too, bit by bit."""
-    low, high = other.vertices.min(axis=0), other.vertices.max(axis=0)
-    if (mesh.vertices.max(axis=0) < low).any() or (mesh.vertices.min(axis=0) > high).any():
+    if not boxes_meet(mesh, other):
         return 0
     # Adding 0 makes -0 the same bits as 0.
     keys, others = (np.ascontiguousarray(m.vertices + np.float32(0)).view("V12").reshape(-1) for m in (mesh, other))
@@ -162,8 +176,7 @@ def _check_finite(name: str, values: np.ndarray, *, where: str) -> None:
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Area-weighted unit normals (vertex, 3) of an indexed surface; (0, 0, 1) where no face touches a vertex."""
-    a, b, c = np.moveaxis(vertices[faces].astype(np.float64), 1, 0)
-    face_normals = np.cross(b - a, c - a)
+    face_normals = normals_of(vertices[faces])
     sums = np.zeros((len(vertices), 3))
     for corner in range(3):
         np.add.at(sums, faces[:, corner], face_normals)
@@ -186,10 +199,9 @@ def unfolded(
     fans = fans[fans > 0]
     if fans.max(initial=0) < 2:
         return faces
-    a, b, c = np.moveaxis(positions[faces].astype(np.float64), 1, 0)
     first = np.cumsum(fans) - fans
     with np.errstate(over="ignore", invalid="ignore"):  # Of coordinates that are refused later.
-        normals = np.cross(b - a, c - a)
+        normals = normals_of(positions[faces])
         normal = np.add.reduceat(normals, first)
         along = np.einsum("fi,fi->f", normals, np.repeat(normal, fans, axis=0))
         is_folded = np.minimum.reduceat(along, first) < -FOLDED * np.einsum("pi,pi->p", normal, normal)
@@ -210,6 +222,9 @@ def _triangulated(loop: Float[np.ndarray, "point 2"]) -> Int[np.ndarray, "face 3
     import manifold3d
 
     return np.asarray(manifold3d.triangulate([loop]), np.int64).reshape(-1, 3)
+
+
+# Queries: points and lines are compared with triangles in float64 and without Mitsuba, whose rays have float32
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -267,13 +282,13 @@ def windings(
     Args:
         own: the face that each point lies on; its winding number is then that just outside this face.
     """
-    turn = _generic_rotation()
+    rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    turn = rotation * np.sign(np.linalg.det(rotation))
     corners, points = corners.astype(np.float64) @ turn.T, points.astype(np.float64) @ turn.T
-    pairs = _pairs_of_ray_and_face(corners[..., :2], points[:, :2])
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = normals_of(corners)
     counts = np.zeros(len(points), np.int64)
     low, high = corners[..., :2].min(axis=1), corners[..., :2].max(axis=1)
-    for face, point in pairs:
+    for face, point in near_pairs(corners[..., :2], points[:, :2]):
         in_box = ((low[face] <= points[point, :2]) & (points[point, :2] <= high[face])).all(axis=-1)
         face, point = face[in_box], point[in_box]
         flat = corners[face, :, :2]
@@ -292,6 +307,98 @@ def windings(
     return counts if own is None else counts - (normals[own, 2] < 0)
 
 
+def near_pairs(
+    corners: Float[np.ndarray, "face 3 axis"], points: Float[np.ndarray, "point axis"], margin: float = 0.0
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """(face, point) of all points in the bounding circle or ball of a face, or at most `margin` beside, in pieces."""
+    from scipy.spatial import KDTree
+
+    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
+    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + margin
+    tree = KDTree(points)
+    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
+    met = np.flatnonzero(counts)
+    for piece in np.array_split(met, max(1, int(counts.sum()) // _PAIRS_AT_ONCE)):
+        if len(piece):
+            found = tree.query_ball_point(middle[piece], radius[piece])
+            yield np.repeat(piece, counts[piece]), np.concatenate([np.asarray(p, np.int64) for p in found])
+
+
+def nearest_points(
+    points: Float64[np.ndarray, "point 3"], corners: Float64[np.ndarray, "face 3 3"]
+) -> tuple[Float64[np.ndarray, " point"], SurfacePoints]:
+    """The distance of each point from some triangles, and the exact nearest point on them."""
+    from scipy.spatial import KDTree
+    from trimesh.triangles import closest_point
+
+    # A triangle is never farther than its nearest corner; only triangles whose bounding ball is closer are tested.
+    best, corner = map(np.asarray, KDTree(corners.reshape(-1, 3)).query(points))
+    best_face, best_position = corner // 3, corners.reshape(-1, 3)[corner]
+    centers = corners.mean(axis=1)
+    radii = np.linalg.norm(corners - centers[:, None], axis=-1).max(axis=1)
+    # One tree per triangle size; otherwise one large triangle would make every search large.
+    sizes = np.floor(np.log2(np.maximum(radii, 1e-30))).astype(int)
+    for size in np.unique(sizes)[::-1]:
+        index = np.flatnonzero(sizes == size)
+        tree, reach = KDTree(centers[index]), radii[index].max()
+        for start in range(0, len(points), 512):
+            rows = np.arange(start, min(start + 512, len(points)))
+            near = tree.query_ball_point(points[rows], best[rows] + reach)
+            row = np.repeat(rows, [len(found) for found in near])
+            face = index[np.concatenate([np.asarray(found, np.int64) for found in near])]
+            if len(row):
+                position = closest_point(corners[face], points[row])
+                distance = np.linalg.norm(position - points[row], axis=-1)
+                order = np.lexsort((distance, row))
+                first = order[np.unique(row[order], return_index=True)[1]]
+                first = first[distance[first] < best[row[first]]]
+                best[row[first]], best_face[row[first]] = distance[first], face[first]
+                best_position[row[first]] = position[first]
+    return best, SurfacePoints(face=best_face, position=best_position)
+
+
+def crossings(
+    corners: Float[np.ndarray, "face 3 3"],
+    origins: Float[np.ndarray, "line 3"],
+    directions: Float[np.ndarray, "line 3"],
+) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """(line, face, distance) where lines pass through triangles, in pieces; a line through an edge meets its faces.
+
+    All three edges lie on one side of the line, by Plücker coordinates. Distances are in lengths of the direction and
+    negative behind the origin. Lines in a face's plane do not meet it.
+    """
+    middle = corners.mean(axis=(0, 1), dtype=np.float64) if len(corners) else np.zeros(3)
+    corners, origins, normals = corners - middle, origins - middle, normals_of(corners)
+    following = np.roll(corners, -1, axis=1)
+    edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
+    lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
+    length, size = np.linalg.norm(directions, axis=-1), np.linalg.norm(normals, axis=-1)
+    step = max(1, _PAIRS_AT_ONCE // max(1, len(corners)))
+    for start in range(0, len(lines), step):
+        sides = [lines[start : start + step] @ edges[:, edge].T for edge in range(3)]
+        line, face = np.nonzero((np.minimum.reduce(sides) >= 0) | (np.maximum.reduce(sides) <= 0))
+        line += start
+        slope = np.einsum("pc,pc->p", directions[line], normals[face])
+        is_steep = np.abs(slope) > FLAT * length[line] * size[face]
+        line, face = line[is_steep], face[is_steep]
+        yield line, face, np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face]) / slope[is_steep]
+
+
+# Checks of glass
+
+
+def parts_inside_out(mesh: Mesh) -> tuple[Int[np.ndarray, " face"], Float[np.ndarray, " part"], list[int]]:
+    """The part of each face of a closed mesh, the parts' signed volumes, and which are inside out: not cavities."""
+    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
+    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
+    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
+    if not len(hollow := np.flatnonzero(volumes <= 0)):
+        return part, volumes, []
+    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
+    face = np.unique(part, return_index=True)[1][hollow]
+    return part, volumes, hollow[windings(corners, corners[face].mean(axis=1), face) < 0].tolist()
+
+
 def check_closed(mesh: Mesh, *, where: str) -> None:
     """Raises for a mesh that cannot bound a medium: glass must be closed, and each connected part wound outward.
 
@@ -299,15 +406,8 @@ def check_closed(mesh: Mesh, *, where: str) -> None:
     """
     if count := open_edges(mesh):
         raise HyalineError(f"{where}: {count} open edges; glass must be a closed mesh, fill its holes")
-    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
-    hollow = np.flatnonzero(volumes <= 0)
-    if not len(hollow):
-        return
-    # On the outer side of a cavity's faces is air that the rest of the mesh has gone around: 1 - 1 = 0.
-    face = np.unique(part, return_index=True)[1][hollow]
-    for index in hollow[windings(corners, corners[face].mean(axis=1), face) < 0][:1]:
+    _, volumes, inside_out = parts_inside_out(mesh)
+    for index in inside_out[:1]:
         which = f"part {index + 1} of {len(volumes)} " if len(volumes) > 1 else ""
         raise HyalineError(f"{where}: {which}encloses {volumes[index]:g} m^3, so it is inside out; reverse its faces")
 
@@ -341,27 +441,3 @@ def check_solid(mesh: Mesh, *, where: str) -> None:
         f"{where}: {100 * share:.1f} % of the surface, around ({place}), lies inside of the rest: {what}; "
         "unite it to one solid (a boolean union), or make objects of its parts, each with a priority"
     )
-
-
-def _generic_rotation() -> Float[np.ndarray, "3 3"]:
-    rotation, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
-    return rotation * np.sign(np.linalg.det(rotation))
-
-
-def _pairs_of_ray_and_face(
-    flat: Float[np.ndarray, "face 3 2"], rays: Float[np.ndarray, "point 2"]
-) -> list[tuple[np.ndarray, np.ndarray]]:
-    """(face, point) of all rays through the bounding circle of a face's projection, in chunks."""
-    from scipy.spatial import KDTree
-
-    middle = (flat.max(axis=1) + flat.min(axis=1)) / 2
-    radius = np.linalg.norm(flat - middle[:, None], axis=-1).max(axis=1)
-    tree = KDTree(rays)
-    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
-    met = np.flatnonzero(counts)
-    pairs = []
-    for piece in np.array_split(met, max(1, int(counts.sum()) // _POINTS_AT_ONCE)):
-        if len(piece):
-            found = tree.query_ball_point(middle[piece], radius[piece])
-            pairs.append((np.repeat(piece, counts[piece]), np.concatenate([np.asarray(p, np.int64) for p in found])))
-    return pairs

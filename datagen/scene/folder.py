@@ -30,10 +30,9 @@ from datagen.scene.description import (
     SoftEnvironment,
     image_bytes,
 )
-from datagen.scene.images import read_map
 from datagen.scene.materials import Material
-from datagen.scene.mending import mend_scene
-from datagen.scene.soundness import check_names, check_scene
+from datagen.scene.mending import assemble
+from datagen.scene.soundness import check_scene
 
 Record = TypeVar("Record")
 SCENE_VERSION = 1
@@ -188,11 +187,8 @@ def load_scene(folder: Path, *, is_checked: bool = False, cameras: Callable[[], 
         folder=folder,
     )
     if not is_checked:
-        if isinstance(scene.environment, EnvironmentMap):
-            read_map(image_bytes(scene, scene.environment), where=f"{path}: {scene.environment.path}")
-        check_names(scene)
-        scene = mend_scene(scene, without_uv=without_uv)
-    check_scene(scene, is_checked=is_checked)
+        return assemble(scene, without_uv=without_uv)
+    check_scene(scene, is_checked=True)
     return scene
 
 

@@ -18,12 +18,13 @@ the solid, so a ray that slipped through an edge is corrected at the next surfac
 # pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportReturnType=false
 
 from dataclasses import dataclass
+from itertools import combinations, starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, boxes_meet
 from datagen.scene.materials import Material
 
 if TYPE_CHECKING:
@@ -71,7 +72,8 @@ def find_media(
     glass = {index: medium for index, medium in found.items() if medium is not None}
     order = sorted(glass, key=lambda index: (-glass[index].priority, index))
     if is_nested is None:
-        is_nested = len(order) <= MAX_NESTED and _boxes_meet([meshes[index] for index in order])
+        pairs = combinations([meshes[index] for index in order], 2)
+        is_nested = len(order) <= MAX_NESTED and any(starmap(boxes_meet, pairs))
     rank = np.full(len(materials), -1, np.int32)
     rank[order] = np.arange(len(order))
     # For an empty set of solids, the count of trailing zeros is the index of air.
@@ -163,11 +165,3 @@ def skipped_length(offset: "mi.Float", cosine: "mi.Float") -> "mi.Float":
     import drjit as dr
 
     return offset / dr.maximum(dr.abs(cosine), SKIP_COSINE)
-
-
-def _boxes_meet(meshes: list[Mesh]) -> bool:
-    if len(meshes) < 2:
-        return False
-    low, high = (np.stack([bound(mesh.vertices, axis=0) for mesh in meshes]) for bound in (np.min, np.max))
-    meets = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=-1)
-    return bool(meets.sum() > len(meshes))

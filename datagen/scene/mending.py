@@ -1,4 +1,4 @@
-"""Atlases for meshes that users bring without one, with their images baked into it; each repair prints one line."""
+"""From objects to a checked scene: atlases for meshes without one, with their images baked into them."""
 
 import dataclasses
 
@@ -9,9 +9,10 @@ from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh, check_areas, check_numbers, is_there
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import bake_corners, coverage, unwrap_all
-from datagen.scene.description import Scene, image_bytes
-from datagen.scene.images import linear_pixels, look_up
+from datagen.scene.description import EnvironmentMap, Scene, image_bytes
+from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.materials import ImageTexture
+from datagen.scene.soundness import check_names, check_scene
 from datagen.terminal.command import say
 
 COVERAGE_SIZE = 256
@@ -24,6 +25,20 @@ MIN_SIZE, MAX_SIZE = 128, 2048
 """Texels per side of an image that is baked into new uv."""
 MAX_UV = 1e5
 """Repeats of an image beyond which 32-bit floats cannot distinguish its texels."""
+
+
+def assemble(scene: Scene, *, without_uv: set[str] | None = None) -> Scene:
+    """The scene as it can be rendered: mended by `mend_scene`, and checked.
+
+    Args:
+        without_uv: as in `mend_scene`; by default all objects.
+    """
+    check_names(scene)
+    if isinstance(scene.environment, EnvironmentMap):
+        read_map(image_bytes(scene, scene.environment), where=f"scene {scene.name}: {scene.environment.path}")
+    scene = mend_scene(scene, without_uv={item.name for item in scene.objects} if without_uv is None else without_uv)
+    check_scene(scene)
+    return scene
 
 
 def mend_scene(scene: Scene, *, without_uv: set[str]) -> Scene:

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Bool, Float
 
-from datagen.data.meshes import Mesh, welded
+from datagen.data.meshes import Mesh, face_corners, normals_of, welded
 
 MAX_OPPOSING = 0.01
 """Share of face corners whose normal may point to the back of the face. The worst good asset that was measured has
@@ -18,7 +18,7 @@ def count_without_normal(mesh: Mesh) -> int:
 def opposing_share(mesh: Mesh) -> float:
     """The share of face corners whose normal points to the back of their face."""
     normals = mesh.normals.astype(np.float64)[mesh.faces]
-    return float((np.einsum("fc,fkc->fk", _face_normals(mesh), normals) < 0).mean())
+    return float((np.einsum("fc,fkc->fk", normals_of(face_corners(mesh)), normals) < 0).mean())
 
 
 def with_new_normals(mesh: Mesh, *, crease_deg: float) -> Mesh:
@@ -51,7 +51,7 @@ def corner_normals(
     edges = np.roll(corners, -1, axis=1) - corners
     normals = np.cross(edges[:, 0], edges[:, 1])
     areas = np.linalg.norm(normals, axis=-1)
-    normals, forth = _unit(normals), _unit(edges)
+    normals, forth = unit(normals), unit(edges)
     angles = np.arccos(np.clip(-np.einsum("fki,fki->fk", forth, np.roll(forth, 1, axis=1)), -1, 1))
     weights = (angles * areas[:, None]).reshape(-1)
 
@@ -68,10 +68,10 @@ def corner_normals(
     for axis in range(3):
         values = np.where(is_smooth, weights[other] * normals[other // 3, axis], 0.0)
         sums[:, axis] = np.bincount(one, values, minlength=len(at))
-    return _unit(sums)
+    return unit(sums)
 
 
-def _unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
+def unit(vectors: Float[np.ndarray, "... 3"]) -> Float[np.ndarray, "... 3"]:
     """The vectors scaled to length 1; zero vectors stay zero."""
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return vectors / np.where(lengths > 0, lengths, 1)
@@ -81,8 +81,3 @@ def is_without_normal(mesh: Mesh) -> Bool[np.ndarray, " vertex"]:
     """Which vertices have a normal that is 0 or not finite."""
     lengths = np.linalg.norm(mesh.normals.astype(np.float64), axis=-1)
     return ~(np.isfinite(lengths) & (lengths > 1e-6))
-
-
-def _face_normals(mesh: Mesh) -> Float[np.ndarray, "face 3"]:
-    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
-    return np.cross(b - a, c - a)

@@ -14,12 +14,16 @@ from datagen.data.config import SPLITS
 from datagen.data.meshes import (
     Mesh,
     SurfacePoints,
+    boxes_meet,
     check_closed,
     check_mesh,
     check_solid,
     count_shared_faces,
     face_areas,
+    face_corners,
     is_there,
+    near_pairs,
+    normals_of,
     points_on,
     windings,
 )
@@ -28,7 +32,7 @@ from datagen.disk.storage import check_name
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject
 from datagen.scene.materials import check_material
 from datagen.scene.media import MAX_NESTED
-from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share
+from datagen.scene.shading_normals import MAX_OPPOSING, count_without_normal, opposing_share, unit
 
 MAX_TOUCHING = 0.005
 """Share of the smaller of two surfaces that may lie in the other, if one of them is glass. A ball on a floor has 0.1 %,
@@ -36,6 +40,9 @@ a tumbler 4 %."""
 
 TOLERANCE = 1e-4
 """Planes closer than this count as one, in metres: a gap of a tenth of a millimetre is never intended."""
+
+MIN_PARALLEL = 0.9
+"""Cosine of the angle between two faces up to which they count as parallel."""
 
 SAMPLES = 1024
 """Points on a surface, spread by area, with which its contact is measured."""
@@ -190,8 +197,7 @@ def _inside(mesh: Mesh, places: Float[np.ndarray, "place 3"]) -> Float[np.ndarra
     """The first of some places that is inside a closed mesh."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     close = places[((places > low) & (places < high)).all(axis=-1)]
-    inside = close[windings(mesh.vertices[mesh.faces], close) > 0] if len(close) else close
-    return inside[0] if len(inside) else None
+    return next(iter(close[windings(face_corners(mesh), close) > 0]), None)
 
 
 def _check_overlaps(scene: Scene, solids: list[SceneObject]) -> None:
@@ -233,7 +239,7 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
     for (small, points), (large, _) in combinations(zip(order, sampled, strict=True), 2):
         if not (small.material.is_glass or large.material.is_glass):
             continue
-        share = float(np.isfinite(_distances(small.mesh, large.mesh, TOLERANCE, points)).mean())
+        share = float(_touches(small.mesh, large.mesh, TOLERANCE, points).mean())
         if share > MAX_TOUCHING:
             raise HyalineError(
                 f"{_place(scene, small)}: {100 * share:.1f} % of its surface lies in faces of "
@@ -248,75 +254,37 @@ def touching_share(mesh: Mesh, other: Mesh, *, within: float = TOLERANCE, are_op
         within: distance in metres up to which it lies in them.
         are_opposed: only in faces with opposite normals: the meshes touch from outside.
     """
-    found = _distances(mesh, other, within, points_on(mesh, SAMPLES), are_opposed=are_opposed)
-    return float(np.isfinite(found).mean())
+    return float(_touches(mesh, other, within, points_on(mesh, SAMPLES), are_opposed=are_opposed).mean())
 
 
 def touching_faces(mesh: Mesh, other: Mesh) -> Bool[np.ndarray, " face"]:
     """Which faces of a mesh lie in faces of another, at least in part."""
     every = np.arange(len(mesh.faces))
     sampled = points_on(mesh, SAMPLES, part=every, count_a_part=max(1, SAMPLES_ON_FACES // len(every)))
-    return np.isin(every, sampled.face[np.isfinite(_distances(mesh, other, TOLERANCE, sampled))])
+    return np.isin(every, sampled.face[_touches(mesh, other, TOLERANCE, sampled)])
 
 
-def _distances(
-    mesh: Mesh, other: Mesh, limit: float, sampled: SurfacePoints, *, are_opposed: bool = False
-) -> Float[np.ndarray, " sample"]:
-    """Distance from points of a mesh to the plane of a parallel face that each is over; inf beyond `limit`.
+def _touches(
+    mesh: Mesh, other: Mesh, within: float, sampled: SurfacePoints, *, are_opposed: bool = False
+) -> Bool[np.ndarray, " sample"]:
+    """Which points of a mesh lie at most `within` from a parallel face of another.
 
     Args:
         are_opposed: the faces must have opposite normals.
     """
-    distance = np.full(len(sampled.position), np.inf)
-    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (mesh, other))
-    if (low > other_high + limit).any() or (other_low > high + limit).any():
-        return distance
-    from scipy.spatial import KDTree
+    from trimesh.triangles import closest_point
 
-    corners = other.vertices[other.faces].astype(np.float64)
-    corners = corners[_meets(corners, sampled.position)]
-    if not len(corners):
-        return distance
-    normals, mine = _unit_normals(corners), _unit_normals(mesh.vertices[mesh.faces[sampled.face]].astype(np.float64))
-    middle = (corners.max(axis=1) + corners.min(axis=1)) / 2
-    radius = np.linalg.norm(corners - middle[:, None], axis=-1).max(axis=1) + limit
-    tree = KDTree(sampled.position)
-    counts = np.asarray(tree.query_ball_point(middle, radius, return_length=True))
-    near = np.flatnonzero(counts)
-    for piece in np.array_split(near, max(1, int(counts.sum()) >> 20)):
-        if len(piece):
-            found = tree.query_ball_point(middle[piece], radius[piece])
-            point = np.concatenate([np.asarray(places, np.int64) for places in found])
-            face = np.repeat(piece, counts[piece])
-            # Faces with a parallel normal whose plane contains the point.
-            height = np.abs(np.einsum("pc,pc->p", sampled.position[point] - corners[face, 0], normals[face]))
-            near = height <= limit
-            point, face, height = point[near], face[near], height[near]
-            cosine = np.einsum("pc,pc->p", mine[point], normals[face])
-            parallel = (-cosine if are_opposed else np.abs(cosine)) > 0.9
-            point, face, height = point[parallel], face[parallel], height[parallel]
-            is_over = _is_over(sampled.position[point], corners[face], normals[face])
-            np.minimum.at(distance, point[is_over], height[is_over])
-    return distance
-
-
-def _meets(corners: Float[np.ndarray, "face 3 3"], points: Float[np.ndarray, "point 3"]) -> Bool[np.ndarray, " face"]:
-    """Faces whose bounding box overlaps that of the points."""
-    low, high = points.min(axis=0) - TOLERANCE, points.max(axis=0) + TOLERANCE
-    return ((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=-1)
-
-
-def _unit_normals(corners: Float[np.ndarray, "pair 3 3"]) -> Float[np.ndarray, "pair 3"]:
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals / np.linalg.norm(normals, axis=-1, keepdims=True)
-
-
-def _is_over(
-    point: Float[np.ndarray, "pair 3"], corners: Float[np.ndarray, "pair 3 3"], normals: Float[np.ndarray, "pair 3"]
-) -> Bool[np.ndarray, " pair"]:
-    """Points whose projection on the face's plane is in the face."""
-    is_over = np.ones(len(point), bool)
-    for start in range(3):
-        corner, following = corners[:, start], corners[:, (start + 1) % 3]
-        is_over &= np.einsum("pc,pc->p", np.cross(normals, following - corner), point - corner) >= 0
-    return is_over
+    touches = np.zeros(len(sampled.position), bool)
+    if not boxes_meet(mesh, other, within):
+        return touches
+    corners = face_corners(other).astype(np.float64)
+    low, high = sampled.position.min(axis=0) - within, sampled.position.max(axis=0) + within
+    corners = corners[((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=-1)]
+    mine, normals = unit(normals_of(face_corners(mesh)[sampled.face])), unit(normals_of(corners))
+    for face, point in near_pairs(corners, sampled.position, within):
+        cosine = np.einsum("pc,pc->p", mine[point], normals[face])
+        is_parallel = (-cosine if are_opposed else np.abs(cosine)) > MIN_PARALLEL
+        face, point = face[is_parallel], point[is_parallel]
+        away = closest_point(corners[face], sampled.position[point]) - sampled.position[point]
+        touches[point[np.linalg.norm(away, axis=-1) <= within]] = True
+    return touches

@@ -11,10 +11,12 @@ from jaxtyping import Float
 from datagen.data.meshes import (
     NUM_POINTS,
     Mesh,
+    boxes_meet,
     check_solid,
     component_of_faces,
     face_areas,
     face_corners,
+    normals_of,
     open_edges,
     points_on,
     signed_volume,
@@ -165,10 +167,7 @@ def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
 
 def _overlap(one: Mesh, other: Mesh) -> bool:
     """True where some of the surface of one solid lies in the other."""
-    (low, high), (other_low, other_high) = ((m.vertices.min(axis=0), m.vertices.max(axis=0)) for m in (one, other))
-    if (low > other_high).any() or (other_low > high).any():
-        return False
-    return any(
+    return boxes_meet(one, other) and any(
         (windings(face_corners(around), points_on(mesh, NUM_POINTS).position) > 0).mean() > MAX_TOUCHING
         for mesh, around in ((one, other), (other, one))
     )
@@ -181,8 +180,7 @@ def _moved(mesh: Mesh, distance: Float[np.ndarray, " face"]) -> Mesh:
     """
     positions, faces = welded(mesh)
     _, index = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    a, b, c = np.moveaxis(positions[faces].astype(np.float64), 1, 0)
-    across = np.cross(b - a, c - a)
+    across = normals_of(positions[faces])
     has_area = (size := np.linalg.norm(across, axis=-1)) > 0
     normals, distance, faces = across[has_area] / size[has_area, None], distance[has_area], faces[has_area]
     products, sums = np.zeros((len(positions), 3, 3)), np.zeros((len(positions), 3))

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution
-from datagen.data.meshes import Mesh, face_corners, open_edges
+from datagen.data.meshes import Mesh, crossings, face_corners, normals_of, open_edges
 from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Diffuse, SolidTexture, as_vector
 from datagen.scene.modelling import sheet
@@ -156,21 +156,10 @@ def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
 def _distances(
     corners: Float[np.ndarray, "face 3 3"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
 ) -> Float[np.ndarray, " ray"]:
-    """Metres along each ray to the first face; infinite where it meets none. Source: Moeller and Trumbore 1997."""
+    """Metres along each ray to the first face; infinite where it meets none."""
     found = np.full(len(origins), np.inf)
-    if not len(corners):
-        return found
-    a, b, c = np.moveaxis(corners, 1, 0)
-    for index, (origin, direction) in enumerate(zip(origins, directions)):
-        from_a, across = origin - a, np.cross(direction, c - a)
-        turned = np.cross(from_a, b - a)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            scale = 1 / np.einsum("fc,fc->f", b - a, across)
-            u = np.einsum("fc,fc->f", from_a, across) * scale
-            v = (turned @ direction) * scale
-            distance = np.einsum("fc,fc->f", turned, c - a) * scale
-            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
-        found[index] = distance[hit].min(initial=np.inf)
+    for line, _, distance in crossings(corners, origins, directions):
+        np.minimum.at(found, line[distance > 0], distance[distance > 0])
     return found
 
 
@@ -215,8 +204,7 @@ def placed_map(sky: ForeignMap, linear: Float[np.ndarray, "3 3"], remarks: Remar
 def glowing(mesh: Mesh, radiance: Color) -> tuple[RectangleLight, ...]:
     """Rectangles with the power of a surface that emits light: the sides of a box around a closed one, or one in the
     middle of an open one, which shines to where its faces look."""
-    corners = face_corners(mesh).astype(np.float64)
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
+    across = normals_of(face_corners(mesh)) / 2
     points = mesh.vertices.astype(np.float64)
     frames = (np.eye(3), np.linalg.eigh(across.T @ (across / np.linalg.norm(across, axis=1, keepdims=True)))[1].T)
     frame = min(frames, key=lambda rows: float(np.prod(np.ptp(points @ rows.T, axis=0) + 1e-6)))

@@ -9,14 +9,12 @@ from jaxtyping import Bool, Float, Int
 from datagen.data.meshes import (
     MIN_AREA,
     Mesh,
-    component_of_faces,
     face_areas,
-    face_corners,
     open_edges,
+    parts_inside_out,
     signed_volume,
     vertex_normals,
     welded,
-    windings,
 )
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
@@ -24,6 +22,7 @@ from datagen.scene.shading_normals import (
     MAX_OPPOSING,
     is_without_normal,
     opposing_share,
+    unit,
     with_new_normals,
 )
 from hyaline_import.remarks import Remarks
@@ -53,7 +52,7 @@ def mesh_of(
     mesh = Mesh(
         vertices=vertices,
         faces=np.ascontiguousarray(faces, np.int32),
-        normals=np.zeros_like(vertices) if normals is None else _unit(normals),
+        normals=np.zeros_like(vertices) if normals is None else unit(normals).astype(np.float32),
         uv=np.zeros((len(vertices), 2), np.float32) if uv is None else uv.astype(np.float32),
     )
     return mesh if normals is not None else with_new_normals(mesh, crease_deg=crease_deg)
@@ -74,11 +73,6 @@ def made_sound(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     if not open_edges(mesh):
         mesh = _outward(mesh, remarks, where=where)
     return mesh
-
-
-def _unit(normals: np.ndarray) -> np.ndarray:
-    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
-    return np.where(lengths > 0, normals / np.where(lengths > 0, lengths, 1), 0).astype(np.float32)
 
 
 def seams_joined(mesh: Mesh) -> tuple[Mesh, float]:
@@ -142,15 +136,8 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     if signed_volume(mesh) < 0:
         mesh = _turned(mesh, np.ones(len(mesh.faces), bool))
         remarks.note(where, "was inside out; its faces were turned round")
-    corners, part = face_corners(mesh).astype(np.float64), component_of_faces(mesh)
-    a, b, c = np.moveaxis(corners - corners.mean(axis=(0, 1)), 1, 0)
-    volumes = np.bincount(part, np.einsum("fi,fi->f", a, np.cross(b, c)) / 6)
-    suspects = np.flatnonzero(volumes < 0)
-    if not len(suspects):
-        return mesh
-    face = np.unique(part, return_index=True)[1][suspects]
-    inside_out = suspects[windings(corners, corners[face].mean(axis=1), face) < 0]
-    if not len(inside_out):
+    part, volumes, inside_out = parts_inside_out(mesh)
+    if not inside_out:
         return mesh
     remarks.note(where, f"{len(inside_out)} of its {len(volumes)} parts were inside out; their faces were turned round")
     return _turned(mesh, np.isin(part, inside_out))

@@ -7,12 +7,21 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64
+from jaxtyping import Float, Float64
 
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.images import read_png
-from datagen.data.meshes import Mesh, SurfacePoints, face_corners, is_there, points_on
+from datagen.data.meshes import (
+    Mesh,
+    SurfacePoints,
+    crossings,
+    face_corners,
+    is_there,
+    nearest_points,
+    normals_of,
+    points_on,
+)
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import FolderKind
@@ -22,7 +31,6 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.scenes import Stored
 from hyaline_photos.fit.shapes import perpendicular
-from proxies.measure import nearest_points
 
 FIT = FolderKind(what="fit", head="fit.json")
 FIT_VERSION = 3
@@ -145,7 +153,6 @@ SAMPLES = 4096
 """Points on each mesh where distances and normals are compared."""
 WALL_SAMPLES = 2048
 """Points on each mesh where thickness is measured."""
-LINES_AT_ONCE = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,11 +172,11 @@ class ShapeErrors:
 def shape_errors(mesh: Mesh, truth: Mesh) -> ShapeErrors:
     """Compares two surfaces on points of both, the same ones every time."""
     found, back = points_on(mesh, SAMPLES), points_on(truth, SAMPLES)
-    near = nearest_points(found.position, face_corners(truth).astype(np.float64))
-    back = nearest_points(back.position, face_corners(mesh).astype(np.float64))
-    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near.points))
+    forth, near = nearest_points(found.position, face_corners(truth).astype(np.float64))
+    back, _ = nearest_points(back.position, face_corners(mesh).astype(np.float64))
+    cosines = np.einsum("pc,pc->p", shading_normals(mesh, found), shading_normals(truth, near))
     return ShapeErrors(
-        chamfer=float(near.distance.mean() + back.distance.mean()) / 2,
+        chamfer=float(forth.mean() + back.mean()) / 2,
         normal_deg=float(np.degrees(np.arccos(np.clip(np.median(cosines), -1, 1)))),
         thickness=_median(measure_walls(mesh)),
         true_thickness=_median(measure_walls(truth)),
@@ -190,36 +197,15 @@ def measure_walls(mesh: Mesh, count: int = WALL_SAMPLES) -> Float64[np.ndarray, 
 
     The outside is where the normal meets the mesh nowhere else; points with no surface opposite are left out.
     """
-    middle = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
-    corners = face_corners(mesh).astype(np.float64) - middle
-    found = points_on(mesh, count)
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    origins, directions = found.position - middle, normals[found.face]
+    corners, found = face_corners(mesh), points_on(mesh, count)
+    directions = normals_of(corners)[found.face]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     tolerance = 1e-6 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     thickness = np.full(count, np.inf)
-    for start in range(0, count, LINES_AT_ONCE):
-        part = slice(start, start + LINES_AT_ONCE)
-        line, face = np.nonzero(_passes_through(origins[part], directions[part], corners))
-        line += start
-        along = np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face])
-        along /= np.einsum("pc,pc->p", directions[line], normals[face])
+    for line, _, along in crossings(corners, found.position, directions):
         np.minimum.at(thickness, line, np.where(along < -tolerance, -along, np.inf))
         thickness[line[along > tolerance]] = -np.inf  # Not outside; the minimum keeps it so.
     return thickness[np.isfinite(thickness)]
-
-
-def _passes_through(
-    origins: Float64[np.ndarray, "line 3"],
-    directions: Float64[np.ndarray, "line 3"],
-    corners: Float64[np.ndarray, "face 3 3"],
-) -> Bool[np.ndarray, "line face"]:
-    """Which lines pass through which triangles: all three edges lie on the same side, by Plücker coordinates."""
-    lines = np.concatenate([directions, np.cross(origins, directions)], axis=-1)
-    following = np.roll(corners, -1, axis=1)
-    edges = np.concatenate([np.cross(corners, following), following - corners], axis=-1)
-    sides = [lines @ edges[:, edge].T for edge in range(3)]
-    return (np.minimum.reduce(sides) > 0) | (np.maximum.reduce(sides) < 0)
 
 
 def _median(values: Float[np.ndarray, " _"]) -> float | None:

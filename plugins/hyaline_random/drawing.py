@@ -18,9 +18,9 @@ from datagen.data.cameras import Cameras
 from datagen.data.config import OWN_LICENSE, DatasetConfig, square
 from datagen.data.meshes import face_corners, windings
 from datagen.disk.errors import HyalineError
-from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import ThinDielectric, Vector
+from datagen.scene.mending import assemble
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
 from datagen.terminal.command import say
@@ -100,11 +100,7 @@ def make_random(name: RandomName) -> Scene:
     drawn = draw_scene(name)
     for reason in drawn.refused:
         say(f"scene {name}: a candidate was rejected: {reason}")
-    meshes = unwrap_all({item.name: item.mesh for item in drawn.scene.objects})
-    objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in drawn.scene.objects)
-    scene = dataclasses.replace(drawn.scene, objects=objects, license=OWN_LICENSE)
-    check_scene(scene)
-    return scene
+    return assemble(dataclasses.replace(drawn.scene, license=OWN_LICENSE))
 
 
 def draw_scene(name: RandomName) -> Drawn:
@@ -169,7 +165,7 @@ def check_inside(things: list[Thing], *, where: str) -> None:
                 one, other = other, one
             if isinstance(one.material, ThinDielectric):
                 continue
-            inside = windings(one.mesh.vertices[one.mesh.faces], other.mesh.vertices[::3]) > 0
+            inside = windings(face_corners(one.mesh), other.mesh.vertices[::3]) > 0
             if inside.any() and not inside.all():
                 raise HyalineError(
                     f"{where}: {other.name} reaches into {one.name}; expected it to be clear of it or wholly inside"

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from datagen.data.meshes import normals_of
 from datagen.scene.modelling import (
     Around,
     Mesh,
@@ -310,9 +311,7 @@ def hull(points: np.ndarray) -> Mesh:
 
     found = ConvexHull(points)
     faces = found.simplices
-    corners = points[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    is_outward = np.einsum("fc,fc->f", normals, found.equations[:, :3]) > 0
+    is_outward = np.einsum("fc,fc->f", normals_of(points[faces]), found.equations[:, :3]) > 0
     faces = np.where(is_outward[:, None], faces, faces[:, ::-1])
     return shaded(points.astype(np.float64), faces, crease_deg=1.0)
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, normals_of
 from datagen.scene.modelling import grid_faces
 from proxies.solid import Solid
 
@@ -106,8 +106,7 @@ def box_mesh(box: Box) -> Mesh:
 def _directions(solid: Solid) -> np.ndarray:
     """Candidate normals (n, 3) of a side: normals of hull faces, and of planes along two hull edges."""
     corners = solid.hull_points[solid.hull_faces]
-    a, b, c = np.moveaxis(corners, 1, 0)
-    normals = _largest(np.cross(b - a, c - a), MAX_DIRECTIONS)
+    normals = _largest(normals_of(corners), MAX_DIRECTIONS)
     edges = _largest((np.roll(corners, -1, axis=1) - corners).reshape(-1, 3), MAX_EDGES)
     one, other = np.triu_indices(len(edges), k=1)
     return np.concatenate([normals, _largest(np.cross(edges[one], edges[other]), MAX_DIRECTIONS)])

@@ -6,7 +6,7 @@ third as thick as the sphere (John 1948), so a slab's rim gets a rounding in pro
 
 import numpy as np
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, normals_of
 from proxies.kinds.ellipsoid import smallest_ellipsoid, sphere_grid
 from proxies.solid import Solid, Surface, convex_hull, gauge, outside_by, planes_of, unwrap_sound
 
@@ -67,7 +67,7 @@ def _without_slivers(points: np.ndarray, min_face: float) -> np.ndarray:
         _, faces = convex_hull(points[kept])
         corners = points[kept][faces]
         opposite = np.linalg.norm(np.roll(corners, -1, axis=1) - np.roll(corners, -2, axis=1), axis=-1)
-        areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
+        areas = np.linalg.norm(normals_of(corners), axis=-1)
         tiny = np.flatnonzero(areas < min_face * areas.sum())
         if len(tiny) == 0:
             return kept

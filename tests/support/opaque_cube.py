@@ -6,12 +6,11 @@
 import sys
 from pathlib import Path
 
-from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import CameraRig, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.folder import save_scene
 from datagen.scene.materials import Diffuse, SolidTexture
+from datagen.scene.mending import assemble
 from datagen.scene.modelling import cylinder, moved, rounded_box
-from datagen.scene.soundness import check_scene
 
 
 def opaque_cube() -> Scene:
@@ -21,13 +20,12 @@ def opaque_cube() -> Scene:
     """
     checker = SolidTexture(pattern="checker", colors=((0.90, 0.70, 0.08), (0.03, 0.08, 0.40)), scale=0.8)
     cube = moved(rounded_box((1.0, 1.0, 1.0), bevel=0.02), (0.2, 0.2, 0.561))
-    meshes = {"disc": moved(cylinder(0.9, 0.06), (0.2, 0.2, 0.0)), "cube": cube}
-    unwrapped = unwrap_all(meshes)
+    disc = moved(cylinder(0.9, 0.06), (0.2, 0.2, 0.0))
     scene = Scene(
         name="opaque_cube",
         objects=(
-            SceneObject(name="disc", mesh=unwrapped["disc"], material=Diffuse(color=(0.12, 0.14, 0.12))),
-            SceneObject(name="cube", mesh=unwrapped["cube"], material=Diffuse(color=checker)),
+            SceneObject(name="disc", mesh=disc, material=Diffuse(color=(0.12, 0.14, 0.12))),
+            SceneObject(name="cube", mesh=cube, material=Diffuse(color=checker)),
         ),
         environment=SoftEnvironment(
             zenith=(0.95, 0.95, 0.95),
@@ -46,8 +44,7 @@ def opaque_cube() -> Scene:
             ),
         ),
     )
-    check_scene(scene)
-    return scene
+    return assemble(scene)
 
 
 if __name__ == "__main__":

@@ -8,11 +8,10 @@ import numpy as np
 from datagen.data.config import OWN_LICENSE
 from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
-from datagen.scene.atlas import unwrap_all
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.materials import Material
+from datagen.scene.mending import assemble
 from datagen.scene.modelling import Point, moved, resting, rounded_box, transformed
-from datagen.scene.soundness import check_scene
 from datagen.terminal.command import choose, say
 
 
@@ -21,11 +20,7 @@ def make_scene(name: str) -> Scene:
     description = BUILT_IN_SCENES[choose("scene", name, BUILT_IN_SCENES)]
     say(f"scene {name}: modelling it and unwrapping its surfaces")
     scene: Scene = importlib.import_module(f"datagen.scene.builtin.{name}").make()
-    meshes = unwrap_all({item.name: item.mesh for item in scene.objects})
-    objects = tuple(dataclasses.replace(item, mesh=meshes[item.name]) for item in scene.objects)
-    scene = dataclasses.replace(scene, description=description, objects=objects, license=OWN_LICENSE)
-    check_scene(scene)
-    return scene
+    return assemble(dataclasses.replace(scene, description=description, license=OWN_LICENSE))
 
 
 # What the scenes are furnished with

@@ -7,9 +7,8 @@ import pytest
 import trimesh
 from support.meshes import box, mesh_of
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, nearest_points
 from hyaline_photos.report import measure_walls, shape_errors
-from proxies.measure import nearest_points
 
 
 def ball(radius: float = 1.0, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
@@ -45,12 +44,12 @@ def test_distances_agree_with_a_loop_over_all_triangles() -> None:
     # Triangles from a centimetre to ten metres, so that every class of sizes takes part.
     corners = rng.normal(size=(60, 1, 3)) + rng.normal(size=(60, 3, 3)) * 10 ** rng.uniform(-2, 1, (60, 1, 1))
     points = rng.normal(size=(300, 3)) * 3
-    found = nearest_points(points, corners)
+    distance, found = nearest_points(points, corners)
     slow = [np.linalg.norm(closest_point(corners, np.tile(p, (60, 1))) - p, axis=-1).min() for p in points]
-    np.testing.assert_allclose(found.distance, slow, rtol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(points - found.points.position, axis=-1), slow, rtol=1e-12)
-    own = closest_point(corners[found.points.face], points)
-    np.testing.assert_allclose(own, found.points.position, atol=1e-12)
+    np.testing.assert_allclose(distance, slow, rtol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(points - found.position, axis=-1), slow, rtol=1e-12)
+    own = closest_point(corners[found.face], points)
+    np.testing.assert_allclose(own, found.position, atol=1e-12)
 
 
 def test_a_shifted_ball_has_the_mean_distance_and_the_median_angle_of_the_formula() -> None:

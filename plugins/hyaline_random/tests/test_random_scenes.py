@@ -23,7 +23,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         return meshes
 
     use_mitsuba()  # Textures are baked by it.
-    monkeypatch.setattr("hyaline_random.drawing.unwrap_all", as_they_are)
+    monkeypatch.setattr("datagen.scene.mending.unwrap_all", as_they_are)
     fake_renderer.install(monkeypatch)
     return tmp_path
 
