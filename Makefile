@@ -53,7 +53,7 @@ pytest: setup
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "promise or full" --full
 
-# The lines of every room beside its budget (house.toml), and what three commands walk through.
+# The lines of every room beside its budget (house.toml).
 house: setup
 	$(BIN)/python tests/support/house.py
 
