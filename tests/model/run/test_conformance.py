@@ -86,18 +86,6 @@ def test_a_method_that_breaks_a_promise_is_told_which(found: Path, check: str) -
     assert any(line.startswith(f"FAIL  {check}: ") for line in answer.out.splitlines()), answer.out
 
 
-def test_a_method_that_cannot_be_imported_is_one_line_and_disturbs_no_other(found: Path) -> None:
-    (found / "nearest_view.py").write_text("import no_such_module")
-    answer = call("model check-method nearest-view")
-    assert answer.status == 1 and answer.err.count("\n") == 1
-    assert "nearest_view:NearestViewConfig of nearest-view cannot be imported (ModuleNotFoundError: " in answer.err
-    for broken in ("import no_such_module", "raise RuntimeError('no GPU')", "class NearestViewConfig: ..."):
-        (found / "nearest_view.py").write_text(broken)
-        sys.modules.pop("nearest_view", None)
-        assert "nearest-view Brought by nearest-view." in words_of(call("model train --help").out)
-    assert call("model train paper --help").status == 0
-
-
 def test_a_method_that_draws_another_camera_than_asked_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data")
     config = dataclasses.replace(SMALL, steps=4)

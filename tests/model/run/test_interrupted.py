@@ -14,7 +14,7 @@ from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.terminal.command import Stopped, hold_signals, signal_within
+from datagen.terminal.command import Stopped, hold_signals
 from model import cli
 from model.run import train as train_module
 from model.run.run_folder import TrainConfig
@@ -184,12 +184,6 @@ def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
     assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "whole")
 
 
-def test_a_checkpoint_of_another_version_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.state.CHECKPOINT_VERSION", 2)
-    with pytest.raises(HyalineError, match="another format version; this program reads 2"):
-        load_state(checkpoint)
-
-
 # Signals
 
 
@@ -213,16 +207,3 @@ def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
         assert held.number is None
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.parametrize("stop", [KeyboardInterrupt(), Stopped(signal.SIGTERM)])
-def test_a_signal_that_a_library_has_wrapped_is_found(stop: BaseException) -> None:
-    """As Dr.Jit does with whatever is raised while it records a loop."""
-    with pytest.raises(RuntimeError) as wrapped:
-        try:
-            raise stop
-        except BaseException as error:
-            raise RuntimeError("encountered an exception (see above)") from error
-    found = signal_within(wrapped.value)
-    assert found is not None and found.status == (130 if isinstance(stop, KeyboardInterrupt) else 143)
-    assert signal_within(RuntimeError("of its own")) is None
