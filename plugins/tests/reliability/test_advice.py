@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from support.commands import call, parsed, run
+from support.commands import call, parsed
 from support.disk import State
 from support.scenarios import BUILD, TRAIN
 
@@ -87,20 +87,3 @@ def test_every_command_of_a_workflow_advises_what_works_as_it_stands(ask: Callab
     assert call(f"datagen add '{SPACED}' --larger 2").status == 0
     assert ask(f"model predict {run} --variant x2") == ["report"]
     assert ask(f"model predict {run} --variant remove-floor", status=1, follow=False) == ["datagen add"]
-
-
-def test_damage_and_other_settings_advise_what_works_as_it_stands(ask: Callable[..., list[str]]) -> None:
-    ask(BUILD)
-    call("model train paper data/one --steps 2 --batch 32 --hidden 8 --device cpu --out runs/one/paper")
-    assert ask("datagen peel data/one --num-layers 3 --overwrite") == ["model train paper data/one"]
-    assert ask(f"{TRAIN} --use-layers 9", status=1) == [
-        "datagen peel data/one --geometry truth --num-layers 9 --overwrite"
-    ]
-    Path("data/one/layers/straight/records/train/0000.json").unlink()
-    assert ask(TRAIN, status=1) == ["datagen peel"]
-    picture = Path("data/one/images/train/0000.png")
-    picture.write_bytes(picture.read_bytes()[:-1] + b"x")
-    for line in (TRAIN, "datagen verify data/one"):
-        assert call(line).error.endswith("; run the command that made it again, which keeps what is whole")
-    run(f"{BUILD} --num-layers 9")
-    assert call("datagen verify data/one").status == 0
