@@ -79,7 +79,7 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     assert tree(out) == tree(built)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "jobs"
     answer = build(scene_folder, out, "--launcher", "local", "--shards=2")
