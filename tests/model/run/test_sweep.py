@@ -131,7 +131,7 @@ def test_a_sweep_that_was_stopped_and_then_killed_goes_on_and_tells_what_failed(
     assert (done.returncode, done.stdout.splitlines()) == (1, [first, f"{first}-seed1"])
     assert f"[1/3] {first}: finished before, nothing to do; --overwrite" in done.stderr
     failed, error = done.stderr.splitlines()[-2:]
-    assert failed.startswith("failed: model train paper --steps 200 ") and "--geometry box: no box proxies" in failed
+    assert failed.startswith("failed: model train paper --steps 200 ") and "no box proxies; make them" in failed
     assert error.startswith("error: sweep grid: 1 of 3 jobs failed")
 
 
