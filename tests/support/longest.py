@@ -13,6 +13,5 @@ LONGEST = (
     "plugins/hyaline_photos/tests/fit/test_kinds.py",
     "plugins/tests/reliability/test_hostile_files.py",
     "tests/eval/page/test_page_in_browser.py",
-    "plugins/tests/test_misplaced_files.py",
     "plugins/hyaline_photos/tests/fit/test_boxes.py",
 )
