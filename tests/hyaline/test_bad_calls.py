@@ -25,16 +25,6 @@ def scene(**changes: Any) -> hy.Scene:
     return hy.Scene(**{"objects": [glass], **changes})
 
 
-def rig(**changes: Any) -> hy.CameraRig:
-    walk = (hy.WalkPoint(position=(2, 0, 1), target=(0, 0, 0)), hy.WalkPoint(position=(3, 0, 1), target=(0, 0, 0)))
-    return hy.CameraRig(**{"target": (0, 0, 0), "radius": 1.0, "elevation_deg": (5, 60), "walk": walk, **changes})
-
-
-def camera(**changes: Any) -> hy.Camera:
-    matrix = hy.look_at((2, 0, 1), (0, 0, 0))
-    return hy.Camera(**{"world_from_camera": matrix, "fov_x": 1.0, "width": 16, "height": 16, **changes})
-
-
 Given = SimpleNamespace
 """What calls use: a `dataset`, a `view` of it, its `folder`, a `file` that is no dataset."""
 
@@ -72,7 +62,6 @@ CALLS: dict[str, Callable[[Given], object]] = {
     "Hemisphere(elevation_deg=(60, 5))": lambda _: scene(cameras=hy.Hemisphere(elevation_deg=(60, 5))).described(),
     "Dielectric(ior='custard')": lambda _: hy.Dielectric(ior="custard"),
     "Plastic(ior='air')": lambda _: hy.Plastic(color=(0.5, 0.5, 0.5), ior="air"),
-    "CameraRig(azimuth_deg=(350, 10))": lambda _: rig(azimuth_deg=(350, 10)),
     "SolidTexture of no pattern": lambda _: hy.SolidTexture(pattern="dots", colors=(WHITE, WHITE), scale=1),  # pyright: ignore
 }
 """Calls by what is wrong with them."""
