@@ -112,17 +112,6 @@ def state(scene_folder: Path, terms: str) -> None:
     file.write_text(json.dumps({**json.loads(file.read_text()), "license": terms}))
 
 
-def test_a_scene_of_ones_own_has_the_licence_that_it_states(scene_folder: Path, tmp_path: Path) -> None:
-    build_whole(scene_folder, tmp_path / "silent")
-    assert open_dataset(tmp_path / "silent").license == "unknown; ask the author of scene synthetic"
-    state(scene_folder, "CC-BY-4.0")
-    build_whole(scene_folder, tmp_path / "stated")
-    dataset = open_dataset(tmp_path / "stated")
-    assert dataset.license == "CC-BY-4.0"
-    run(f"datagen add {tmp_path / 'stated'} --edit remove:pane")
-    assert open_dataset(tmp_path / "stated" / "variants" / "remove-pane").license == "CC-BY-4.0"
-
-
 @pytest.mark.parametrize("terms", [pytest.param("CC0-1.0", marks=pytest.mark.full), "Mine alone"])
 def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path: Path) -> None:
     state(scene_folder, terms)
