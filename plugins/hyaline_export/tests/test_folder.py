@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support import fake_renderer
-from support.builds import build_whole, tree
+from support.builds import build, tree
 from support.commands import Answer, call, run
 from support.disk import failing_from, observe, read_state
 from support.synthetic import synthetic_scene, write_synthetic_dataset
@@ -115,7 +115,7 @@ def state(scene_folder: Path, terms: str) -> None:
 @pytest.mark.parametrize("terms", [pytest.param("CC0-1.0", marks=pytest.mark.full), "Mine alone"])
 def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path: Path) -> None:
     state(scene_folder, terms)
-    build_whole(scene_folder, tmp_path / "data")
+    run(build(scene_folder, tmp_path / "data"))
     for form in FORMATS.built_in:
         answer = call(f"datagen export {tmp_path / 'data'} --format {form} --points 20 --out {tmp_path / form}")
         assert answer.status == 0 and f"licence: {terms}" in answer.err

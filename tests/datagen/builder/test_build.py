@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.builds import build, build_whole, command, tree
-from support.commands import run
+from support.builds import build, command, tree
+from support.commands import call, run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.builder.build import peel_dataset, summary
@@ -30,7 +30,7 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("data") / "built"
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    subprocess.run(command(build(scene_folder, out)), check=True, capture_output=True)
     return out
 
 
@@ -38,10 +38,10 @@ def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_neither_workers_threads_nor_another_process_change_a_byte(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
-    build_whole(scene_folder, tmp_path / "workers", "--workers", "2")
+    run(build(scene_folder, tmp_path / "workers", "--workers 2"))
     assert tree(tmp_path / "workers") == tree(built)
     program = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from datagen.cli import main; main()"
-    arguments = command(scene_folder, tmp_path / "one")[3:]
+    arguments = command(build(scene_folder, tmp_path / "one"))[3:]
     subprocess.run([sys.executable, "-c", program, *arguments], check=True, capture_output=True)
     assert tree(tmp_path / "one") == tree(built)
 
@@ -49,11 +49,11 @@ def test_neither_workers_threads_nor_another_process_change_a_byte(
 def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
-    answer = build(scene_folder, out, "--seed", "3")
+    answer = call(build(scene_folder, out, "--seed 3"))
     assert answer.status == 1
     assert "(seed is 0 there and 3 here); pass --overwrite" in answer.error
     assert tree(out) == tree(built)
-    build_whole(scene_folder, out, "--seed", "3", "--overwrite")
+    run(build(scene_folder, out, "--seed 3 --overwrite"))
     assert open_dataset(out).config.seed == 3
     assert verify_dataset(out).problems == []
 
@@ -66,14 +66,14 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     )
     out = tmp_path / "full"
     environment = {**os.environ, "DRJIT_CACHE_DIR": str(tmp_path)}
-    arguments = [sys.executable, "-c", program, *command(scene_folder, out)[3:]]
+    arguments = [sys.executable, "-c", program, *command(build(scene_folder, out))[3:]]
     answer = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
     assert answer.returncode == 1
     assert answer.stderr.splitlines()[-1].startswith("error: ")
     assert f"{out}/" in answer.stderr.splitlines()[-1]
     assert "file too large; raise the limit" in answer.stderr
     assert "Traceback" not in answer.stderr
-    build_whole(scene_folder, out)
+    run(build(scene_folder, out))
     assert tree(out) == tree(built)
 
 

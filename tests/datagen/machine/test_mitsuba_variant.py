@@ -1,4 +1,4 @@
-"""Tests the choice of variant, and what the doctor says of it: with libraries and a GPU that only pretend."""
+"""Tests the choice of variant, and what the doctor says of it: with libraries that only pretend."""
 
 import os
 import shutil
