@@ -4,7 +4,7 @@
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
-# A file's tests share what they build, so each file stays on one process; the longest begin first (tests/support/longest.py).
+# A file's tests share what they build, so each file stays on one process; the longest begin first (conftest.py).
 PARALLEL := --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 STAMP := $(ENVIRONMENT)/.hyaline-installed
 
