@@ -12,9 +12,21 @@ from support.synthetic import synthetic_scene
 from datagen.scene.folder import save_scene
 
 MODULES = (
-    *("numpy", "torch", "mitsuba", "drjit", "numcodecs", "PIL", "scipy", "trimesh", "matplotlib", "tyro", "rich"),
-    *("numba", "skimage", "colour", "pymeshlab", "xatlas"),
-    *("datagen", "model", "proxies", "eval", "sitecustomize", "json"),
+    *(
+        "numpy",
+        "torch",
+        "mitsuba",
+        "drjit",
+        "numcodecs",
+        "PIL",
+        "scipy",
+        "trimesh",
+        "matplotlib",
+        "tyro",
+        "rich",
+        "numba",
+    ),
+    *("skimage", "colour", "pymeshlab", "xatlas", "datagen", "model", "proxies", "eval", "sitecustomize", "json"),
 )
 PLUGINS = (
     *("sphere", "ply", "mesh", "diffuse", "dielectric", "thindielectric", "path", "box", "multijitter", "independent"),
