@@ -4,7 +4,7 @@
 
 ENVIRONMENT := $(or $(VIRTUAL_ENV),$(CONDA_PREFIX),$(CURDIR)/.venv)
 BIN := $(ENVIRONMENT)/bin
-# A file's tests share what they build, so each file stays on one process; the longest begin first (tests/support/longest.py).
+# A file's tests share what they build, so each file stays on one process; the longest begin first (conftest.py).
 PARALLEL := --numprocesses=auto --maxprocesses=4 --dist=loadfile --no-loadscope-reorder
 STAMP := $(ENVIRONMENT)/.hyaline-installed
 
@@ -53,7 +53,7 @@ pytest: setup
 reliability: setup
 	$(BIN)/python -m pytest $(PARALLEL) -m "promise or full" --full
 
-# The lines of every room beside its budget (house.toml), and what three commands walk through.
+# The lines of every room beside its budget (house.toml).
 house: setup
 	$(BIN)/python tests/support/house.py
 

@@ -21,7 +21,6 @@ sys.dont_write_bytecode = False
 os.fsync = lambda _: None
 
 from support.checked import check_annotations  # noqa: E402
-from support.longest import LONGEST  # noqa: E402
 
 check_annotations()  # Before anything imports one of the packages.
 
@@ -33,6 +32,23 @@ from model.runtime import wait_briefly  # noqa: E402
 wait_briefly()  # Before anything imports torch.
 
 pytest_plugins = ["support.promises"]
+
+LONGEST = (
+    "plugins/hyaline_web/tests/page/test_page.py",
+    "tests/proxies/test_proxies.py",
+    "plugins/hyaline_photos/tests/fit/test_fit.py",
+    "tests/datagen/scene/test_scenes.py",
+    "tests/datagen/builder/test_shards.py",
+    "tests/datagen/render/test_thin_walls.py",
+    "tests/datagen/render/test_render.py",
+    "tests/model/run/test_interrupted.py",
+    "plugins/hyaline_import/tests/test_confined_import.py",
+    "plugins/hyaline_photos/tests/fit/test_kinds.py",
+    "plugins/tests/reliability/test_hostile_files.py",
+    "tests/eval/page/test_page_in_browser.py",
+    "plugins/hyaline_photos/tests/fit/test_boxes.py",
+)
+"""The test files that take longest, in the order in which they are begun."""
 
 # A shell starts what it runs in the background with SIGINT ignored, which children inherit: tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)

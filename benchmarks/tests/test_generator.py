@@ -12,16 +12,15 @@ from support.rigs import config
 from support.synthetic import synthetic_scene
 
 from benchmarks.shells import make_shells, random_cameras
-from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import CameraList, CameraRig, SceneObject
+from datagen.scene.description import SceneObject
 from datagen.scene.materials import Dielectric
 from datagen.scene.rig import make_cameras
 
 use_mitsuba()
 
 from benchmarks.peel import bench_peel, compare_objects  # noqa: E402
-from benchmarks.truth import Goal, bench_truth, fit_noise, under_a_lamp  # noqa: E402
+from benchmarks.truth import Goal, bench_truth, fit_noise  # noqa: E402
 from datagen.trace.peel import Peeler  # noqa: E402
 
 
@@ -65,19 +64,6 @@ def test_truth_is_checked_and_its_noise_extrapolated() -> None:
     assert isinstance(ours, float) and isinstance(default, float)
     assert 1 < ours < default
     assert report.gates[0].ratio is not None
-
-
-def test_a_lamp_hangs_above_what_a_rig_looks_at_and_shines_down() -> None:
-    scene = synthetic_scene()
-    assert isinstance(scene.cameras, CameraRig)
-    (lamp,) = under_a_lamp(scene).lights
-    u, v, corner = (np.array(each) for each in (lamp.edge_u, lamp.edge_v, lamp.corner))
-    np.testing.assert_allclose(corner + (u + v) / 2, np.add(scene.cameras.target, (0, 0, 1)))
-    np.testing.assert_allclose(np.cross(u, v), (0, 0, -(0.05**2)))
-    views = make_cameras(scene.cameras, config(views=2))["train"]
-    listed = dataclasses.replace(scene, cameras=CameraList(train=views, interpolating=views, extrapolating=views))
-    with pytest.raises(HyalineError, match="lists its cameras"):
-        under_a_lamp(listed)
 
 
 def test_noise_of_a_known_law_is_extrapolated_exactly() -> None:

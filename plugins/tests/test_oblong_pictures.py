@@ -76,12 +76,6 @@ def test_methods_train_on_it_and_predict_pictures_of_its_shape(home: Path, metho
         assert read_png(out / "predictions" / split / "0000.png").shape == (16, 24, 3)
 
 
-def test_its_runs_are_scored(home: Path) -> None:
-    run(f"report --runs '{home}/runs' --data '{home}/data' --out '{home}/report'")
-    (scene,) = json.loads((home / "report" / "results.json").read_text())["scenes"]
-    assert scene["resolution"] == {"width": 24, "height": 16} and len(scene["runs"]) == 3
-
-
 def test_listed_cameras_are_stored_once_and_build_the_same_dataset_again(home: Path) -> None:
     data = home / "data/oblong"
     assert "cameras" not in json.loads((data / "scene/scene.json").read_text())

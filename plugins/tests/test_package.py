@@ -1,5 +1,4 @@
-"""Tests what `pip wheel` and a source distribution hold (every file of the packages, and all that the tests need), and
-that `make test` collects every test file."""
+"""Tests what `pip wheel` and a source distribution hold: every file of the packages, and all that the tests need."""
 
 import shutil
 import subprocess
@@ -52,26 +51,3 @@ def test_the_source_distribution_has_the_tests_and_what_they_need(built: Path) -
     needed = files_of(ROOT, *PACKAGES, *BESIDE) | {path.name for path in ROOT.glob("*.md")}
     needed |= {"Makefile", "constraints.txt", "pyproject.toml", "mkdocs.yml"}
     assert needed - names == set()
-
-
-def test_every_tracked_file_with_tests_is_collected(pytestconfig: pytest.Config) -> None:
-    tracked = ["git", "grep", "--name-only", "--extended-regexp", r"^ *(async )?def test_", "--", "*.py"]
-    found = subprocess.run(tracked, cwd=ROOT, capture_output=True, text=True, check=False)
-    if found.returncode:
-        pytest.skip("not a git checkout")
-    folders = tuple(pytestconfig.getini("testpaths"))
-
-    def is_ignored(path: Path) -> bool:
-        return bool(pytestconfig.hook.pytest_ignore_collect(collection_path=path, config=pytestconfig))
-
-    files = [Path(name) for name in found.stdout.splitlines()]
-    assert not [file for file in files if not file.as_posix().startswith(folders)]
-    assert len(files) > 100 and is_ignored(ROOT / ".ci")
-    names = pytestconfig.getini("python_files")
-    left_out = [
-        str(file)
-        for file in files
-        if not any(file.match(name) for name in names)
-        or any(is_ignored(ROOT / place) for place in (file, *file.parents[:-1]))
-    ]
-    assert not left_out

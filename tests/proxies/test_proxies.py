@@ -185,7 +185,7 @@ def test_the_rounded_hull_of_a_box_is_a_fifth_larger_and_the_hull_of_a_ball_a_th
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("piece", [0, 3, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
+@pytest.mark.parametrize("piece", [0, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 3, 4))])
 def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, piece: int) -> None:
     proxy = wrap_of(piece)[1] if kind == "wrap" else fit(kind, make_solid(shapes(0)[piece]), padding=1e-5)
     corners = proxy.uv[proxy.faces].astype(np.float64)
@@ -261,7 +261,7 @@ def wrap_of(piece: int) -> tuple[Mesh, Mesh]:
     return truth, fit("wrap", own, padding=paddings((own,))[0])
 
 
-@pytest.mark.parametrize("piece", [0, 3, 5, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 4))])
+@pytest.mark.parametrize("piece", [0, 5, *(pytest.param(piece, marks=pytest.mark.full) for piece in (1, 2, 3, 4))])
 def test_wraps_are_closed_outward_and_enclose_all_of_the_surface(piece: int) -> None:
     truth, proxy = wrap_of(piece)
     check_mesh(proxy, where="wrap")

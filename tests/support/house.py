@@ -1,14 +1,11 @@
 """The house: how many lines each room has, and may have (house.toml).
 
-`make house` prints the table, with what it takes to follow a command through the code.
+`make house` prints the table.
 `python tests/support/house.py --lower` sets the budgets to today's lines, if these are no more in all.
 """
 
 import argparse
 import io
-import subprocess
-import sys
-import tempfile
 import tokenize
 import tomllib
 from collections import defaultdict
@@ -28,43 +25,6 @@ LAYOUT = {
     *(tokenize.ENCODING, tokenize.ENDMARKER),
 }
 """Tokens that are not code."""
-
-WALK = """
-import sys
-from pathlib import Path
-root, stop = sys.argv[1], sys.argv[2]
-sys.argv = sys.argv[3:]
-last, moves, files = None, 0, set()
-
-class Arrived(BaseException): pass
-
-def follow(frame, event, _):
-    global last, moves
-    if event == "call":
-        name = frame.f_code.co_filename
-        if name.startswith(root) and "/.venv/" not in name:
-            moves, last = moves + (name != last), name
-            code = frame.f_code
-            if code.co_flags & 1 and code.co_name[0] != "<":  # A function, not the body of a module or a class.
-                files.add(name)
-            if code.co_qualname == stop:
-                raise Arrived
-
-sys.path.insert(0, root)
-sys.setprofile(follow)
-try:
-    module = __import__(sys.argv[0].replace("-", "."), fromlist=["main"])
-    if len(sys.argv) > 1:
-        module.main()
-except (SystemExit, Arrived):
-    pass
-sys.setprofile(None)
-own = {str(getattr(module, "__file__", "")) for module in list(sys.modules.values())}
-own = {name for name in own if name.startswith(root) and "/.venv/" not in name}
-print("walk", moves, len(files), len(own), sum(len(Path(name).read_text().splitlines()) for name in own))
-"""
-"""Runs a command and counts its changes from one of the project's files to another, the files whose functions it
-enters, and the files it loads with their lines; ends at a function's first call."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,19 +113,8 @@ def lower() -> None:
     BUDGETS.write_text(text.rstrip() + "\n")
 
 
-def walk(*words: str, stop: str = "") -> tuple[int, int, int, int]:
-    """Changes of file, files whose functions are entered, files loaded and their lines, of `package.cli WORDS`."""
-    program = (sys.executable, "-c", WALK, str(ROOT) + "/", stop, *words)
-    ended = subprocess.run(program, capture_output=True, text=True, check=False)
-    line = next((line for line in ended.stdout.splitlines() if line.startswith("walk ")), None)
-    if line is None:
-        raise RuntimeError(f"{' '.join(words)}: {ended.stderr}")
-    moves, entered, loaded, lines = (int(word) for word in line.split()[1:])
-    return moves, entered, loaded, lines
-
-
 def print_table() -> None:
-    """Every room beside its budget, the sums, and three walks through the code."""
+    """Every room beside its budget, and the sums."""
     told = tomllib.loads(BUDGETS.read_text())
     rooms = read_rooms()
     for kind, places in rooms.items():
@@ -179,19 +128,6 @@ def print_table() -> None:
         parts = {place: ["tests"] if "tests" in place.split("/") else place.split("/") for place in python}
         chosen = [room for place, room in python.items() if parts[place][0] in tops]
         print(f"{name:32}{sum(room.files for room in chosen):7}{sum(room.lines for room in chosen):8}")
-    _, _, loaded, lines = walk("hyaline")
-    print(f"import hyaline: {loaded} own modules, {lines} lines")
-    with tempfile.TemporaryDirectory() as folder:
-        world = f"{folder}/world"
-        build = ("datagen-cli", "build", "glass_table", "--preset", "tiny", "--out", world)
-        loss = ("--perceptual", "1", "--vgg-weights", "random")
-        train = ("model-cli", "train", "paper", world, *loss, "--out", f"{folder}/run")
-        for what, words, stop in (
-            ("a tiny `datagen build`", build, ""),
-            ("`model train --perceptual` to the first perceptual loss", train, "PerceptualLoss.forward"),
-        ):
-            moves, entered, loaded, _ = walk(*words, stop=stop)
-            print(f"{what}: {entered} files entered, {loaded} loaded, {moves} changes of file")
 
 
 if __name__ == "__main__":

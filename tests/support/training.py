@@ -1,6 +1,5 @@
 """Training runs of a few steps: how they are configured, stopped and compared."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import torch
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
-from model import cli
 from model.methods.paper.config import PaperConfig
 from model.methods.protocol import MethodConfig, open_inputs
 from model.run import train as train_module
@@ -59,16 +57,6 @@ def assert_resumes(
         render_predictions(out, config, dataset, device=device)
         assert is_drawn(out, dataset)
     assert run_bytes(folder / "whole") == run_bytes(folder / "parts")
-
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """The exit code of `model ARGUMENTS`, run in this process."""
-    monkeypatch.setattr(sys, "argv", ["model", *arguments])
-    try:
-        cli.main()
-    except SystemExit as end:
-        return int(end.code or 0)
-    return 0
 
 
 def quick(dataset: Dataset, out: Path) -> tuple[str, ...]:

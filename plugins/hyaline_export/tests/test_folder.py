@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support import fake_renderer
-from support.builds import build_whole, tree
+from support.builds import build, tree
 from support.commands import Answer, call, run
 from support.disk import failing_from, observe, read_state
 from support.synthetic import synthetic_scene, write_synthetic_dataset
@@ -112,21 +112,10 @@ def state(scene_folder: Path, terms: str) -> None:
     file.write_text(json.dumps({**json.loads(file.read_text()), "license": terms}))
 
 
-def test_a_scene_of_ones_own_has_the_licence_that_it_states(scene_folder: Path, tmp_path: Path) -> None:
-    build_whole(scene_folder, tmp_path / "silent")
-    assert open_dataset(tmp_path / "silent").license == "unknown; ask the author of scene synthetic"
-    state(scene_folder, "CC-BY-4.0")
-    build_whole(scene_folder, tmp_path / "stated")
-    dataset = open_dataset(tmp_path / "stated")
-    assert dataset.license == "CC-BY-4.0"
-    run(f"datagen add {tmp_path / 'stated'} --edit remove:pane")
-    assert open_dataset(tmp_path / "stated" / "variants" / "remove-pane").license == "CC-BY-4.0"
-
-
 @pytest.mark.parametrize("terms", [pytest.param("CC0-1.0", marks=pytest.mark.full), "Mine alone"])
 def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path: Path) -> None:
     state(scene_folder, terms)
-    build_whole(scene_folder, tmp_path / "data")
+    run(build(scene_folder, tmp_path / "data"))
     for form in FORMATS.built_in:
         answer = call(f"datagen export {tmp_path / 'data'} --format {form} --points 20 --out {tmp_path / form}")
         assert answer.status == 0 and f"licence: {terms}" in answer.err

@@ -1,4 +1,4 @@
-"""Tests that README and the report state what the stored results hold, and nothing without a row in docs/claims.md."""
+"""Tests that pages state what the stored results hold: RESULTS.md, README and the report, by docs/claims.md."""
 
 import re
 import runpy
@@ -6,12 +6,14 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from support.commands import call
 
 ROOT = Path(__file__).resolve().parents[3]
 NUMBER = re.compile(r"[−+-]?\d+(?:,\d{3})*(?:\.\d+)?")  # noqa: RUF001
 
 
 tables = SimpleNamespace(**runpy.run_path(str(ROOT / "docs/tables.py"), run_name="tables"))
+results_page = runpy.run_path(str(ROOT / "docs/results.py"), run_name="results")["results_page"]
 ROWS = list(tables.ROW.finditer((ROOT / "docs/claims.md").read_text()))
 TEXTS = {
     "README.md": (ROOT / "README.md").read_text().partition("## Results\n")[2].partition("\n## ")[0],
@@ -47,3 +49,14 @@ def test_no_number_of_a_page_is_without_a_row(name: str) -> None:
     for claim in sorted((row["claim"] for row in ROWS), key=len, reverse=True):
         rest = rest.replace(claim, " ")
     assert len(ROWS) > 40 and re.findall(r".{0,40}\d.{0,20}", without_code(rest)) == []
+
+
+def test_the_pages_of_results_are_what_the_commands_write(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    folders = sorted(path for path in Path("docs/results").iterdir() if path.is_dir())
+    assert sorted(Path("docs/results").glob("*.md")) == [folder.with_suffix(".md") for folder in folders]
+    for folder in folders:
+        is_bench = folder.name == "bench"
+        page = call(f"hyaline-bench leaderboard {folder}").out if is_bench else results_page(folder)
+        assert folder.with_suffix(".md").read_text() == page, "write it with `make results`"
+        assert f"({folder.with_suffix('.md').as_posix()}" in Path("RESULTS.md").read_text()

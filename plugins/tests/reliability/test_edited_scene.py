@@ -35,7 +35,6 @@ READ_MATERIALS = (
     f"model export {RUN} --out page.html",
     f"model fit {DATA} --unknown ball",
     f"datagen add {DATA} --edit remove:ball",
-    f"datagen add {DATA} --edit remove:cube",
     f"datagen add {DATA} --larger 2",
     f"datagen film {DATA} {FILM} --spp 1 --out film.webp",
     f"datagen export {DATA} --format nerfstudio --out exported",

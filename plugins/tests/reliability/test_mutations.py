@@ -146,15 +146,3 @@ def test_a_stale_record_with_a_good_seal_is_noticed(world: tuple[Path, State], t
         before = complaints(root)
         (root / path).write_bytes(state.files[path])
         assert path in before, (path, before)
-
-
-def test_pictures_of_a_training_do_not_count_without_their_list(world: tuple[Path, State]) -> None:
-    root, state = world
-    path = f"{RUN}/predictions.json"
-    (root / path).unlink()
-    try:
-        with pytest.raises(HyalineError, match=rf"{path}: missing, .* `model predict \S*{RUN}`"):
-            read_prediction(open_run(root / RUN, root / "data"), "interpolating", 0)
-    finally:
-        (root / path).write_bytes(state.files[path])
-    assert read_prediction(open_run(root / RUN, root / "data"), "interpolating", 0).dtype == np.uint8

@@ -141,29 +141,6 @@ def test_a_foreign_file_where_a_command_would_write_is_named_and_kept(
     assert any(Path(file).name in answer.err or str(Path(file).parent) in answer.err for file in taken), answer.err
 
 
-@pytest.mark.parametrize("name", ["data/one", "runs/one/paper", "runs/report"])
-def test_a_link_to_a_foreign_folder_is_not_followed(name: str, here: Path, prepared: Callable[[str], None]) -> None:
-    prepared("run")
-    other = here / "elsewhere"
-    inner = {"data/one": "images", "runs/one/paper": "predictions", "runs/report": "."}[name]
-    place = here / name / inner
-    if inner == ".":
-        put(other / "results.json")
-        place = here / name
-    else:
-        (here / name / inner).rename(other)
-    place.symlink_to(other)
-    before = read_state(other)
-    line = {
-        "data/one": f"{BUILD} --seed 1 --overwrite",
-        "runs/one/paper": f"{RENDER} --overwrite",
-        "runs/report": "report",
-    }
-    answer = call(line[name])
-    assert answer.status == 1 and answer.error.startswith("error: "), answer.err
-    assert read_state(other) == before
-
-
 def _check_end(answer: Answer) -> None:
     """It went well, or was refused in one line."""
     assert answer.status in (0, 1), answer.err

@@ -7,17 +7,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
-from support.builds import build, build_whole, command, tree
-from support.commands import run
+from support.builds import build, command, tree
+from support.commands import call, run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.builder.build import peel_dataset, summary
 from datagen.builder.verify import verify_dataset
-from datagen.data.config import SPLITS
 from datagen.data.dataset import open_dataset
-from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.scene.folder import save_scene
@@ -33,53 +30,30 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("data") / "built"
-    subprocess.run(command(scene_folder, out), check=True, capture_output=True)
+    subprocess.run(command(build(scene_folder, out)), check=True, capture_output=True)
     return out
-
-
-def test_a_built_dataset_holds_what_its_readers_promise(built: Path) -> None:
-    dataset = open_dataset(built)
-    assert [item.is_glass for item in dataset.objects] == [True, False]
-    for split in SPLITS:
-        assert dataset.view(split, 0).image.shape == (16, 16, 3)
-        assert dataset.view(split, 0).record.spp == 8
-        assert 15 < dataset.noise_ceiling_db(split) < 80
-    layers = dataset.view("train", 0).layers()
-    assert layers.uv.shape == (4, 16, 16, 2)
-    assert set(np.unique(layers.object_id)) == {0, 1, 2}
-    assert np.array_equal(dataset.view("train", 0).mask("glass"), layers.object_id[0] == 1)
-    assert len(read_meshes(dataset, TRUTH)) == 2
 
 
 @pytest.mark.promise("R8")
 def test_neither_workers_threads_nor_another_process_change_a_byte(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
-    build_whole(scene_folder, tmp_path / "workers", "--workers", "2")
+    run(build(scene_folder, tmp_path / "workers", "--workers 2"))
     assert tree(tmp_path / "workers") == tree(built)
     program = "import os; os.sched_setaffinity(0, {min(os.sched_getaffinity(0))}); from datagen.cli import main; main()"
-    arguments = command(scene_folder, tmp_path / "one")[3:]
+    arguments = command(build(scene_folder, tmp_path / "one"))[3:]
     subprocess.run([sys.executable, "-c", program, *arguments], check=True, capture_output=True)
     assert tree(tmp_path / "one") == tree(built)
-
-
-def test_a_finished_build_is_left_alone(built: Path, scene_folder: Path) -> None:
-    before = {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()}
-    answer = build(scene_folder, built)
-    assert answer.status == 0
-    assert {path: path.stat().st_mtime_ns for path in built.rglob("*") if path.is_file()} == before
-    assert answer.out.strip() == str(built)
-    assert answer.err.splitlines()[-1].startswith("next: proxies make")
 
 
 def test_other_settings_need_overwrite_and_name_the_difference(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "copy"
     shutil.copytree(built, out)
-    answer = build(scene_folder, out, "--seed", "3")
+    answer = call(build(scene_folder, out, "--seed 3"))
     assert answer.status == 1
     assert "(seed is 0 there and 3 here); pass --overwrite" in answer.error
     assert tree(out) == tree(built)
-    build_whole(scene_folder, out, "--seed", "3", "--overwrite")
+    run(build(scene_folder, out, "--seed 3 --overwrite"))
     assert open_dataset(out).config.seed == 3
     assert verify_dataset(out).problems == []
 
@@ -92,14 +66,14 @@ def test_a_full_disk_is_one_line_and_loses_nothing(built: Path, scene_folder: Pa
     )
     out = tmp_path / "full"
     environment = {**os.environ, "DRJIT_CACHE_DIR": str(tmp_path)}
-    arguments = [sys.executable, "-c", program, *command(scene_folder, out)[3:]]
+    arguments = [sys.executable, "-c", program, *command(build(scene_folder, out))[3:]]
     answer = subprocess.run(arguments, capture_output=True, text=True, check=False, env=environment)
     assert answer.returncode == 1
     assert answer.stderr.splitlines()[-1].startswith("error: ")
     assert f"{out}/" in answer.stderr.splitlines()[-1]
     assert "file too large; raise the limit" in answer.stderr
     assert "Traceback" not in answer.stderr
-    build_whole(scene_folder, out)
+    run(build(scene_folder, out))
     assert tree(out) == tree(built)
 
 

@@ -3,14 +3,13 @@
 import dataclasses
 import shutil
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
-from support.builds import build, build_whole, command, tree
-from support.commands import run
+from support.builds import build, command, tree
+from support.commands import call, run
 from support.synthetic import synthetic_scene
 
 from datagen.builder.build import open_or_start
@@ -38,22 +37,16 @@ def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("data") / "built"
-    build_whole(scene_folder, out)
+    run(build(scene_folder, out))
     return out
-
-
-def run_at_once(lines: list[list[str]]) -> None:
-    """Runs commands that must succeed."""
-    parts = [subprocess.Popen(line) for line in lines]
-    assert [part.wait() for part in parts] == [0] * len(parts)
 
 
 @pytest.mark.slow
 def test_variants_in_parts_at_once_are_the_whole_byte_for_byte(built: Path, tmp_path: Path) -> None:
     whole, out = shutil.copytree(built, tmp_path / "whole"), shutil.copytree(built, tmp_path / "parts")
     run(f"datagen add {whole} {ALL}")
-    add = [sys.executable, "-m", "datagen", "add", str(out), *ALL.split()]
-    run_at_once([[*add, "--shard", part] for part in ("1/2", "2/2")])
+    parts = [subprocess.Popen(command(f"datagen add {out} {ALL} --shard {part}")) for part in ("1/2", "2/2")]
+    assert [part.wait() for part in parts] == [0, 0]
     assert tree(out) == tree(whole)
     assert verify_dataset(out).problems == []
 
@@ -62,27 +55,26 @@ def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(
     built: Path, scene_folder: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "killed"
-    part = ("--shard", "1/2")
-    words = command(scene_folder, out, *part)
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    part = build(scene_folder, out, "--shard 1/2")
+    process = subprocess.Popen(command(part), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     while process.poll() is None and not list(out.glob("records/*/*.json")):
         time.sleep(0.002)
     process.kill()
     process.wait()
     # What a part that was killed in a commit leaves.
     (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").write_bytes(b"half a rec")
-    answer = build(scene_folder, out, *part)
+    answer = call(part)
     assert answer.status == 0, answer.err
     assert "part 1/2 is done; the same command without --shard makes what other parts left" in answer.err
     assert (out / "records/train/0000.json.0123456789abcdef.hyaline-tmp").is_file(), "a part deletes nothing"
-    build_whole(scene_folder, out)
+    run(build(scene_folder, out))
     assert tree(out) == tree(built)
 
 
-@pytest.mark.slow
+@pytest.mark.full
 def test_the_launcher_makes_all_parts_as_jobs_of_this_machine(built: Path, scene_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "jobs"
-    answer = build(scene_folder, out, "--launcher", "local", "--shards=2")
+    answer = call(build(scene_folder, out, "--launcher local --shards=2"))
     assert answer.status == 0, answer.err
     assert answer.out.strip() == str(out)
     assert "part 2/2: done" in answer.err and "noise ceiling" in answer.err

@@ -11,7 +11,6 @@ from support.synthetic import write_synthetic_dataset
 from datagen.data.cameras import Camera
 from datagen.data.config import MAX_SIDE, parse_resolution
 from datagen.data.dataset import Dataset, open_dataset
-from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.disk.errors import DamagedError, HyalineError
 
 OPENED: list[str] = []
@@ -40,19 +39,6 @@ def test_a_view_opens_its_own_files_alone(dataset: Dataset) -> None:
     assert opened_by(dataset.root, view.object_ids) == [arrays[1], record]
     assert opened_by(dataset.root, lambda: view.camera) == []
     assert opened_by(dataset.root, lambda: view.image) == ["images/train/0001.png", "records/train/0001.json"]
-
-
-def test_a_views_parts_fit_together(dataset: Dataset) -> None:
-    view, size = dataset.view("interpolating", 1), dataset.config.resolution.width
-    assert view.image.shape == view.radiance.shape == view.noise.shape == (size, size, 3)
-    assert (view.image.dtype, view.radiance.dtype, view.noise.dtype) == (np.uint8, np.float32, np.float32)
-    assert np.abs(to_8bit(srgb_from_linear(view.radiance)).astype(int) - view.image).max() <= 1
-    is_glass = np.array([False, *(item.is_glass for item in dataset.objects)])
-    ids = view.layers().object_id
-    assert np.array_equal(view.object_ids(), ids)
-    assert np.array_equal(view.mask("glass"), is_glass[ids[0]]) and view.mask("glass").any()
-    assert [view.index for view in dataset.views("train")] == list(range(dataset.num_views["train"]))
-    assert dataset.object_id(dataset.objects[1].name) == 2
 
 
 @pytest.mark.parametrize(

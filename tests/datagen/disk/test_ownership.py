@@ -4,8 +4,6 @@ import os
 from pathlib import Path
 
 import pytest
-from support.commands import call
-from support.soon import soon
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.writing import clear_dataset
@@ -110,14 +108,3 @@ def test_a_sealed_head_that_names_files_outside_harms_nothing(tmp_path: Path) ->
     with pytest.raises(HyalineError, match=r"files: names '\.\./thesis\.tex'"):
         clear_dataset(root)
     assert (tmp_path / "thesis.tex").is_file()
-
-
-@pytest.mark.parametrize("stranger", ["project/download.partial", "images"])
-def test_a_build_refuses_a_folder_of_something_else_before_it_models_anything(tmp_path: Path, stranger: str) -> None:
-    path = tmp_path / "out" / stranger
-    path.parent.mkdir(parents=True)
-    path.write_text("theirs")
-    with soon():
-        answer = call(f"datagen build --preset tiny --out {tmp_path / 'out'}")
-    assert f"is not empty ({stranger}) and no dataset; choose another --out" in answer.error
-    assert path.read_text() == "theirs"

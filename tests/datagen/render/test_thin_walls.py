@@ -95,7 +95,7 @@ def skewer() -> Mesh:
     return mesh_of(trimesh.creation.cylinder(0.02, 1, sections=1000))
 
 
-@pytest.mark.parametrize("place", [AT_ORIGIN, FAR])
+@pytest.mark.parametrize("place", [pytest.param(AT_ORIGIN, marks=pytest.mark.full), FAR])
 @pytest.mark.parametrize(
     "mesh",
     [

@@ -161,17 +161,6 @@ def test_an_image_whose_uv_overlap_is_baked_into_an_atlas_and_looks_the_same(
     assert np.quantile(error, 0.95) < 0.1
 
 
-def test_a_sound_scene_is_taken_as_it_is_and_nothing_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    thing = dataclasses.replace(BALL, uv=BALL.uv * np.float32([1, 0.7]))
-    scene = load_scene(scene_folder(tmp_path, thing, GREY))
-    assert capsys.readouterr().err == ""
-    for field in dataclasses.fields(Mesh):
-        expected = getattr(dataclasses.replace(thing, vertices=thing.vertices + np.float32([0, 0, 1])), field.name)
-        np.testing.assert_array_equal(getattr(scene.objects[0].mesh, field.name), expected)
-
-
 def test_points_are_spread_by_area_and_lie_on_their_faces() -> None:
     mesh = merged([moved(ball(0.1, subdivisions=2), (1, 0, 0)), ball(0.2, subdivisions=2)])
     part = np.repeat([0, 1], 320)

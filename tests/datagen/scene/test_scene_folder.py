@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 from support.synthetic import synthetic_scene
 
@@ -31,15 +30,6 @@ def test_a_users_folder_with_an_image_texture_is_copied_whole(tmp_path: Path) ->
     assert loaded.objects[1].material == Diffuse(color=ImageTexture(path="photo.png"))
     save_scene(loaded, tmp_path / "copy")
     assert (tmp_path / "copy" / "photo.png").read_bytes() == (tmp_path / "mine" / "photo.png").read_bytes()
-
-
-def test_a_mesh_without_uv_is_unwrapped(tmp_path: Path) -> None:
-    save_scene(synthetic_scene(), tmp_path)
-    (tmp_path / "meshes" / "floor.ply").write_bytes(trimesh.creation.box((1, 1, 0.5)).export(file_type="ply"))
-    mesh = load_scene(tmp_path).objects[1].mesh
-    assert mesh.uv.min() >= 0
-    assert mesh.uv.max() <= 1
-    assert np.ptp(mesh.uv) > 0.5
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,17 @@ def scene(request: pytest.FixtureRequest) -> Scene:
     return _made[request.param]
 
 
+TWO = pytest.mark.parametrize(
+    "scene",
+    [
+        pytest.param(name, marks=() if name in ("prism_bench", "vitrine") else pytest.mark.full)
+        for name in BUILT_IN_SCENES
+    ],
+    indirect=True,
+)
+"""These two have all kinds of materials; the others only have more faces."""
+
+
 def test_scene_is_valid_and_within_its_budget(scene: Scene) -> None:
     check_scene(scene)
     assert 30_000 <= sum(len(item.mesh.faces) for item in scene.objects) <= 120_000
@@ -42,6 +53,7 @@ def test_shading_normals_stand_on_the_side_that_faces_show(scene: Scene) -> None
             assert cosines.min() > 0.7, (item.name, cosines.min())
 
 
+@TWO
 def test_atlases_do_not_overlap_and_charts_keep_a_gutter(scene: Scene) -> None:
     for item in scene.objects:
         counts = coverage(item.mesh, 512)
@@ -56,15 +68,7 @@ def test_a_scene_is_made_again_byte_for_byte() -> None:
     assert scene_files(make_scene("vitrine")) == scene_files(_made["vitrine"])
 
 
-@pytest.mark.parametrize(
-    "scene",
-    # These two have all kinds of materials; the others only have more faces.
-    [
-        pytest.param(name, marks=() if name in ("prism_bench", "vitrine") else pytest.mark.full)
-        for name in BUILT_IN_SCENES
-    ],
-    indirect=True,
-)
+@TWO
 def test_saving_and_loading_gives_the_same_scene(scene: Scene, tmp_path: Path) -> None:
     save_scene(scene, tmp_path)
     loaded = load_scene(tmp_path)

@@ -140,18 +140,3 @@ def test_a_run_of_the_best_preset_is_called_so_and_records_every_choice(dataset:
     assert json.loads((out / "run.json").read_text())["config"] == to_json(record.config)
     net = build(record.config.net, dataset).net
     assert record.num_parameters == sum(value.numel() for value in net.parameters())
-
-
-@pytest.mark.parametrize(
-    ("words", "defaults"),
-    [
-        ("paper", {"--steps": 2500, "--batch": 8192, "--rays": 1, "--norm": "batch", "--lr": 0.001}),
-        ("paper-best", {"--steps": 3500, "--batch": 1024, "--rays": 4, "--norm": "none", "--lr": 0.003}),
-        ("light-path --geometry box", {"--batch": 2048, "--stack": 96, "--relief,": "on"}),
-    ],
-)
-def test_help_tells_the_defaults_of_the_method_and_its_preset(words: str, defaults: dict[str, object]) -> None:
-    told = " ".join(call(f"model train {words} --help").out.replace("│", " ").split())
-    for flag, default in defaults.items():
-        text = told[told.index(f" {flag} ", told.index("options")) :]
-        assert text[text.index("(default: ") :].startswith(f"(default: {default})"), flag

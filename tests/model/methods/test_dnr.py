@@ -26,7 +26,6 @@ from model.run.run_folder import TrainConfig, read_run
 pytestmark = pytest.mark.usefixtures("one_thread")
 
 
-CPU = torch.device("cpu")
 NET = DnrConfig(texture_size=24, position_size=64, unet_width=4, crop=32)
 SMALL = TrainConfig(
     method="dnr", geometry=TRUTH, net=NET, steps=8, batch=2048, lr=0.003, evaluate_every=4, checkpoint_every=3

@@ -14,7 +14,6 @@ from model.methods.renderer import noise_penalty, pixel_loss
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-CPU = torch.device("cpu")
 LAMP, GROUND, SAMPLES = 0.6, 0.3, 4
 STEPS = 400
 

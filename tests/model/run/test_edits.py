@@ -163,12 +163,6 @@ def test_the_commands_edit_and_draw_what_is_there(made: Path, monkeypatch: pytes
     write_predictions(folder.parents[1], datasets(made)[1], files)
     assert call(f"{run} remove:ball").out == "runs/edit/paper/variants/remove-ball\n"
     assert picture.read_bytes() == drawn and not picture.with_name("0007.png").exists()
-    tiny = "--preset tiny --resolution 16 --views 1 --test-views 1 --spp 2 --test-spp 2"
-    assert call(f"datagen build data/edit/variants/remove-ball/scene {tiny} --out data/without").status == 0
-    assert [item.name for item in open_dataset(made / "data" / "without").objects] == ["floor"]
-    refused = call("datagen add edit --edit remove:ball --spp 8")
-    assert (refused.status, refused.out) == (2, "")
-    assert "error: datagen add: Unrecognized options: --spp" in refused.error
 
 
 def test_the_report_scores_edits_by_region(made: Path, capsys: pytest.CaptureFixture[str]) -> None:

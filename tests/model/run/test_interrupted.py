@@ -4,25 +4,25 @@ import inspect
 import os
 import re
 import signal
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import Answer, call
 from support.training import run_bytes
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.terminal.command import Stopped, hold_signals, signal_within
-from model import cli
+from datagen.terminal.command import Stopped, hold_signals
 from model.run import train as train_module
 from model.run.run_folder import TrainConfig
 from model.state import load_state, save_state
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
-SIZE = ("--steps", "6", "--batch", "64", "--texture-size", "16", "--hidden", "32", "--device", "cpu")
+SIZE = "--label it --steps 6 --batch 64 --texture-size 16 --hidden 32 --device cpu"
+WHOLE, PARTS = Path("whole"), Path("parts")
 
 
 @pytest.fixture(autouse=True)
@@ -33,23 +33,13 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(make, "__kwdefaults__", defaults)
 
 
-Train = Callable[..., int]
+Train = Callable[..., Answer]
 
 
 @pytest.fixture
-def train(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Train:
-    """`model train --out tmp_path/NAME` in this process; answers its exit status."""
-
-    def command(name: str, *flags: str) -> int:
-        words = ["paper", str(dataset.root), "--out", str(tmp_path / name), "--label", "it"]
-        monkeypatch.setattr(sys, "argv", ["model", "train", *words, *SIZE, *flags])
-        try:
-            cli.main()
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
-
-    return command
+def train(dataset: Dataset) -> Train:
+    """`model train --out FOLDER` in this process."""
+    return lambda out, flags="": call(f"model train paper {dataset.root} --out {out} {SIZE} {flags}")
 
 
 class Killed(BaseException):
@@ -78,9 +68,9 @@ def at_each_write(monkeypatch: pytest.MonkeyPatch, act: Callable[[int], None]) -
 
 
 def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_full: bool
+    train: Train, monkeypatch: pytest.MonkeyPatch, is_full: bool
 ) -> None:
-    assert train("whole") == 0
+    assert train(WHOLE).status == 0
     for least in range(2, 200, 3 if is_full else 15):
         with monkeypatch.context() as patch:
 
@@ -90,24 +80,18 @@ def test_a_run_that_is_killed_again_and_again_ends_in_the_same_bytes(
 
             at_each_write(patch, die)
             try:
-                assert train("parts") == 0
+                assert train(PARTS).status == 0
             except Killed:
                 continue
         break
-    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
+    assert run_bytes(PARTS) == run_bytes(WHOLE)
 
 
-@pytest.mark.parametrize(("flags", "number"), [((), signal.SIGTERM), (("--overwrite",), signal.SIGINT)])
+@pytest.mark.parametrize(("flags", "number"), [("", signal.SIGTERM), ("--overwrite", signal.SIGINT)])
 def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
-    train: Train,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    number: signal.Signals,
-    flags: tuple[str, ...],
+    train: Train, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, flags: str
 ) -> None:
-    assert train("whole") == 0
-    capsys.readouterr()
+    assert train(WHOLE).status == 0
     check = train_module.read_finite
 
     def interrupt(loss: torch.Tensor, renderer: torch.nn.Module, *, step: int, out: Path) -> float:
@@ -117,27 +101,24 @@ def test_a_signal_leaves_a_checkpoint_from_which_the_same_command_goes_on(
 
     with monkeypatch.context() as patch:
         patch.setattr(train_module, "read_finite", interrupt)
-        assert train("parts", *flags) == 128 + number
+        stopped = train(PARTS, flags)
     way_on = "the same command without --overwrite" if flags else "the same command"
-    said = capsys.readouterr().err.splitlines()
-    assert said[-1] == f"error: {tmp_path / 'parts'}: stopped after step 3 of 6; {way_on} resumes it"
-    assert load_state(tmp_path / "parts/checkpoint.pt")["step"] == 3
-    assert train("parts") == 0
-    assert f"{tmp_path / 'parts'}: resuming after step 3 of 6\n" in capsys.readouterr().err
-    assert run_bytes(tmp_path / "parts") == run_bytes(tmp_path / "whole")
+    assert stopped.status == 128 + number
+    assert stopped.error == f"error: parts: stopped after step 3 of 6; {way_on} resumes it"
+    assert load_state(PARTS / "checkpoint.pt")["step"] == 3
+    assert "parts: resuming after step 3 of 6\n" in train(PARTS).err
+    assert run_bytes(PARTS) == run_bytes(WHOLE)
 
 
-def test_checkpoints_by_the_clock_change_no_byte(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert train("whole") == 0
+def test_checkpoints_by_the_clock_change_no_byte(train: Train, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert train(WHOLE).status == 0
     saved: list[object] = []
     save = train_module.save_progress
     monkeypatch.setattr(train_module, "save_progress", lambda *given: (saved.append(given[0].step), save(*given)))
     monkeypatch.setattr(train_module, "CHECKPOINT_EVERY_S", 0.0)
-    assert train("often") == 0
+    assert train(PARTS).status == 0
     assert saved == [1, 2, 3, 4, 5]
-    assert run_bytes(tmp_path / "often") == run_bytes(tmp_path / "whole")
+    assert run_bytes(PARTS) == run_bytes(WHOLE)
 
 
 @pytest.fixture(scope="module")
@@ -169,25 +150,19 @@ def test_every_flipped_bit_and_every_cut_of_a_checkpoint_is_noticed_or_changes_n
 
 
 def test_a_damaged_checkpoint_ends_the_command_with_the_way_on_and_is_kept(
-    train: Train, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    train: Train, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / "run" / "checkpoint.pt"
+    path = PARTS / "checkpoint.pt"
     with monkeypatch.context() as patch, pytest.raises(Killed):
         patch.setattr(train_module, "add_metrics", lambda *_: (_ for _ in ()).throw(Killed))
-        train("run")
+        train(PARTS)
     broken = path.read_bytes()[:-1000]
     path.write_bytes(broken)
-    assert train("run") == 1
-    assert re.search(r"checkpoint\.pt: damaged, .*; start over with --overwrite", capsys.readouterr().err)
+    refused = train(PARTS)
+    assert refused.status == 1 and re.search(r"checkpoint\.pt: damaged, .*; start over with --overwrite", refused.err)
     assert path.read_bytes() == broken
-    assert train("run", "--overwrite") == train("whole") == 0
-    assert run_bytes(tmp_path / "run") == run_bytes(tmp_path / "whole")
-
-
-def test_a_checkpoint_of_another_version_is_refused(checkpoint: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("model.state.CHECKPOINT_VERSION", 2)
-    with pytest.raises(HyalineError, match="another format version; this program reads 2"):
-        load_state(checkpoint)
+    assert train(PARTS, "--overwrite").status == train(WHOLE).status == 0
+    assert run_bytes(PARTS) == run_bytes(WHOLE)
 
 
 # Signals
@@ -213,16 +188,3 @@ def test_a_signal_that_the_parent_ignores_stays_ignored() -> None:
         assert held.number is None
     finally:
         signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.parametrize("stop", [KeyboardInterrupt(), Stopped(signal.SIGTERM)])
-def test_a_signal_that_a_library_has_wrapped_is_found(stop: BaseException) -> None:
-    """As Dr.Jit does with whatever is raised while it records a loop."""
-    with pytest.raises(RuntimeError) as wrapped:
-        try:
-            raise stop
-        except BaseException as error:
-            raise RuntimeError("encountered an exception (see above)") from error
-    found = signal_within(wrapped.value)
-    assert found is not None and found.status == (130 if isinstance(stop, KeyboardInterrupt) else 143)
-    assert signal_within(RuntimeError("of its own")) is None

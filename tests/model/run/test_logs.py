@@ -14,7 +14,7 @@ from support.training import SMALL, load, quick, run_bytes
 from datagen.data.dataset import Dataset
 from datagen.data.images import read_png
 from datagen.disk.ownership import holding
-from model.run.logs import GAP, write_snapshot
+from model.run.logs import GAP
 from model.run.predict import load_renderer, predict_pixels
 from model.run.run_folder import FOLDER, begin_run, read_run
 from model.run.train import train
@@ -53,17 +53,6 @@ def test_each_evaluation_leaves_the_scored_pixels_above_their_prediction_and_a_n
         (out / path).write_bytes(b"mine")
     begin_run(out, dataclasses.replace(read_run(out), seed=1), overwrite=True)
     assert sorted(run_bytes(out)) == sorted([*foreign, "run.json"])
-
-
-def test_large_views_are_thinned_out_and_stand_side_by_side(tmp_path: Path) -> None:
-    truth = np.zeros((3, 300, 200, 3), np.uint8)
-    truth[1, 3::3, ::3] = 200
-    write_snapshot(tmp_path, 7, truth, truth + 9)
-    picture = read_png(tmp_path / "snapshots/000007.png")
-    assert picture.shape == (2 * 100 + GAP, 3 * 67 + 2 * GAP, 3)
-    assert (picture[1:100, 67 + GAP : 2 * 67 + GAP] == 200).all()
-    assert (picture[100 + GAP :, :67] == 9).all()
-    assert (picture[:, 67 : 67 + GAP] == 255).all() and (picture[100 : 100 + GAP] == 255).all()
 
 
 def test_costs_are_summed_over_the_sessions_of_a_run_and_change_no_other_byte(dataset: Dataset, tmp_path: Path) -> None:

@@ -2,16 +2,13 @@
 
 import dataclasses
 import inspect
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from support.commands import call, run
 from torch import Tensor, nn
 
-import eval.cli
-import model.cli
 from datagen.data.dataset import Dataset
 from model.batches.layers import Pixels
 from model.batches.rays import RayBatch
@@ -28,27 +25,18 @@ LAST_GOOD = 4
 """The step of the last checkpoint before the poison, which is given in the step after it."""
 
 
-@pytest.fixture
-def call(dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], int]:
-    """`train` or `report` in this process; answers its exit status."""
+TRAIN = (
+    "model train paper {} --out runs/synthetic/paper --steps 8 --batch 64 --texture-size 16 --hidden 32 --device cpu"
+)
+OUT = Path("runs/synthetic/paper")
+
+
+@pytest.fixture(autouse=True)
+def often(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Checkpoints and evaluations of a run of eight steps."""
     make = inspect.unwrap(TrainConfig.__init__)
     defaults = (make.__kwdefaults__ or {}) | {"checkpoint_every": 2, "evaluate_every": 5}
     monkeypatch.setattr(make, "__kwdefaults__", defaults)
-    lines = {
-        "train": f"model train paper {dataset.root} --out {tmp_path}/runs/synthetic/paper --steps 8 "
-        "--batch 64 --texture-size 16 --hidden 32 --device cpu",
-        "report": f"report {tmp_path}/runs --data {dataset.root.parent} --out {tmp_path}/report",
-    }
-
-    def command(name: str) -> int:
-        monkeypatch.setattr(sys, "argv", lines[name].split())
-        try:
-            (model.cli if name == "train" else eval.cli).main()
-        except SystemExit as end:
-            return int(end.code or 0)
-        return 0
-
-    return command
 
 
 def poison(values: Tensor) -> Tensor:
@@ -102,29 +90,21 @@ SITES = {
 }
 
 
-@pytest.mark.promise("R10")
 @pytest.mark.parametrize("site", SITES)
 def test_training_stops_before_it_keeps_a_number_that_is_not_finite(
-    call: Callable[[str], int],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    site: str,
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch, site: str
 ) -> None:
     inject(monkeypatch, site)
-    assert call("train") == 3
-    last = capsys.readouterr().err.splitlines()[-1]
-    assert last.startswith("error: ") and SITES[site] in last
-    out = tmp_path / "runs/synthetic/paper"
-    kept = load_state(out / "checkpoint.pt")
-    assert kept["step"] == LAST_GOOD
-    assert not (out / "weights.pt").exists() and not list(out.rglob("*.png"))
-    assert not (out / "metrics.jsonl").exists()
+    answer = call(TRAIN.format(dataset.root))
+    assert answer.status == 3
+    assert answer.error.startswith("error: ") and SITES[site] in answer.error
+    assert load_state(OUT / "checkpoint.pt")["step"] == LAST_GOOD
+    assert not (OUT / "weights.pt").exists() and not list(OUT.rglob("*.png"))
+    assert not (OUT / "metrics.jsonl").exists()
 
 
-@pytest.mark.promise("R10")
 def test_a_renderer_that_predicts_no_number_writes_no_picture(
-    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw = predict.render_predictions
 
@@ -136,27 +116,18 @@ def test_a_renderer_that_predicts_no_number_writes_no_picture(
 
     with monkeypatch.context() as patch:
         patch.setattr(predict, "render_predictions", poisoned)
-        assert call("train") == 3
-    out = tmp_path / "runs/synthetic/paper"
-    assert (
-        f"error: {out}/predictions/interpolating/0000.png: a predicted colour is not finite" in capsys.readouterr().err
-    )
-    pictures = out / "predictions"
-    assert not list(pictures.rglob("*.png")) and not (out / "predictions.json").exists()
-    assert call("train") == 0
-    assert len(list(pictures.rglob("*.png"))) == 4
+        answer = call(TRAIN.format(dataset.root))
+    assert answer.status == 3
+    assert f"error: {OUT}/predictions/interpolating/0000.png: a predicted colour is not finite" in answer.err
+    assert not list(OUT.rglob("*.png")) and not (OUT / "predictions.json").exists()
+    run(TRAIN.format(dataset.root))
+    assert len(list((OUT / "predictions").rglob("*.png"))) == 4
 
 
-@pytest.mark.promise("R10")
-def test_a_metric_that_is_no_number_reaches_no_table(
-    call: Callable[[str], int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call("train") == 0
-    capsys.readouterr()
+def test_a_metric_that_is_no_number_reaches_no_table(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    run(TRAIN.format(dataset.root))
     monkeypatch.setattr("eval.score.scores.ssim", lambda *_: NAN)
-    assert call("report") == 3
-    said = capsys.readouterr()
-    assert said.err.splitlines()[-1].endswith(
-        "predictions/interpolating/0000.png: its ssim is not a number; run not scored"
-    )
-    assert said.out == "" and not (tmp_path / "report/results.json").exists()
+    answer = call(f"report --data {dataset.root.parent} --out report")
+    assert (answer.status, answer.out) == (3, "")
+    assert answer.error.endswith("predictions/interpolating/0000.png: its ssim is not a number; run not scored")
+    assert not Path("report/results.json").exists()

@@ -6,16 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from support.commands import Answer, call
+from support.commands import call
 from support.training import load
 
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from model.batches.layers import load_pixels
 from model.methods.paper.config import PaperConfig
-from model.run.predict import load_renderer, predict_pixels, render_predictions
-from model.run.run_folder import TrainConfig, is_drawn, read_run
+from model.run.predict import render_predictions
+from model.run.run_folder import TrainConfig, is_drawn
 from model.run.train import train
 
 CPU = torch.device("cpu")
@@ -65,27 +64,9 @@ def test_online_training_reads_no_stored_layer(
     assert is_drawn(tmp_path / "run", dataset)
 
 
-def train_few(dataset: Dataset, out: Path, layers: str) -> Answer:
-    size = "--steps 3 --batch 64 --texture-size 16 --hidden 32 --device cpu"
-    return call(f"model train paper {size} {dataset.root} --out {out} --use-layers {layers}")
-
-
-def test_a_few_layers_are_the_nearest_ones(dataset: Dataset, tmp_path: Path) -> None:
-    assert train_few(dataset, tmp_path / "run", "2").status == 0
-    record = read_run(tmp_path / "run")
-    assert record.num_layers == 2
-    renderer = load_renderer(tmp_path / "run", record.config, dataset)
-    whole = load_pixels(dataset, TRUTH, "interpolating", [0])
-    part = load_pixels(dataset, TRUTH, "interpolating", [0], max_layers=2)
-    assert part.object_id.shape[1] == 2
-    assert torch.equal(part.object_id, whole.object_id[:, :2])
-    assert torch.equal(part.uv, whole.uv[:, :2])
-    assert predict_pixels(renderer, part).shape == (1024, 3)
-
-
 @pytest.mark.parametrize("layers", ["0", "5"])
 def test_other_numbers_of_layers_than_are_stored_are_refused(dataset: Dataset, tmp_path: Path, layers: str) -> None:
-    answer = train_few(dataset, tmp_path / "run", layers)
+    answer = call(f"model train paper {dataset.root} --out {tmp_path / 'run'} --use-layers {layers}")
     assert answer.status == 1
     assert f"error: layers: is {layers}; expected 1 to 4, the number of stored layers" in answer.err
     assert not (tmp_path / "run").exists()

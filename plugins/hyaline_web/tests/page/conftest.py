@@ -12,14 +12,12 @@ from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
 from datagen.machine.mitsuba_variant import use_mitsuba
 
-# What traces light paths can be imported only when Mitsuba has its variant, which must be a vectorised one.
-if use_mitsuba().startswith("scalar"):
-    collect_ignore_glob = ["test_*.py"]
+use_mitsuba()  # What traces light paths can be imported only when Mitsuba has its variant.
 
-from support.web_scenes import STILL, every_surface, noisy_light_path, write_scene
+from support.web_scenes import STILL, every_surface, noisy_light_path, write_scene  # noqa: E402
 
-from hyaline_web.page.export import scene_page
-from model.methods.light_path.net import LightPathRenderer
+from hyaline_web.page.export import scene_page  # noqa: E402
+from model.methods.light_path.net import LightPathRenderer  # noqa: E402
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser

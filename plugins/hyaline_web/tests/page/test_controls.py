@@ -71,19 +71,6 @@ def test_a_click_chooses_the_object_under_it_and_a_drag_moves_that_over_the_grou
     assert offset[2] == 0
 
 
-def test_a_copy_comes_and_goes_and_materials_are_those_of_the_scene(page: "Page") -> None:
-    page.get_by_role("button", name="metal").click()
-    assert page.get_by_label("Material of").locator("option").all_inner_texts() == [
-        "matt", "clear glass", "glass", "drink", "pane", "metal", "plastic", "ice",
-    ]  # fmt: skip
-    page.get_by_label("Material of").select_option("plastic")
-    page.get_by_role("button", name="Copy", exact=True).click()
-    copy = state(page)[1][7]
-    assert (copy["name"], copy["event"], copy["of"]) == ("metal_copy1", "coated", 4)
-    page.get_by_role("button", name="Remove").click()
-    assert len(state(page)[1]) == 7
-
-
 def test_a_link_brings_back_camera_and_edits(page: "Page") -> None:
     page.focus("#view")
     page.keyboard.press("ArrowLeft")

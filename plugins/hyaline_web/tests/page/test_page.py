@@ -238,8 +238,7 @@ def with_a_copy() -> LightPathRenderer:
 
 
 METAL, GLASS = (named(name).mesh for name in ("metal", "glass"))
-DENSE = Dielectric(ior=1.8, absorption=(0.3, 2, 3), priority=1)
-RED = Dielectric(ior=1.33, absorption=(6, 0, 0), priority=1)
+DENSE = Dielectric(ior=1.8, absorption=(6, 0, 0), priority=1)
 COLORED = Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)
 
 
@@ -249,8 +248,7 @@ COLORED = Conductor(color=(0.9, 0.7, 0.4), roughness=0.2)
         ("glass", {"shown": False}, after("glass", mesh=no_mesh())),
         ("metal", {"offset": [0.3, -0.5, 0.2]}, after("metal", mesh=moved_mesh(METAL, (0.3, -0.5, 0.2)))),
         ("glass", {"turn": [25, 10, 40]}, after("glass", mesh=turned(GLASS, (25, 10, 40)))),
-        ("drink", {"mediumIor": 1.8}, after("drink", material=DENSE)),
-        ("drink", {"absorption": [6, 0, 0]}, after("drink", material=RED)),
+        ("drink", {"mediumIor": 1.8, "absorption": [6, 0, 0]}, after("drink", material=DENSE)),
         ("metal", {"material": "ice"}, after("metal", material=named("ice").material)),
         ("metal", {"tint": None, "color": [0.9, 0.7, 0.4]}, after("metal", material=COLORED)),
     ],

@@ -10,13 +10,11 @@ from support.training import SMALL, run_bytes, stop_at
 
 import hyaline
 from datagen.data.dataset import Dataset
-from datagen.disk.errors import HyalineError
 from hyaline_web.view.live_run import LiveRun, MovedOn
 from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import DnrConfig, PaperConfig
 from model.run.run_folder import TrainConfig
 from model.run.train import train
-from model.state import load_state, save_state
 
 CPU = torch.device("cpu")
 CONFIG = dataclasses.replace(SMALL, steps=8)
@@ -58,26 +56,6 @@ def test_a_run_is_drawn_from_its_newest_checkpoint_then_from_its_weights_and_not
         answers = iter([True, False])
         run.draw(camera, is_quick=False, is_wanted=lambda: next(answers))
     assert np.array_equal(run.draw(camera, is_quick=False), late), "the next picture is whole"
-
-
-def test_a_checkpoint_that_is_damaged_or_of_another_configuration_is_refused_in_one_line(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    out = tmp_path / "run"
-    with monkeypatch.context() as patch:
-        stop_at(patch, 6)
-        with pytest.raises(KeyboardInterrupt):
-            train(CONFIG, dataset, out, label="run", device=CPU)
-    path = out / "checkpoint.pt"
-    state = load_state(path)
-    run = live(out, dataset)
-    save_state(path, {**state, "config": {**state["config"], "lr": 0.5}})
-    with pytest.raises(HyalineError, match=r"checkpoint\.pt: its configuration differs from run\.json"):
-        run.refresh()
-    path.write_bytes(path.read_bytes()[:-40])
-    with pytest.raises(HyalineError, match=r"checkpoint\.pt: damaged"):
-        run.refresh()
-    assert path.is_file(), "a viewer deletes nothing"
 
 
 def test_a_picture_in_haste_takes_one_ray_a_pixel() -> None:

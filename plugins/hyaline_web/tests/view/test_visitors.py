@@ -4,14 +4,11 @@
 
 import contextlib
 import http.client
-import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
-from support.synthetic import write_synthetic_dataset
-from support.viewer import PATIENCE_S, open_window, require_viewer
+from support.viewer import PATIENCE_S, require_viewer
 
 import hyaline
 
@@ -77,17 +74,3 @@ def test_only_the_viewers_own_page_under_a_name_of_this_machine_is_let_in(
     # No other page may frame it.
     assert answer.headers["Content-Security-Policy"] == "frame-ancestors 'none'"
     assert answer.headers["X-Frame-Options"] == "DENY"
-
-
-def test_a_browser_begins_where_the_scene_is_to_be_seen_however_many_cameras_there_are(tmp_path: Path) -> None:
-    require_viewer()
-    dataset = write_synthetic_dataset(tmp_path / "data" / "many", train_views=40)
-    with serving(0, "many") as server:
-        address = f"http://127.0.0.1:{server.get_port()}"
-        Viewer(server, dataset, None)
-        with open_window(address) as window:
-            first = [message for message, _ in itertools.islice(window.messages(), 128)]  # viser sends the rest apart.
-    begin = {message["type"]: message for message in first if message.get("initial")}
-    assert set(begin) == {f"SetCamera{what}Message" for what in ("Position", "LookAt", "UpDirection", "Fov")}
-    place = dataset.view("interpolating", 0).camera.world_from_camera[:3, 3]
-    assert np.allclose(begin["SetCameraPositionMessage"]["position"], place)
