@@ -298,8 +298,10 @@ def pack_ends(
         index = dr.gather(mi.UInt32, place, listed)
         found = {name: dr.ravel(dr.gather(kinds[count], outputs[name], index)) for name, count in components.items()}
         dr.eval(index, found)
-        arrays = {name: values.numpy().reshape(-1, components[name]) for name, values in found.items()}
-        traced_ray = index.numpy() % num_traced
+        # Copies: a view would keep Dr.Jit's array. Where another thread frees that, it waits for Dr.Jit's lock with the
+        # GIL held, and the thread that traces holds the lock and waits for the GIL: neither goes on.
+        arrays = {name: np.array(values).reshape(-1, components[name]) for name, values in found.items()}
+        traced_ray = np.array(index) % num_traced
         if weight is not None:
             arrays["throughput"] = arrays["throughput"] * weight[traced_ray]
         return {**arrays, "ray": rays[traced_ray]}

@@ -167,10 +167,10 @@ class LightPathTracer:
             "has_left": ends,
             **dict.fromkeys(("end_direction", "end_throughput"), (*ends, 3)),
         }
-        found = {name: outputs[name].numpy().reshape(shape) for name, shape in shapes.items()}
+        found = {name: np.array(outputs[name]).reshape(shape) for name, shape in shapes.items()}
         found["object_id"] = self._object_id[found["object_id"]]
         found["has_left"] = found["has_left"].astype(bool)
-        disperses = outputs["disperses"].numpy().astype(bool) if self._tables.disperses else np.zeros(count, bool)
+        disperses = np.array(outputs["disperses"]).astype(bool) if self._tables.disperses else np.zeros(count, bool)
         return TracedPaths(**found, disperses=disperses)
 
     def trace_ends(
@@ -200,7 +200,7 @@ class LightPathTracer:
             return self._run(origins[rays], directions[rays], limits, kept, seed=seed, facets=facets, channel=channel)
 
         outputs = run(slice(None), stacked, facets, GREEN)
-        disperses = outputs["disperses"].numpy() if self._tables.disperses else np.zeros(0, np.uint32)
+        disperses = np.array(outputs["disperses"]) if self._tables.disperses else np.zeros(0, np.uint32)
         parted = np.flatnonzero(disperses)
         if not len(parted):
             parts = [pack_ends(outputs, limits.max_branches, np.arange(count), self._object_id, None)]
@@ -221,10 +221,10 @@ class LightPathTracer:
         stack = None
         if stacked:
             stack = FirstVertices(
-                object_id=self._object_id[outputs["stack_shape"].numpy()].reshape(slots),
-                uv=outputs["stack_uv"].numpy().reshape(*slots, 2),
-                throughput=outputs["stack_throughput"].numpy().reshape(slots),
-                cosine=outputs["stack_cosine"].numpy().reshape(slots),
+                object_id=self._object_id[np.array(outputs["stack_shape"])].reshape(slots),
+                uv=np.array(outputs["stack_uv"]).reshape(*slots, 2),
+                throughput=np.array(outputs["stack_throughput"]).reshape(slots),
+                cosine=np.array(outputs["stack_cosine"]).reshape(slots),
             )
         return PathEnds(**join_ends(parts), stack=stack)
 

@@ -16,6 +16,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.mitsuba_scene import load_scene_mitsuba, load_sensor, radiance_of_environment
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, RoughDielectric, ThinDielectric
+from datagen.trace.branch_outputs import FirstVertices
 from datagen.trace.light_path import LightPathTracer, TracedPaths
 from datagen.trace.surface_tables import Limits
 
@@ -309,6 +310,10 @@ def test_ends_and_first_vertices_are_those_of_whole_paths() -> None:
     np.testing.assert_allclose(found.exit_throughput, last.end_throughput[branch, ray], atol=1e-5)
 
     assert found.stack is not None
+    for values in [*vars(found).values(), *vars(found.stack).values()]:
+        while isinstance(values, np.ndarray) and values.base is not None:
+            values = values.base
+        assert isinstance(values, np.ndarray | FirstVertices), "Dr.Jit's memory, which only its thread may free"
     places = [(branch, vertex) for branch, number in enumerate((4, 2)) for vertex in range(number)]
     for slot, place in enumerate(places):
         is_there = first.object_id[place] > 0
