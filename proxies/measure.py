@@ -11,17 +11,8 @@ import numpy as np
 from jaxtyping import Bool, Float64
 
 from datagen.data.geometries import ProxyStatistics
-from datagen.data.meshes import (
-    Mesh,
-    component_of_faces,
-    crossings,
-    face_corners,
-    nearest_points,
-    open_edges,
-    points_on,
-    signed_volume,
-    windings,
-)
+from datagen.data.meshes import Mesh, component_of_faces, face_corners, open_edges, points_on, signed_volume
+from datagen.data.queries import crossings, nearest_points, windings
 from proxies.solid import ATLAS_ROOM, Solid, outside_by, smallest_chart, used_positions
 
 SAMPLES = 4096

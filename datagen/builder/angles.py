@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float
 
 from datagen.data.cameras import Cameras, direction_of, look_at
 from datagen.data.config import ANGLE_SPLITS, DatasetConfig, Split
-from datagen.data.meshes import Mesh, crossings, face_corners
+from datagen.data.meshes import Mesh, face_corners
+from datagen.data.queries import crossings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene
 

@@ -15,18 +15,15 @@ from datagen.data.meshes import (
     Mesh,
     SurfacePoints,
     boxes_meet,
-    check_closed,
     check_mesh,
-    check_solid,
     count_shared_faces,
     face_areas,
     face_corners,
     is_there,
-    near_pairs,
     normals_of,
     points_on,
-    windings,
 )
+from datagen.data.queries import check_closed, check_solid, near_pairs, windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import check_name
 from datagen.scene.description import MAX_OBJECTS, OBJECT_NAME, CameraList, CameraRig, Scene, SceneObject

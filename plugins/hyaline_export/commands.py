@@ -1,6 +1,5 @@
-"""The commands `datagen export`, `pack` and `unpack`."""
+"""The command `datagen export`."""
 
-import shlex
 from pathlib import Path
 
 from datagen.data.paths import find_dataset
@@ -30,32 +29,3 @@ def export(
     where, hint = export_dataset(opened, format, out, num_points=points)
     tell(str(where))
     next_command(hint)
-
-
-def pack(dataset: str | None = None, /, *, out: Path | None = None, overwrite: bool = False) -> None:
-    """Pack a finished dataset into one tar file, every byte verified.
-
-    Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        out: File to write, which ends in .tar. Default: exports/NAME.tar.
-        overwrite: Replace an existing file.
-    """
-    from hyaline_export.pack import pack_dataset
-
-    path = pack_dataset(find_dataset(dataset), out, overwrite=overwrite)
-    tell(str(path))
-    next_command(shlex.join(["datagen", "unpack", str(path)]))
-
-
-def unpack(file: Path, /, *, out: Path | None = None) -> None:
-    """Unpack a packed dataset into a new folder, every byte verified.
-
-    Args:
-        file: A file from `datagen pack`.
-        out: Folder to write, new or empty. Default: data/NAME, for NAME.tar.
-    """
-    from hyaline_export.pack import unpack_archive
-
-    root = unpack_archive(file, out)
-    tell(str(root))
-    next_command(shlex.join(["datagen", "look", str(root)]))

@@ -50,7 +50,8 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
     chosen = FORMATS.find(form)
     source = Source(dataset=dataset, num_points=num_points)
     out = out or EXPORTS / f"{dataset.name}-{form}"
-    refuse_inside(out, dataset.root)
+    if real_path(out).is_relative_to(real_path(dataset.root)):
+        raise HyalineError(f"--out: {out} lies in the dataset {dataset.root}; choose a place outside")
     say(f"{out}: exporting {dataset.root} as {form}")
     with new_folder(out) as folder:
         for path, data in chosen.files(source):
@@ -64,18 +65,9 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
     return out, chosen.hint.replace("OUT", str(out))
 
 
-# New files and folders
-
-
-def refuse_inside(out: Path, root: Path) -> None:
-    """Raises a HyalineError if an output lies in a dataset."""
-    if real_path(out).is_relative_to(real_path(root)):
-        raise HyalineError(f"--out: {out} lies in the dataset {root}; choose a place outside")
-
-
 @contextlib.contextmanager
 def new_folder(out: Path) -> Iterator[Path]:
-    """An empty folder that becomes `out` when the block ends; an error or a signal deletes it.
+    """A fresh folder beside `out`, which becomes `out` when the block ends; an error or a signal deletes it.
 
     Raises:
         HyalineError: `out` is neither new nor an empty folder.
@@ -83,26 +75,17 @@ def new_folder(out: Path) -> Iterator[Path]:
     place = real_path(out)
     if os.path.lexists(place) and not (place.is_dir() and not any(place.iterdir())):
         raise HyalineError(f"{out}: is not empty, or not a folder; remove it, or choose another --out")
-    with beside(out) as temporary:
-        temporary.mkdir()
-        yield temporary
-
-
-@contextlib.contextmanager
-def beside(out: Path) -> Iterator[Path]:
-    """A fresh path beside `out`; what is made there becomes `out` when the block ends, and an error deletes it."""
-    place = real_path(out)
-    # Nobody can prepare a file or a link under a name that is drawn only now.
+    # Nobody can prepare a folder or a link under a name that is drawn only now.
     temporary = place.with_name(f"{place.name}.{secrets.token_hex(8)}.hyaline-tmp")
     with naming(out):
         place.parent.mkdir(parents=True, exist_ok=True)
         try:
+            temporary.mkdir()
             yield temporary
             for path in (*temporary.rglob("*"), temporary):
                 sync_folder(path)  # Files, too.
             temporary.replace(place)
         except BaseException:
-            with contextlib.suppress(OSError):  # The first error says what is wrong.
-                shutil.rmtree(temporary) if temporary.is_dir() else temporary.unlink(missing_ok=True)
+            shutil.rmtree(temporary, ignore_errors=True)  # The first error says what is wrong.
             raise
         sync_folder(place.parent)

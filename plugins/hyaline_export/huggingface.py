@@ -58,7 +58,7 @@ configs:
 - `depth`: millimetres along the axis to the first surface, glass or not; 0: none. `glass`: 255 where glass is seen
   first. Both are those of the ray through a pixel's centre.
 - Every surface that is seen lies between `near` and `far`, metres along the ray.
-- Shapes, materials, linear radiance and peeled layers are in the packed dataset (`datagen pack`).
+- Shapes, materials, linear radiance and peeled layers are in the archive of the dataset.
 
 Licence: {terms}
 """
@@ -66,9 +66,7 @@ Licence: {terms}
 
 def _hugging_face(source: Source) -> Iterator[tuple[str, bytes]]:
     if source.dataset.withheld:
-        raise HyalineError(
-            "--format huggingface: publishes test pictures, which a verifier keeps; publish `datagen pack`"
-        )
+        raise HyalineError("--format huggingface: publishes test pictures, which a verifier keeps; publish the folder")
     groups: dict[str, list[ExportView]] = {}
     for item in tracked(source.views):
         group = item.view.split if item.role == "test" else item.role

@@ -11,7 +11,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from datagen.data.cameras import Camera, Lens, check_lens
-from datagen.data.meshes import open_edges, volume_within, windings
+from datagen.data.meshes import open_edges, volume_within
+from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import read_regular
 from datagen.machine.processes import allow_file

@@ -9,10 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.meshes import (
-    NUM_POINTS,
     Mesh,
     boxes_meet,
-    check_solid,
     component_of_faces,
     face_areas,
     face_corners,
@@ -22,8 +20,8 @@ from datagen.data.meshes import (
     signed_volume,
     volume_within,
     welded,
-    windings,
 )
+from datagen.data.queries import NUM_POINTS, check_solid, windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import MAX_PRIORITY, Dielectric

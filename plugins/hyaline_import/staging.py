@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution
-from datagen.data.meshes import Mesh, crossings, face_corners, normals_of, open_edges
+from datagen.data.meshes import Mesh, face_corners, normals_of, open_edges
+from datagen.data.queries import crossings
 from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Diffuse, SolidTexture, as_vector
 from datagen.scene.modelling import sheet

@@ -6,16 +6,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from datagen.data.meshes import (
-    MIN_AREA,
-    Mesh,
-    face_areas,
-    open_edges,
-    parts_inside_out,
-    signed_volume,
-    vertex_normals,
-    welded,
-)
+from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
+from datagen.data.queries import parts_inside_out
 from datagen.disk.errors import HyalineError
 from datagen.scene.modelling import CREASE_DEG
 from datagen.scene.shading_normals import (
@@ -143,18 +135,39 @@ def _outward(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     return _turned(mesh, np.isin(part, inside_out))
 
 
+# Closing holes
+
+
 def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
-    """The mesh with its holes closed by fans of triangles, and new normals; unchanged if it has none."""
+    """The mesh with its holes closed by lids and new normals; unchanged if it has none.
+
+    A lid is triangles around the hole's middle, or one triangle.
+    """
     if not open_edges(mesh):
         return mesh
-    import trimesh
-
     positions, faces = welded(mesh)
-    filled = trimesh.Trimesh(positions, faces, process=False)
-    trimesh.repair.fill_holes(filled, use_fan=True)
+    loops = _loops(faces)
     place = np.unique(mesh.vertices, axis=0, return_index=True)[1]
-    lids = place[filled.faces[len(faces) :]].astype(np.int32)
-    whole = dataclasses.replace(mesh, faces=np.concatenate([mesh.faces, lids]))
+    vertices, uv, lids = [mesh.vertices], [mesh.uv], [mesh.faces]
+    for loop in loops:
+        middle = positions[loop].mean(axis=0)
+        # The faces at the hole run along its rim forwards, the lid's backwards. A crack along an edge has its middle on
+        # its rim, where a second point would be welded to the first.
+        at = int(np.linalg.norm(positions[loop] - middle, axis=-1).argmin())
+        rim = place[np.roll(loop, -at)]
+        if len(loop) == 3 or (positions[loop[at]] == middle).all():
+            lids.append(np.stack([rim[2:], rim[1:-1], np.full(len(rim) - 2, rim[0])], axis=-1))
+            continue
+        center = len(mesh.vertices) + len(vertices) - 1
+        lids.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), center)], axis=-1))
+        vertices.append(middle[None])
+        uv.append(mesh.uv[place[loop]].mean(axis=0, keepdims=True))
+    whole = Mesh(
+        vertices=np.concatenate(vertices).astype(np.float32),
+        faces=np.concatenate(lids).astype(np.int32),
+        normals=np.concatenate([mesh.normals, np.zeros((len(vertices) - 1, 3), np.float32)]),
+        uv=np.concatenate(uv).astype(np.float32),
+    )
     if count := open_edges(whole):
         raise HyalineError(
             f"{where}: {count} edges stay open, where faces cross or more than two meet; close it in a modeller, "
@@ -162,9 +175,7 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
         )
     before, after = signed_volume(mesh), signed_volume(whole)
     change = abs(after - before) / max(abs(after), 1e-30)
-    what = (
-        f"holes closed by {len(lids)} faces: it had {1e6 * abs(before):.4g} cm^3, and has {1e6 * abs(after):.4g} cm^3"
-    )
+    what = f"{len(loops)} holes closed: its volume was {1e6 * abs(before):.4g} cm^3, and is {1e6 * abs(after):.4g} cm^3"
     if change > MAX_CHANGE:
         raise HyalineError(
             f"{where}: {what}, {100 * change:.1f} % off; expected at most {100 * MAX_CHANGE:g} %, model its walls"
@@ -172,6 +183,32 @@ def closed(mesh: Mesh, remarks: Remarks, *, where: str) -> Mesh:
     remarks.approximate(where, what)
     return with_new_normals(whole, crease_deg=CREASE_DEG)
 
+
+def _loops(faces: np.ndarray) -> list[np.ndarray]:
+    """The rims of holes as points in order, each once around; where rims touch in a point, each on its own."""
+    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+    edges = set(zip(start.tolist(), end.tolist(), strict=True))
+    following: dict[int, list[int]] = {}
+    for a, b in sorted(edges):
+        if (b, a) not in edges:
+            following.setdefault(a, []).append(b)
+    loops, walk = [], []
+    while following:
+        walk = walk or [next(iter(following))]
+        if not following.get(walk[-1]):  # A rim that ends stays open, which the count of open edges reports.
+            following.pop(walk.pop(), None)
+            continue
+        point = following[walk[-1]].pop()
+        if point in walk:
+            at = walk.index(point)
+            loops.append(np.array(walk[at:]))
+            walk = walk[: at + 1]
+        else:
+            walk.append(point)
+    return [loop for loop in loops if len(loop) > 2]
+
+
+# Mending, where that needs no decision
 
 SHORT_EDGE = 2e-7
 """Length in metres below which an edge may be collapsed; a face without area has such an edge, or a smaller height."""

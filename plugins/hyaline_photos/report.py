@@ -12,17 +12,9 @@ from jaxtyping import Float, Float64
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import list_geometries, read_meshes
 from datagen.data.images import read_png
-from datagen.data.meshes import (
-    Mesh,
-    SurfacePoints,
-    crossings,
-    face_corners,
-    is_there,
-    nearest_points,
-    normals_of,
-    points_on,
-)
+from datagen.data.meshes import Mesh, SurfacePoints, face_corners, is_there, normals_of, points_on
 from datagen.data.paths import TRUTH
+from datagen.data.queries import crossings, nearest_points
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import FolderKind
 from datagen.disk.records import Json, from_json, load_sealed, to_json

@@ -16,7 +16,8 @@ from jaxtyping import Float
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import OWN_LICENSE, DatasetConfig, square
-from datagen.data.meshes import face_corners, windings
+from datagen.data.meshes import face_corners
+from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import ThinDielectric, Vector

@@ -11,8 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.reference import winding_numbers
 
-from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, points_on, signed_volume, vertex_normals
+from datagen.data.meshes import Mesh, check_mesh, face_corners, points_on, signed_volume, vertex_normals
 from datagen.data.paths import ProxyKind
+from datagen.data.queries import check_closed
 from proxies import measure
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings

@@ -15,7 +15,6 @@ PREPARED: dict[str, tuple[str, ...]] = {
     "scene": ("",),
     "dataset": ("scene", BUILD),
     "proxies": ("dataset", "proxies make data/one --kind box"),
-    "packed": ("dataset", "datagen pack data/one --out exports/one.tar"),
     "run": ("dataset", f"{TRAIN} --out runs/one/paper"),
     "variants": ("dataset", "datagen add data/one --angles"),
     "drawn": ("variants", f"{TRAIN} --out runs/one/paper"),

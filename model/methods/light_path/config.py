@@ -4,7 +4,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import ClassVar, Self
 
-from datagen.data.paths import TRUTH, follows_light
+from datagen.data.paths import follows_light
 from datagen.disk.errors import HyalineError
 from model.methods.protocol import MethodConfig
 from model.settings import (
@@ -28,8 +28,7 @@ SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 128
 FINER_COUNTS = 0.7
 """Weight of a level of a pyramid, of textures or of the sky, relative to the next coarser one. Adam moves all texels at
 the same speed, so coarse ones learn first, and fine ones add the rest: rarely sampled texels are filled in from nearby
-ones. (Deferred Neural Rendering regularises its levels to that end.) At 0.5 the sky's finest map of six counts a
-thirtieth, too little to become a window's edge within hundreds of steps; 1 overshoots beside a fast sky."""
+ones. (Deferred Neural Rendering regularises its levels to that end.) At 0.5 the sky's finest map hardly counts."""
 
 RENDER_SAMPLES, REFINED_SAMPLES = 16, 64
 """Default rays per pixel while rendering: for all pixels, and in addition for those whose rays differ."""
@@ -175,8 +174,3 @@ class LightPathConfig(MethodConfig):
             sky_lobes=0 if self.environment_size == 1 else self.sky_lobes,
             refined_samples=refined,
         )
-
-
-def default_light_path(texture_sizes: tuple[int, ...], *, is_proxy: bool) -> LightPathConfig:
-    """The configuration of `model train light-path` without flags."""
-    return LightPathConfig().usual("box" if is_proxy else TRUTH).sized(texture_sizes)

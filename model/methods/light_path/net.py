@@ -12,11 +12,10 @@ from torch.nn import functional
 
 from datagen.data.cameras import Cameras, subpixel_offsets
 from datagen.data.dataset import check_has_meshes
-from datagen.data.paths import follows_light
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import track
 from model.batches.rays import LEAST_PAIRED, mean_color, srgb_curve
-from model.methods.light_path.config import SKY_HEIGHT, LightPathConfig, default_light_path
+from model.methods.light_path.config import SKY_HEIGHT, LightPathConfig
 from model.methods.light_path.pixels import (
     MANY_RAYS,
     STACKED_VERTICES,
@@ -329,7 +328,7 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     """The same with the sky's height and the objects' texture sizes, which depend on traced paths."""
     dataset = inputs.dataset
     check_has_meshes(dataset)
-    usual = default_light_path((2,) * len(dataset.objects), is_proxy=not follows_light(inputs.geometry))
+    usual = LightPathConfig().usual(inputs.geometry).sized((2,) * len(dataset.objects))
     training = trace_light_paths(usual, dataset, inputs.geometry, dataset.cameras("train"))
     size = config.texture_size or dataset.config.resolution.mean_side
     widths, height = measure_sizes(training, len(dataset.objects), size)

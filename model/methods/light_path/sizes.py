@@ -20,9 +20,6 @@ DETAIL = 0.9
 """Share of the pixels that see an object whose footprints are no smaller than a texel. On random scenes, at 0.5 nothing
 was gained; texels of two thirds of that width brought nothing more."""
 
-LEAST_SEEN = 8
-"""Pixels with a footprint below which there is none to go by."""
-
 MOST_TEXELS = 16
 """Limit of all objects' texels together, in squares of `size` for each."""
 
@@ -36,8 +33,6 @@ def measure_sizes(pixels: LightPathPixels, num_objects: int, size: int) -> tuple
     tenth of these footprints may be smaller. Besides, textures have at least about `size` squared texels each, shared
     by how many paths end on an object: at least a third of `size` across, or an eighth where no path ends (glass). On
     proxies, straight hits count, too.
-
-    Source: texels as large as pixels, as mipmaps have them (Williams 1983), with footprints from three rays.
     """
     index = torch.from_numpy(np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS))
     batch = pixels.take_through(index, CORNERS)
@@ -82,6 +77,6 @@ def texels_across(
     areas = torch.linalg.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]).norm(dim=-1)
     across = torch.zeros(number, dtype=torch.float64)
     for one, seen in enumerate((corners >= 0).all(dim=1).T):
-        if seen.sum() >= LEAST_SEEN:
+        if seen.sum() >= 8:  # With fewer there is nothing to go by.
             across[one] = areas[seen, one].clamp_min(1e-8).rsqrt().quantile(DETAIL)
     return across

@@ -15,7 +15,8 @@ from support.gltf import BOX, GltfBuilder, clear, glass_of
 from support.rigs import config
 
 from datagen.data.dataset import open_dataset
-from datagen.data.meshes import Mesh, check_closed, face_areas, face_corners, signed_volume, windings
+from datagen.data.meshes import Mesh, face_areas, face_corners, signed_volume
+from datagen.data.queries import check_closed, windings
 from datagen.disk.records import load_sealed
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices

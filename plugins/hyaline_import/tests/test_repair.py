@@ -9,16 +9,8 @@ import pytest
 from support.foreign import add, glass_entry, taken
 from support.gltf import BOX, glass_of
 
-from datagen.data.meshes import (
-    MIN_AREA,
-    Mesh,
-    check_closed,
-    face_areas,
-    open_edges,
-    signed_volume,
-    vertex_normals,
-    welded,
-)
+from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
+from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, ThinDielectric
@@ -62,7 +54,7 @@ def test_holes_are_closed_and_the_volume_stays(name: str) -> None:
 
 def test_what_closing_would_change_and_what_cannot_be_closed_is_refused() -> None:
     upper = BALL.vertices[BALL.faces][..., 2].min(axis=1) > -0.02
-    with pytest.raises(HyalineError, match=r"holes closed by \d+ faces: .* % off; expected at most 5 %"):
+    with pytest.raises(HyalineError, match=r"1 holes closed: its volume was .* % off; expected at most 5 %"):
         closed(without(BALL, np.flatnonzero(~upper).tolist()), Remarks(), where="ball")
     fin = np.array([[*BALL.faces[0, :2], 500]], np.int32)  # Where three faces meet at an edge.
     with pytest.raises(HyalineError, match="edges stay open"):
@@ -77,7 +69,7 @@ def test_open_glass_of_a_file_is_thin_and_solid_when_repaired(tmp_path: Path) ->
     assert isinstance(import_scene(path, ImportChoices()).scene.objects[0].material, ThinDielectric)
     done = import_scene(path, ImportChoices(repair=True))
     assert isinstance(done.scene.objects[0].material, Dielectric)
-    assert "holes closed by 1 faces" in done.record["approximations"][0]
+    assert "1 holes closed" in done.record["approximations"][0]
     with pytest.raises(HyalineError, match="leave out --strict"):
         import_scene(path, ImportChoices(repair=True, strict=True))
 
@@ -121,7 +113,7 @@ def test_repair_leaves_out_the_object_that_cannot_be_closed(tmp_path: Path) -> N
     bowl = without(BALL, np.flatnonzero(BALL.vertices[BALL.faces][..., 2].min(axis=1) <= -0.02).tolist())
     builder = add(glass_of(BALL, name="ball"), "bowl", bowl, glass_entry(), translation=[0.3, 0, 0])
     done = taken(builder.written(tmp_path), "--scale 1 --repair")
-    assert "bowl: left out, since it cannot be mended: holes closed by" in done.err
+    assert "bowl: left out, since it cannot be mended: 1 holes closed" in done.err
     assert [item.name for item in done.scene.objects] == ["ball", "ground"]
 
 

@@ -25,7 +25,7 @@ from eval.tables.grids import MISSING
 from hyaline_paper import claims
 from hyaline_paper.comparisons import known_to
 from hyaline_paper.tried import enlarge
-from model.methods.light_path.config import default_light_path
+from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
 from model.run.train_flags import Asked, flags_asked
@@ -41,7 +41,7 @@ BEST = dataclasses.replace(
 LIGHT = TrainConfig(
     method="light-path",
     geometry="truth",
-    net=default_light_path((64, 64), is_proxy=False),
+    net=LightPathConfig().usual("truth").sized((64, 64)),
     loss=LossConfig(softness=0.05),
 )
 

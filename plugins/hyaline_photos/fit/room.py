@@ -228,9 +228,14 @@ def load_room(state: dict[str, State], pixels: LightPathPixels, beside: Int[np.n
     Args:
         beside: the pixels beside unknown glass.
     """
-    config = dataclasses.replace(pixels.config, texture_sizes=tuple(cast(list[int], state["texture_sizes"])))
+    weights = cast(dict[str, Tensor], state["weights"])
+    config = dataclasses.replace(
+        pixels.config,
+        texture_sizes=tuple(cast(list[int], state["texture_sizes"])),
+        environment_size=weights["environment.0"].shape[1],
+    )
     renderer = LightPathRenderer(config)
-    renderer.load_state_dict(cast(dict, state["weights"]))
+    renderer.load_state_dict(weights)
     drawn = dataclasses.replace(config, render_samples=RAYS)
     visits = count_visits(renderer, pixels, beside)
     return Room(renderer=renderer.eval(), pixels=dataclasses.replace(pixels, config=drawn), visits=visits)

@@ -7,7 +7,8 @@ import pytest
 import trimesh
 from support.meshes import box, mesh_of
 
-from datagen.data.meshes import Mesh, nearest_points
+from datagen.data.meshes import Mesh
+from datagen.data.queries import nearest_points
 from hyaline_photos.report import measure_walls, shape_errors
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull, KDTree
 
-from datagen.data.meshes import Mesh, check_closed, check_solid, points_on, signed_volume, windings
+from datagen.data.meshes import Mesh, points_on, signed_volume
+from datagen.data.queries import check_closed, check_solid, windings
 from datagen.scene.description import SceneObject
 from datagen.scene.materials import ThinDielectric
 from datagen.scene.modelling import ball, lathe

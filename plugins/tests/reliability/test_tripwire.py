@@ -16,14 +16,11 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 
 RENDER = "model predict runs/one/paper --device cpu"
 IMPORT = "datagen import thing.glb --out mine --overwrite"
-UNPACK = "datagen unpack exports/one.tar --out data/two"
 
 FREE = (
     *(pytest.param(item.start, item.line, marks=() if item.name in QUICK else pytest.mark.full) for item in SCENARIOS),
     ("scene", f"{BUILD} --shard 1/2"),
     ("dataset", "datagen export data/one --format 3dgs --out exports/one"),
-    ("dataset", "datagen pack data/one --out exports/one.tar"),
-    ("packed", UNPACK),
     ("scene", IMPORT),
     ("scene", "datagen import-dataset theirs --out mine --overwrite"),
     ("dataset", "datagen film data/one --path spline --frames 2 --spp 2 --out films/truth"),
@@ -41,8 +38,6 @@ TAKEN = (
     ("dataset", "proxies make data/one --kind box", ("data/one/proxies/box/layers/straight/mine.partial",)),
     ("scene", IMPORT, ("mine/meshes/ground.ply",)),
     ("scene", "datagen import-dataset theirs --out mine", ("mine/images/train/0000.png",)),
-    ("dataset", "datagen pack data/one --out exports/one.tar", ("exports/one.tar",)),
-    ("packed", UNPACK, ("data/two/dataset.json",)),
     ("dataset", "datagen look data/one", ("one-look.html",)),
     ("dataset", "datagen export data/one --format 3dgs --out exports/one", ("exports/one/points3d.ply",)),
     ("dataset", f"{TRAIN} --out runs/one/paper --overwrite", ("runs/one/paper/run.json", "runs/one/paper/weights.pt")),

@@ -10,15 +10,9 @@ import trimesh
 from support.meshes import mesh_of
 from trimesh.visual.texture import TextureVisuals
 
-from datagen.data.meshes import (
-    Mesh,
-    check_closed,
-    check_mesh,
-    open_edges,
-    signed_volume,
-    unfolded,
-)
+from datagen.data.meshes import Mesh, check_mesh, open_edges, signed_volume, unfolded
 from datagen.data.ply import read_ply, write_ply
+from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
 
 BALL = mesh_of(trimesh.creation.icosphere(2))

@@ -10,8 +10,9 @@ import trimesh
 from PIL import Image
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, check_closed, face_areas, points_on
+from datagen.data.meshes import Mesh, face_areas, points_on
 from datagen.data.ply import write_ply
+from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import coverage
 from datagen.scene.description import Scene, SceneObject, image_bytes

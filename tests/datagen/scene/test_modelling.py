@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from support.reference import winding_numbers
 from support.synthetic import synthetic_scene
 
-from datagen.data.meshes import Mesh, check_closed, check_mesh, face_corners, open_edges, signed_volume
+from datagen.data.meshes import Mesh, check_mesh, face_corners, open_edges, signed_volume
+from datagen.data.queries import check_closed
 from datagen.render.mitsuba_scene import bake_texture, linear_texels
 from datagen.scene.materials import SolidTexture
 from datagen.scene.modelling import (

@@ -8,7 +8,8 @@ from support.reference import winding_numbers
 from support.synthetic import synthetic_scene
 
 from datagen.data.config import DatasetConfig, SplitConfig, square
-from datagen.data.meshes import Mesh, windings
+from datagen.data.meshes import Mesh
+from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import Dielectric, Diffuse, Material, ThinDielectric

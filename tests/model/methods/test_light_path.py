@@ -18,7 +18,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError, NumericsError
 from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
 from model.batches.rays import linear_curve, made_ahead, srgb_curve
-from model.methods.light_path.config import LightPathConfig, default_light_path
+from model.methods.light_path.config import LightPathConfig
 from model.methods.light_path.net import RELIEF_DEPTH, LightPathRenderer, is_doubtful
 from model.methods.light_path.pixels import STACKED_VERTICES, LightPathPixels, nest_shells, trace_light_paths
 from model.methods.light_path.sizes import COUNTED_PIXELS, measure_sizes, texels_across
@@ -259,7 +259,7 @@ def test_the_sky_where_no_ray_has_been_is_filled_in_from_around(lobes: int, most
 
 def test_textures_and_sky_are_as_fine_as_the_pixels_that_see_them(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
-    pixels = trace_light_paths(default_light_path((2, 2), is_proxy=False), dataset, TRUTH, dataset.cameras("train"))
+    pixels = trace_light_paths(LightPathConfig().usual(TRUTH).sized((2, 2)), dataset, TRUTH, dataset.cameras("train"))
     tele = dataclasses.replace(pixels.cameras, fov_x=pixels.cameras.fov_x / 2)
     floors = []
     for cameras in (pixels.cameras, tele):
@@ -390,7 +390,7 @@ def test_training_learns_the_synthetic_scene_and_resumes_to_the_bit(
 
 
 def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> None:
-    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
+    config = dataclasses.replace(LightPathConfig().usual("box").sized((32, 32)), shells=1, straight_layers=8)
     pixels = load(dataclasses.replace(config, render_samples=1), dataset, [2])
     stack = pixels.take(torch.arange(1024), None).stack
     layers = dataset.view("train", 2).layers()
@@ -401,7 +401,7 @@ def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> 
 
 
 def sizes_on(dataset: Dataset, geometry: str) -> tuple[tuple[int, ...], int]:
-    config = default_light_path((2, 2), is_proxy=geometry != TRUTH)
+    config = LightPathConfig().usual(geometry).sized((2, 2))
     return measure_sizes(trace_light_paths(config, dataset, geometry, dataset.cameras("train")), 2, 24)
 
 
@@ -413,7 +413,7 @@ def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -
     # As these proxies are the truth, about as much is met of them; but no path ends on a pane of glass.
     assert sizes_on(dataset, TRUTH)[0][0] == 3
     assert 8 <= pane < floor
-    config = default_light_path((pane, floor), is_proxy=True)
+    config = LightPathConfig().usual("box").sized((pane, floor))
     pixels = load(config, dataset, [2], "box")
     colors = LightPathRenderer(config)(pixels.take(torch.arange(256), None))
     assert colors.shape == (256, 3)
@@ -463,7 +463,7 @@ def test_shells_lie_one_inside_the_other_with_textures_of_their_own(dataset: Dat
 
 
 def test_a_relief_shifts_look_ups_by_its_depth_and_learns(dataset: Dataset) -> None:
-    config = dataclasses.replace(default_light_path((32, 32), is_proxy=True), shells=1, straight_layers=8)
+    config = dataclasses.replace(LightPathConfig().usual("box").sized((32, 32)), shells=1, straight_layers=8)
     assert config.relief
     batch = load(config, dataset, [2]).take(torch.arange(64), None)
     assert batch.stack is not None and batch.stack.uv_slope is not None

@@ -119,7 +119,7 @@ def test_a_renderer_that_predicts_no_number_writes_no_picture(
         answer = call(TRAIN.format(dataset.root))
     assert answer.status == 3
     assert f"error: {OUT}/predictions/interpolating/0000.png: a predicted colour is not finite" in answer.err
-    assert not list(OUT.rglob("*.png")) and not (OUT / "predictions.json").exists()
+    assert not list((OUT / "predictions").rglob("*.png")) and not (OUT / "predictions.json").exists()
     run(TRAIN.format(dataset.root))
     assert len(list((OUT / "predictions").rglob("*.png"))) == 4
 

@@ -7,7 +7,8 @@ import pytest
 from scipy import ndimage
 from support.silhouettes import Meets, block, sightings_of
 
-from datagen.data.meshes import check_closed, check_mesh, check_solid, signed_volume
+from datagen.data.meshes import check_mesh, signed_volume
+from datagen.data.queries import check_closed, check_solid
 from datagen.scene.atlas import coverage
 from datagen.scene.modelling import rotation
 from hyaline_photos.fit.boxes import Box, fit_box

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.silhouettes import Meets, ball, block, cylinder, either, sightings_of
 
-from datagen.data.meshes import check_closed, check_mesh
+from datagen.data.meshes import check_mesh
+from datagen.data.queries import check_closed
 from datagen.disk.errors import HyalineError
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.atlas import coverage
