@@ -31,6 +31,8 @@ class ParameterGroup:
     parameters: list[nn.Parameter]
     lr: float
     weight_decay: float = 0.0
+    eps: float = 1e-8
+    """Adam's: the size of gradients below which parameters move more slowly."""
     counts_as: Literal["network", "textures", "helper"] = "network"
     """The column of tables that counts them; a helper (a discriminator) is not needed to render, and is not counted."""
 

@@ -176,6 +176,7 @@ def make_optimizer(
                 "params": [value for value in group.parameters if id(value) not in apart],
                 "lr": group.lr,
                 "weight_decay": group.weight_decay,
+                "eps": group.eps,
             }
             for group in groups
         ],
