@@ -28,11 +28,7 @@ MAX_UV = 1e5
 
 
 def assemble(scene: Scene, *, without_uv: set[str] | None = None) -> Scene:
-    """The scene as it can be rendered: mended by `mend_scene`, and checked.
-
-    Args:
-        without_uv: as in `mend_scene`; by default all objects.
-    """
+    """The scene, mended by `mend_scene` (without `without_uv`, all objects get an atlas) and checked."""
     check_names(scene)
     if isinstance(scene.environment, EnvironmentMap):
         read_map(image_bytes(scene, scene.environment), where=f"scene {scene.name}: {scene.environment.path}")

@@ -45,8 +45,7 @@ RELIEF_COARSER = 4
 
 SKY_EPS = 1e-5
 """Adam's epsilon for the sky. Directions that are seen in faint reflections alone have small gradients, mostly noise,
-which Adam would blow up: at 1e-8 the sky of `plant_shelf` is blotched from new sides, and its extrapolating views have
-34.1 instead of 35.5 dB. Random-0041, whose windows are seen in such reflections alone, has 31.6 dB then, here 30.8."""
+which Adam would blow up: at 1e-8 the sky of `plant_shelf` is blotched from new sides (docs/notes/history.md)."""
 
 COUNTED_AGAIN = 16
 """One in this many training pixels is traced again to count how often texels were sampled."""

@@ -17,13 +17,10 @@ CORNERS = np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]])
 """Three corners of a pixel, as `subpixel_rays` takes them."""
 
 DETAIL = 0.9
-"""Share of the pixels that see an object whose footprints are no smaller than a texel. On random scenes, at 0.5 nothing
-was gained; texels of two thirds of that width brought nothing more."""
+"""Share of the pixels that see an object whose footprints are no smaller than a texel (docs/notes/history.md)."""
 
 MOST_TEXELS = 16
 """Limit of all objects' texels together, in squares of `size` for each."""
-
-MAX_TEXTURE_SIZE = 2048
 
 
 def measure_sizes(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[tuple[int, ...], int]:
@@ -51,7 +48,7 @@ def measure_sizes(pixels: LightPathPixels, num_objects: int, size: int) -> tuple
     fine = texels_across(ends.ray, objects, place, ends.throughput, num_objects)
     wanted = ((share * num_objects).sqrt() * size).maximum(least).maximum(fine)
     limit = math.sqrt(MOST_TEXELS * num_objects) * size
-    wanted = (wanted * min(1.0, limit / float(wanted.norm()))).clamp(2, MAX_TEXTURE_SIZE)
+    wanted = (wanted * min(1.0, limit / float(wanted.norm()))).clamp(2, 2048)
     (per_radian,) = texels_across(sky.ray, torch.zeros_like(sky.ray), sky.direction, sky.throughput, 1).tolist()
     rows = 1 << math.ceil(math.log2(max(1.0, math.pi * per_radian)))
     return tuple(int(width) for width in wanted.round()), max(SKY_HEIGHT, min(MAX_SKY_HEIGHT, rows))

@@ -117,7 +117,7 @@ def test_a_geometry_that_other_stages_replaced_ends_the_run_on_it_and_layers_fol
     done(f"{fit} --skip search")
     assert geometry_key(open_dataset(copy), "fitted") != geometry_key(dataset, "fitted")
     answer = call(again)
-    assert answer.status == 1 and "was trained on another geometry or number of layers than is there" in answer.error
+    assert answer.status == 1 and f"{tmp_path / 'run'}: " in answer.error and "--overwrite" in answer.error
     assert open_dataset(copy).layer_store("fitted").head.num_layers == 4
 
 
