@@ -198,12 +198,10 @@ def at(file: str, run: str, rival: str | None = None) -> Found:
     return Found(numbers=tuple(found.tolist()), unit=_unit(_by_scene(file, run)))
 
 
-def ceiling(file: str, *, rounded: bool) -> Found:
-    """The stored noise ceiling of both splits; rounded: with the rounding of two pictures to 8 bits."""
+def ceiling(file: str) -> Found:
+    """The stored noise ceiling of both splits."""
     (scene,) = _read(file)["scenes"]
-    errors = np.array([10 ** (-scene["noise_ceiling_db"][split] / 10) for split in SPLITS])
-    found = -10 * np.log10(errors + rounded * 2 / 12 / 255**2)
-    return Found(numbers=tuple(found.tolist()), unit=scene["scene"])
+    return Found(numbers=tuple(scene["noise_ceiling_db"][split] for split in SPLITS), unit=scene["scene"])
 
 
 def larger(run: str, pictures: str = "at that size") -> Found:
@@ -259,8 +257,8 @@ def demo_table() -> str:
         psnr = [f"**{value:.2f}**" if run == "light-path" else f"{value:.2f}" for value in (near, far)]
         cells = (_signed(near - far), *_both(glass).split(" / "), _both(ssim, 3), f"*{_both(wrapped)}*")
         rows.append((*about, sizes[run], *psnr, *cells))
-    stored = _both(ceiling("demo", rounded=False)).split(" / ")
-    rows.append(("noise ceiling, not rounded", "", "", "", *stored, *[""] * 5))
+    stored = _both(ceiling("demo")).split(" / ")
+    rows.append(("noise ceiling", "", "", "", *stored, *[""] * 5))
     columns = ("run", "geometry", "knows", "parameters of networks", "PSNR inter.", "PSNR extra.", "drop")
     columns += ("glass inter.", "glass extra.", "SSIM inter. / extra.", "*wrapped* inter. / extra.")
     return table_of(columns, rows, texts=3)
@@ -272,7 +270,7 @@ def short_demo_table() -> str:
         (name if geometry == "truth" else f"{name} on {geometry}", *_both(score("demo", run)).split(" / "))
         for run, (name, geometry, _) in DEMO.items()
     ]
-    rows.append(("noise ceiling, not rounded to 8 bits", *_both(ceiling("demo", rounded=False)).split(" / ")))
+    rows.append(("noise ceiling", *_both(ceiling("demo")).split(" / ")))
     return table_of(("run", "PSNR interpolating, dB", "PSNR extrapolating, dB"), rows, texts=1)
 
 
