@@ -211,9 +211,6 @@ def _triangulated(loop: Float[np.ndarray, "point 2"]) -> Int[np.ndarray, "face 3
     return np.asarray(manifold3d.triangulate([loop]), np.int64).reshape(-1, 3)
 
 
-# Queries: points and lines are compared with triangles in float64 and without Mitsuba, whose rays have float32
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfacePoints:
     """Points on a mesh and the faces that they lie on."""

@@ -1,4 +1,4 @@
-"""Queries of meshes by points and lines: what is near, inside, or crossed; and checks of glass that ask them."""
+"""Queries of meshes by points and lines, in float64 and without Mitsuba: near, inside, crossed; and checks of glass."""
 
 from collections.abc import Iterator
 
@@ -142,9 +142,6 @@ def crossings(
         is_steep = np.abs(slope) > FLAT * length[line] * size[face]
         line, face = line[is_steep], face[is_steep]
         yield line, face, np.einsum("pc,pc->p", corners[face, 0] - origins[line], normals[face]) / slope[is_steep]
-
-
-# Checks of glass
 
 
 # Checks of glass
