@@ -44,7 +44,10 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
 
 
 def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
-    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset."""
+    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset.
+
+    Digests change with the format of datasets, so those of different versions are not compared.
+    """
     preset = found[0].preset
     for scored in found:
         if (scored.version, scored.preset) != (protocol.version, preset):
@@ -52,13 +55,14 @@ def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
                 f"{scored.name}: was scored with protocol {scored.version} at {shown(scored.preset)}; expected "
                 f"{protocol.version} at {preset}, as the others"
             )
-    digests: dict[str, str] = {}
+    digests: dict[tuple[str, str], str] = {}
     for scored in found:
         for scene, result in scored.scenes.items():
-            if digests.setdefault(scene, result.dataset) != result.dataset:
+            place = scene, scored.scored_by.partition(" ")[0]
+            if digests.setdefault(place, result.dataset) != result.dataset:
                 raise HyalineError(
                     f"{scored.name}: was scored on another dataset of {scene} ({result.dataset[:12]}, others on "
-                    f"{digests[scene][:12]}); predict and score it again on the one that the protocol names"
+                    f"{digests[place][:12]}); predict and score it again on the one that the protocol names"
                 )
 
 
