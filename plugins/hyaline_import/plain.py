@@ -361,7 +361,7 @@ def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
 
 
 def _solids(data: bytes, path: Path) -> list[tuple[str, np.ndarray]]:
-    """Names and corners of the solids in a file of text; one solid alone is called as the file is."""
+    """Names and corners of the solids in a text file; a single solid gets the file's name."""
     found = []
     for solid in _SOLID.split(data)[1:]:
         line, _, rest = solid.partition(b"\n")

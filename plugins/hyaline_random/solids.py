@@ -139,7 +139,7 @@ def _prism(rng: np.random.Generator) -> Mesh:
     radius, height = rng.uniform(0.026, 0.036), rng.uniform(0.08, 0.12)
     outline = filleted([(0, 0, 0), (radius, 0, 0.0015), (radius, height, 0.0015), (0, height, 0)], segments=2)
     upright = lathe(outline, segments=corners_of(sides), crease_deg=FACET_CREASE_DEG, around=polygon(sides))
-    if sides == 3 and rng.random() < 0.6:  # As it stands on an optical bench: on one of its long faces.
+    if sides == 3 and rng.random() < 0.6:  # Lying on a long face, as on an optical bench.
         return turned(turned(turned(upright, (0, 0, 1), 60), (0, 1, 0), 90), (0, 0, 1), rng.uniform(0, 360))
     return upright
 

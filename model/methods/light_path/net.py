@@ -335,7 +335,7 @@ def complete(config: LightPathConfig, inputs: Inputs) -> LightPathConfig:
     usual = LightPathConfig().usual(inputs.geometry).sized((2,) * len(dataset.objects))
     training = trace_light_paths(usual, dataset, inputs.geometry, dataset.cameras("train"))
     size = config.texture_size or dataset.config.resolution.mean_side
-    widths, height = measure_sizes(training, len(dataset.objects), size)
+    widths, height = measure_sizes(training, size)
     if config.environment_size == SKY_HEIGHT:
         config = dataclasses.replace(config, environment_size=height)
     return config.sized(widths)

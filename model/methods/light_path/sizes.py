@@ -23,7 +23,7 @@ MOST_TEXELS = 16
 """Limit of all objects' texels together, in squares of `size` for each."""
 
 
-def measure_sizes(pixels: LightPathPixels, num_objects: int, size: int) -> tuple[tuple[int, ...], int]:
+def measure_sizes(pixels: LightPathPixels, size: int) -> tuple[tuple[int, ...], int]:
     """Widths of the objects' textures, and rows of the sky's finest map, for the training pixels.
 
     Texels are as small as the footprints of pixels that see the object, directly, mirrored or through glass; only a
@@ -33,7 +33,7 @@ def measure_sizes(pixels: LightPathPixels, num_objects: int, size: int) -> tuple
     """
     index = torch.from_numpy(np.random.default_rng(0).integers(len(pixels.rgb), size=COUNTED_PIXELS))
     batch = pixels.take_through(index, CORNERS)
-    shells, ends, sky = pixels.config.shells, batch.ends, batch.sky
+    num_objects, shells, ends, sky = pixels.num_objects, pixels.config.shells, batch.ends, batch.sky
     # The textures of a proxy's shells are as wide as its own.
     objects = (ends.surface.long() - 1) // shells
     met = [objects]

@@ -108,7 +108,7 @@ def learn(
         directions: of these.
     """
     torch.manual_seed(seed)
-    widths, height = measure_sizes(pixels, pixels.num_objects, pixels.resolution.mean_side)
+    widths, height = measure_sizes(pixels, pixels.resolution.mean_side)
     renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=widths, environment_size=height))
     if len(sky):
         colors = linear_curve(pixels.rgb[torch.from_numpy(sky)].float() / 255)

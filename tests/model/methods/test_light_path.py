@@ -263,7 +263,7 @@ def test_textures_and_sky_are_as_fine_as_the_pixels_that_see_them(tmp_path: Path
     tele = dataclasses.replace(pixels.cameras, fov_x=pixels.cameras.fov_x / 2)
     floors = []
     for cameras in (pixels.cameras, tele):
-        (_, floor), rows = measure_sizes(dataclasses.replace(pixels, cameras=cameras), 2, 8)
+        (_, floor), rows = measure_sizes(dataclasses.replace(pixels, cameras=cameras), 8)
         floors.append(floor)
         # The sky is seen directly. Pixels are an angle of 1 / focal wide in the middle, and less in a corner.
         corner = math.cos(math.atan(8 * math.sqrt(2) / cameras.focal)) ** 1.5
@@ -402,7 +402,7 @@ def test_straight_layers_stand_beside_the_paths_on_proxies(dataset: Dataset) -> 
 
 def sizes_on(dataset: Dataset, geometry: str) -> tuple[tuple[int, ...], int]:
     config = LightPathConfig().usual(geometry).sized((2, 2))
-    return measure_sizes(trace_light_paths(config, dataset, geometry, dataset.cameras("train")), 2, 24)
+    return measure_sizes(trace_light_paths(config, dataset, geometry, dataset.cameras("train")), 24)
 
 
 def test_texels_are_shared_among_objects_whatever_their_shells(tmp_path: Path) -> None:
