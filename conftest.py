@@ -31,7 +31,7 @@ from model.runtime import wait_briefly  # noqa: E402
 
 wait_briefly()  # Before anything imports torch.
 
-pytest_plugins = ["support.promises"]
+pytest_plugins = ["support.promises", "support.reading"]
 
 LONGEST = (
     "plugins/hyaline_web/tests/page/test_page.py",

@@ -1,4 +1,4 @@
-"""What tests of plug-ins share."""
+"""Foreign files are read in the process of the tests."""
 
 import pickle
 from pathlib import Path
@@ -11,8 +11,7 @@ from datagen.machine import processes
 
 @pytest.fixture(autouse=True)
 def read_here(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Foreign files are read in this process, which saves a second for each; test_confined_import.py has them read as
-    commands do, in a process with limits."""
+    """Saves a second for each file; test_confined_import.py has them read as commands do, in a process with limits."""
 
     def run(folder: Path) -> int:
         function, arguments, *_ = pickle.loads((folder / "call").read_bytes())
