@@ -15,7 +15,7 @@ from datagen.data.meshes import open_edges, volume_within
 from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import read_regular
-from datagen.machine.processes import allow_file
+from datagen.machine.processes import allow_file, allow_triangles
 from datagen.scene.description import RectangleLight
 from datagen.scene.materials import Color, Material
 from datagen.scene.modelling import CREASE_DEG
@@ -114,10 +114,10 @@ class ForeignObject:
     positions: Float[np.ndarray, "vertex 3"]
     faces: Int[np.ndarray, "face 3"]
     """Counter-clockwise seen from outside."""
-    normals: Float[np.ndarray, "vertex 3"] | None
-    uv: Float[np.ndarray, "vertex 2"] | None
+    normals: Float[np.ndarray, "vertex 3"] | None = None
+    uv: Float[np.ndarray, "vertex 2"] | None = None
     """Texture coordinates of the material's image; v points up."""
-    material: ForeignMaterial | Material
+    material: ForeignMaterial | Material = PLAIN
     crease_deg: float = CREASE_DEG
     """Without normals, faces that meet at more than this angle get a hard edge; 0 makes every face flat."""
 
@@ -161,6 +161,19 @@ def read_foreign(path: Path, *, at_most: int = MAX_FILE_BYTES) -> bytes:
     data = read_regular(path, at_most=at_most)
     allow_file(len(data))
     return data
+
+
+def check_surfaces(parts: Sequence[ForeignObject], *, where: str) -> None:
+    """Refuses surfaces that are none, too many or not finite; allows this process what a scene of them takes."""
+    count = sum(len(part.faces) for part in parts)
+    if not 0 < count <= MAX_TRIANGLES or len(parts) > MAX_SURFACES:
+        raise HyalineError(
+            f"{where}: holds {count:,} triangles in {len(parts):,} surfaces; expected 1 to {MAX_TRIANGLES:,} triangles "
+            f"in at most {MAX_SURFACES:,}"
+        )
+    if not all(np.isfinite(part.positions).all() for part in parts):
+        raise HyalineError(f"{where}: holds numbers that are not finite; export it again")
+    allow_triangles(count)
 
 
 def lens_of(

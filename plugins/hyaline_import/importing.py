@@ -16,7 +16,6 @@ from datagen.data.meshes import Mesh, check_numbers, is_there, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import read_regular, sha256
-from datagen.machine.processes import allow_triangles
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
@@ -41,6 +40,7 @@ from hyaline_import.foreign import (
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
+    check_surfaces,
     elementwise,
     merged_by_material,
     with_cavities,
@@ -192,7 +192,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
     remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
-    allow_triangles(sum(len(part.faces) for part in foreign.objects))
+    check_surfaces(foreign.objects, where=path.name)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
     if len(parts) > MAX_OBJECTS - 1:  # The ground is one more.

@@ -3,6 +3,7 @@
 Source: the OBJ and MTL specifications of 1995, and MTL's physically based extension of 2013.
 """
 
+import io
 import math
 import re
 from collections.abc import Mapping
@@ -19,8 +20,6 @@ from datagen.disk.storage import check_relative, find_file
 from datagen.scene.images import opened_image
 from datagen.scene.materials import Color
 from hyaline_import.foreign import (
-    MAX_SURFACES,
-    MAX_TRIANGLES,
     PLAIN,
     Factor,
     FactorImage,
@@ -68,7 +67,7 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
     names = {"o": "", "g": "", "usemtl": ""}
     surfaces: dict[tuple[str, str], list[list[Corner]]] = {}
     has_materials, materials = materials is None, dict(materials or {})
-    num_triangles, has_colors = 0, False
+    has_colors = False
     data = read_foreign(path, at_most=MAX_BYTES)
     for number, line in enumerate(lines_of(data, where=str(path)), start=1):
         words = line.split()
@@ -85,19 +84,12 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
                 raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected 3 to {MAX_CORNERS}")
             surface = surfaces.setdefault((names["o"] or names["g"], names["usemtl"]), [])
             surface.append([_corner(numbers, word, where=where) for word in rest])
-            num_triangles += len(rest) - 2
-            if num_triangles > MAX_TRIANGLES or len(surfaces) > MAX_SURFACES:
-                raise HyalineError(
-                    f"{where}: expected at most {MAX_TRIANGLES:,} triangles in {MAX_SURFACES:,} surfaces"
-                )
         elif key in names:
             names[key] = " ".join(rest)
         elif key == "mtllib" and has_materials:
             materials |= _materials(path, rest, remarks, where=where)
         elif key in ("l", "p", "curv", "surf"):
             remarks.approximate(path.name, "has points, lines or curves, which are left out")
-    if not surfaces:
-        raise HyalineError(f"{path}: holds no faces; expected an OBJ file with a mesh")
     if has_colors:
         remarks.approximate(path.name, "has colours at its vertices, which are left out")
     for material in dict.fromkeys(name for _, name in surfaces if has_materials and name and name not in materials):
@@ -310,10 +302,6 @@ def lines_of(data: bytes, *, where: str) -> list[str]:
 
 # PLY and STL
 
-_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-_SOLID = re.compile(rb"^[ \t]*solid\b", re.MULTILINE | re.IGNORECASE)
-_VERTEX = re.compile(rb"^[ \t]*vertex[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)[ \t\r]*$", re.MULTILINE)
-
 
 def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
     """The surface of a PLY file."""
@@ -329,61 +317,27 @@ def read_ply_file(path: Path, remarks: Remarks) -> ForeignScene:
         faces=mesh.faces,
         normals=mesh.normals if re.search(rb"property\s+\w+\s+nx\b", header) else None,
         uv=mesh.uv if has_uv else None,
-        material=PLAIN,
     )
-    return ForeignScene(objects=_checked([item], path), up="y")
+    return ForeignScene(objects=(item,), up="y")
 
 
 def read_stl(path: Path, remarks: Remarks) -> ForeignScene:  # noqa: ARG001
     """The triangles of an STL file, in millimetres; several solids of a file of text are objects of their own."""
+    from trimesh.exchange.stl import load_stl
+
     data = read_foreign(path)
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) >= 84 and len(data) == 84 + _TRIANGLE.itemsize * count:
-        solids = [(path.stem, np.frombuffer(data, _TRIANGLE, count, 84)["corners"].astype(np.float64).reshape(-1, 3))]
-    elif data.lstrip()[:5].lower() == b"solid":
-        solids = _solids(data, path)
-    else:
-        raise HyalineError(
-            f"{path}: has {len(data):,} bytes for {count:,} triangles of 50 bytes; it is cut off, or not an STL file"
-        )
+    try:
+        found = load_stl(io.BytesIO(data))
+    except Exception as error:  # It raises several kinds, and so does NumPy below it.
+        raise HyalineError(f"{path}: not an STL file that can be read ({error}); export it again") from None
+    solids = found.get("geometry", {path.stem: found})
+    count, text = sum(len(solid["faces"]) for solid in solids.values()), data.lower()
+    # trimesh passes over a solid of a text that does not end.
+    is_whole = 3 * text.count(b"endfacet") == text.count(b"vertex") == 3 * count
+    if len(data) != 84 + 50 * count and not is_whole:
+        raise HyalineError(f"{path}: holds {count:,} triangles in {len(data):,} bytes; it is cut off, export it again")
     objects = [
-        ForeignObject(
-            name=name,
-            positions=positions,
-            faces=np.arange(len(positions)).reshape(-1, 3),
-            normals=None,
-            uv=None,
-            material=PLAIN,
-        )
-        for name, positions in solids
+        ForeignObject(name=name, positions=np.array(solid["vertices"], np.float64), faces=np.array(solid["faces"]))
+        for name, solid in solids.items()
     ]
-    return ForeignScene(objects=_checked(objects, path), up="z", metres=0.001)
-
-
-def _solids(data: bytes, path: Path) -> list[tuple[str, np.ndarray]]:
-    """Names and corners of the solids in a text file; a single solid gets the file's name."""
-    found = []
-    for solid in _SOLID.split(data)[1:]:
-        line, _, rest = solid.partition(b"\n")
-        text = rest.lower()
-        words = _VERTEX.findall(text)
-        if len(words) != 3 * text.count(b"endfacet") or b"endsolid" not in text:
-            raise HyalineError(f"{path}: ends in the middle of a facet; it is cut off, export it again")
-        try:
-            found.append((line.decode(errors="replace").strip() or path.stem, np.array(words, np.float64)))
-        except ValueError as error:
-            raise HyalineError(f"{path}: not an STL file that can be read ({error})") from None
-    found = [(name, corners.reshape(-1, 3)) for name, corners in found if len(corners)]
-    return found if len(found) > 1 else [(path.stem, corners) for _, corners in found]
-
-
-def _checked(objects: list[ForeignObject], path: Path) -> tuple[ForeignObject, ...]:
-    count = sum(len(item.faces) for item in objects)
-    if not 0 < count <= MAX_TRIANGLES or len(objects) > MAX_SURFACES:
-        raise HyalineError(
-            f"{path}: holds {count:,} triangles in {len(objects):,} solids; expected 1 to {MAX_TRIANGLES:,} in at most "
-            f"{MAX_SURFACES:,}"
-        )
-    if not all(np.isfinite(item.positions).all() for item in objects):
-        raise HyalineError(f"{path}: holds numbers that are not finite; export it again")
-    return tuple(objects)
+    return ForeignScene(objects=tuple(objects), up="z", metres=0.001)

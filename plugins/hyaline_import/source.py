@@ -9,11 +9,11 @@ import numpy as np
 
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import file_name
-from datagen.machine.processes import allow_triangles, confined
+from datagen.machine.processes import confined
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import choose
 from datagen.terminal.plugins import Group
-from hyaline_import.foreign import joined
+from hyaline_import.foreign import check_surfaces, joined
 from hyaline_import.remarks import Remarks
 
 READERS: Group[Callable] = Group(
@@ -103,7 +103,8 @@ def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads all objects of a file as one mesh, in the process that `confined` starts."""
-    whole = joined(READERS.find(ending_of(path))(path, Remarks()).objects)
-    allow_triangles(len(whole.faces))
+    objects = READERS.find(ending_of(path))(path, Remarks()).objects
+    check_surfaces(objects, where=str(path))
+    whole = joined(objects)
     arrays = {"vertices": whole.positions, "faces": whole.faces}
     np.savez(folder / "mesh.npz", allow_pickle=False, **arrays, **({} if whole.uv is None else {"uv": whole.uv}))

@@ -16,7 +16,6 @@ from datagen.data.writing import commit_view
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
 from datagen.disk.storage import read_regular, sha256
-from datagen.machine.processes import allow_triangles
 from datagen.scene.description import MAX_OBJECTS, CameraList, Scene
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric
@@ -25,7 +24,7 @@ from datagen.terminal.plugins import Group
 from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignView, view_files
-from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
+from hyaline_import.foreign import PLAIN, ForeignObject, check_surfaces, z_up_from
 from hyaline_import.importing import Made, World, unique_names
 from hyaline_import.mapping import Mapper
 from hyaline_import.overlaps import apart, nested
@@ -165,7 +164,7 @@ def _save_scene(folder: Path, name: str, cameras: dict[Split, Cameras], choices:
     for file in choices.mesh:
         check_ending(file)
         parts += [(file.stem, part) for part in FILES.find(ending_of(file))(file, remarks).objects]
-    allow_triangles(sum(len(part.faces) for _, part in parts))
+    check_surfaces([part for _, part in parts], where=name)
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
     names = unique_names([stem for stem, _ in parts])

@@ -17,8 +17,6 @@ from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.config import license_line
 from datagen.disk.errors import HyalineError, shown
 from hyaline_import.foreign import (
-    MAX_SURFACES,
-    MAX_TRIANGLES,
     ForeignMaterial,
     ForeignObject,
     ForeignScene,
@@ -31,7 +29,6 @@ from hyaline_import.gltf.materials import TextureUse, read_material, wrapped
 from hyaline_import.remarks import Remarks
 
 LAMPS = "KHR_lights_punctual"
-MAX_NODES = 20_000
 MAX_COORDINATE = 1e18
 MIN_SCALE = 1e-10
 """Scale below which there is nothing to see."""
@@ -51,7 +48,6 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
         remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
     if file.root.animations is not None:
         remarks.note(path.name, "has animations, which are not read; drawn as the nodes pose it")
-    _check_size(file, [node for node, _ in placed.values()])
     cameras: list[Camera] = []
     materials: Materials = {}
     surfaces: dict[object, list[ForeignObject]] = {}
@@ -71,24 +67,21 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
         if np.linalg.svd(world[:3, :3], compute_uv=False)[1] < MIN_SCALE:
             remarks.note(_name(node), "is scaled to nothing, which hides it; left out")
             continue
-        weights = file.root.meshes[node.mesh].weights if node.weights is None else node.weights
+        mesh = file.item(file.root.meshes, node.mesh, where=node.where)
+        weights = mesh.weights if node.weights is None else node.weights
         key = node.mesh, tuple(weights), node.skin
         if key not in surfaces:
-            surfaces[key] = list(_surfaces(file, node.mesh, materials, remarks, weights, bones))
+            surfaces[key] = list(_surfaces(file, mesh, materials, remarks, weights, bones))
         parts = surfaces[key]
         for index, part in enumerate(parts):
-            own = node.name or file.root.meshes[node.mesh].name or part.name or "object"
+            own = node.name or mesh.name or part.name or "object"
             objects.append(_placed(part, f"{own}_{index}" if len(parts) > 1 else own, world))
-    if not objects:
-        raise HyalineError(f"{path}: holds no triangles; expected a scene with a mesh")
     return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras), license=_license_of(file.root))
 
 
 def _placed_nodes(file: GltfFile) -> Iterator[tuple[int, Placed]]:
     """Every node of the file's scene by its index, with its world_from_node; parents come before children."""
     root = file.root
-    if len(root.nodes) > MAX_NODES:
-        raise HyalineError(f"{file.path}: has {len(root.nodes):,} nodes; expected at most {MAX_NODES:,}")
     if root.scenes:
         roots = file.item(root.scenes, root.scene, where=f"{file.path}: scene").nodes
     else:
@@ -149,29 +142,9 @@ def _license_of(root: records.Gltf) -> str | None:
     return license_line(*said, root.asset.copyright)
 
 
-def _check_size(file: GltfFile, placed: list[Node]) -> None:
-    """Refuses a scene that is too large before any of it is decoded."""
-    triangles = surfaces = 0
-    for node in placed:
-        if node.mesh is None:
-            continue
-        mesh = file.item(file.root.meshes, node.mesh, where=node.where)
-        for primitive in mesh.primitives:
-            if "POSITION" not in primitive.attributes:
-                raise HyalineError(f"{mesh.where}: has a primitive without POSITION; export the file again")
-            corners = primitive.attributes["POSITION"] if primitive.indices is None else primitive.indices
-            triangles += file.item(file.root.accessors, corners, where=mesh.where).count // 3
-            surfaces += 1
-    if triangles > MAX_TRIANGLES or surfaces > MAX_SURFACES:
-        raise HyalineError(
-            f"{file.path}: has {triangles:,} triangles in {surfaces:,} surfaces; "
-            f"expected at most {MAX_TRIANGLES:,} in {MAX_SURFACES:,}"
-        )
-
-
 def _surfaces(
     file: GltfFile,
-    mesh: int,
+    mesh: records.Mesh,
     materials: Materials,
     remarks: Remarks,
     weights: list[float],
@@ -182,9 +155,8 @@ def _surfaces(
     Args:
         weights: of its morph targets.
     """
-    described = file.root.meshes[mesh]
-    for primitive in described.primitives:
-        where = described.name or described.where
+    for primitive in mesh.primitives:
+        where = mesh.name or mesh.where
         left_out = {
             "points, lines, strips or fans": primitive.mode != TRIANGLES,
             "colours at its vertices": "COLOR_0" in primitive.attributes,
@@ -196,18 +168,18 @@ def _surfaces(
         if primitive.material not in materials:
             materials[primitive.material] = read_material(file, primitive.material, remarks)
         material, use = materials[primitive.material]
-        attributes, corners = _attributes(file, primitive, where=described.where)
-        _morph(file, primitive, weights, attributes, where=described.where)
+        attributes, corners = _attributes(file, primitive, where=mesh.where)
+        _morph(file, primitive, weights, attributes, where=mesh.where)
         if bones is not None:
-            _bend(attributes, bones, where=described.where)
+            _bend(attributes, bones, where=mesh.where)
         faces = corners[: len(corners) // 3 * 3].reshape(-1, 3)
         if not len(faces):
             continue
         uv = None
         if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
-            uv = wrapped(use.uv_from_file(raw), faces, use.repeats, remarks, where=described.name or material.name)
+            uv = wrapped(use.uv_from_file(raw), faces, use.repeats, remarks, where=mesh.name or material.name)
         yield ForeignObject(
-            name=described.name or material.name,
+            name=mesh.name or material.name,
             positions=attributes["POSITION"],
             faces=faces,
             normals=attributes.get("NORMAL"),
@@ -219,6 +191,8 @@ def _surfaces(
 
 def _attributes(file: GltfFile, primitive: Primitive, *, where: str) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Positions, normals and uv of a primitive's vertices, and the vertices of its corners in order."""
+    if "POSITION" not in primitive.attributes:
+        raise HyalineError(f"{where}: has a primitive without POSITION; export the file again")
     wanted = {name: "VEC3" for name in ("POSITION", "NORMAL") if name in primitive.attributes}
     wanted |= {name: "VEC2" for name in primitive.attributes if re.fullmatch(r"TEXCOORD_\d{1,2}", name)}
     wanted |= {name: "VEC4" for name in primitive.attributes if re.fullmatch(r"(JOINTS|WEIGHTS)_\d{1,2}", name)}

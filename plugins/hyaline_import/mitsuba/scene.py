@@ -19,8 +19,6 @@ from datagen.scene.images import read_map
 from datagen.scene.materials import Color, as_vector
 from datagen.scene.modelling import ball, sheet
 from hyaline_import.foreign import (
-    MAX_SURFACES,
-    MAX_TRIANGLES,
     PLAIN,
     Axis,
     ForeignMap,
@@ -68,8 +66,6 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
             remarks.approximate(node.name, f"is a light of kind {node.plugin}, which is left out")
         elif node.kind not in QUIET:
             remarks.approximate(node.name, f"is a {node.kind.lower()} of kind {node.plugin}, which is left out")
-    if not objects:
-        raise HyalineError(f"{path}: holds no shape that is seen; expected one")
     if sky is None and lights:
         sky = (0.0, 0.0, 0.0)
     return ForeignScene(
@@ -106,8 +102,6 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleL
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
             uv = wrapped(uv, item.faces, (found.repeats, found.repeats), remarks, where=node.name)
         objects.append(replace(item, uv=uv, material=material))
-        if sum(len(other.faces) for other in objects) > MAX_TRIANGLES or len(objects) > MAX_SURFACES:
-            raise HyalineError(f"{node.scene.path}: has more than {MAX_TRIANGLES:,} triangles; expected fewer")
 
 
 def _light(node: Node, emitter: Node) -> RectangleLight:
@@ -286,7 +280,7 @@ def read_serialized(path: Path, index: int) -> ForeignObject:
     try:
         stream, version = _stream(data, index, path)
         return _mesh(stream, version, path)
-    except (struct.error, zlib.error, ValueError, UnicodeDecodeError) as error:
+    except (struct.error, zlib.error, OverflowError, ValueError) as error:  # Also text that is not in UTF-8.
         raise HyalineError(f"{path}: not a serialized mesh that can be read ({error}); export it as PLY") from None
 
 
@@ -313,10 +307,6 @@ def _mesh(stream: bytes, version: int, path: Path) -> ForeignObject:
         end = head.index(b"\0", at)
         name, at = head[at:end].decode() or name, end + 1
     vertices, faces = struct.unpack_from("<QQ", head, at)
-    if not (0 < vertices <= 3 * MAX_TRIANGLES and 0 < faces <= MAX_TRIANGLES):
-        raise HyalineError(
-            f"{path}: holds {vertices:,} vertices and {faces:,} triangles; expected 1 to {MAX_TRIANGLES:,} triangles"
-        )
     kind = np.dtype("<f8" if flags & DOUBLE else "<f4")
     widths = [3, 3 * bool(flags & NORMALS), 2 * bool(flags & UV), 3 * bool(flags & COLORS)]
     corners_at = at + 16 + vertices * sum(widths) * kind.itemsize

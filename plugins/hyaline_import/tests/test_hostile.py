@@ -35,7 +35,7 @@ Change = Callable[[dict], object]
 
 def refusal(path: Path, read: Callable[[Path], object] | None = None) -> str:
     """Why a file is not read."""
-    read = read or (lambda path: READERS.find(path.suffix[1:])(path, Remarks()))
+    read = read or (lambda path: import_scene(path, ImportChoices()))
     with soon(2.5), pytest.raises(HyalineError) as refused:
         read(path)
     text = str(refused.value)
