@@ -213,7 +213,7 @@ def larger(run: str, pictures: str = "at that size") -> Found:
 
 def published(split: str) -> Found:
     """The lowest and the highest score in the paper's tables."""
-    found = [getattr(row, f"{split}_db") for row in PUBLISHED]
+    found = [scores[SPLITS.index(split)] for scores in PUBLISHED]
     return Found(numbers=(min(found), max(found)), unit="the paper's tables")
 
 

@@ -18,20 +18,10 @@ FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr
 """Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class PublishedRow:
-    """One line of the paper's tables, PSNR in dB."""
-
-    method: str
-    interpolating_db: float
-    extrapolating_db: float
-
-
-NO_EXTRINSICS = PublishedRow(method="no extrinsics", interpolating_db=33.09, extrapolating_db=32.96)
-VIEW_VECTOR = PublishedRow(method="view vector (Ours)", interpolating_db=33.19, extrapolating_db=32.99)
-SPHERICAL_HARMONICS = PublishedRow(method="spherical harmonics", interpolating_db=33.80, extrapolating_db=32.52)
-DNR = PublishedRow(method="DNR", interpolating_db=33.52, extrapolating_db=30.86)
-PUBLISHED = (NO_EXTRINSICS, VIEW_VECTOR, SPHERICAL_HARMONICS, DNR)
+Published = tuple[float, float]
+"""PSNR in dB, interpolating and extrapolating."""
+NO_EXTRINSICS, VIEW_VECTOR, SPHERICAL_HARMONICS, DNR = (33.09, 32.96), (33.19, 32.99), (33.80, 32.52), (33.52, 30.86)
+PUBLISHED: tuple[Published, ...] = (NO_EXTRINSICS, VIEW_VECTOR, SPHERICAL_HARMONICS, DNR)
 """Source: the paper's Tables 1 and 2."""
 
 
@@ -45,7 +35,7 @@ class Line:
     """The flags of `model train METHOD` that it was trained with, without dashes, beside `FREE_FLAGS`; None: any."""
     geometry: str | None = TRUTH
     """None takes any."""
-    published: PublishedRow | None = None
+    published: Published | None = None
     """What the paper printed for it."""
 
     def fits(self, run: Run) -> bool:
@@ -148,9 +138,12 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     """The runs of a scene in a comparison's lines, with what the paper printed; a line without runs is marked."""
     parts = find_entries(comparison, group_seeds(scene.runs))
     entries = [entry for part in parts for entry in part]
-    rows = [(entry.line.title, *_run_cells(entry.group), *_published(entry.line.published)) for entry in entries]
+    rows = [
+        (line.title, group.name, str(len(group.runs)), *score_cells(group), cpu_minutes_cell(group), *_published(line))
+        for line, group in entries
+    ]
     empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
-    rows += [(line.title, NOT_RUN, *[MISSING] * 7, *_published(line.published)) for line in empty]
+    rows += [(line.title, NOT_RUN, *[MISSING] * 7, *_published(line)) for line in empty]
     return Grid(
         title=f"{scene.title}: {comparison.title}",
         columns=(
@@ -166,10 +159,6 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     )
 
 
-def _run_cells(group: SeedGroup) -> tuple[str, ...]:
-    return (group.name, str(len(group.runs)), *score_cells(group), cpu_minutes_cell(group))
-
-
 def cpu_minutes_cell(group: SeedGroup) -> str:
     """Processor minutes of training, where `model train --costs` counted them."""
     costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
@@ -183,8 +172,8 @@ def score_cells(group: SeedGroup) -> tuple[str, ...]:
     return (near, far, spread_cell(group.drop_db), *wrapped)
 
 
-def _published(row: PublishedRow | None) -> tuple[str, str]:
-    return (MISSING, MISSING) if row is None else (f"{row.interpolating_db:.2f}", f"{row.extrapolating_db:.2f}")
+def _published(line: Line) -> list[str]:
+    return [MISSING] * 2 if line.published is None else [f"{score:.2f}" for score in line.published]
 
 
 def data_note(scene: SceneScores) -> str:
@@ -195,6 +184,10 @@ def data_note(scene: SceneScores) -> str:
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
 BEST = Line(title="paper-best", method="paper-best", flags={})
+DEEP_VOXELS = (
+    Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
+    Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
+)
 BEST_NOTE = "paper-best: the paper's idea, tuned: more rays, textures and steps."
 LOSS_NOTE = "Unless a run's name says so, none of these has the paper's perceptual loss or its 200 passes."
 
@@ -224,8 +217,7 @@ TABLE2 = comparison_table(
             BEST,
             Line(title="DNR, as the paper ran it", method="dnr-authors"),
             Line(title="the network of its code", method="authors-code"),
-            Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
-            Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
+            *DEEP_VOXELS,
         ),
         notes=(
             "The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.",

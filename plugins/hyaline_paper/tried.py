@@ -1,81 +1,47 @@
 """What the paper tried without success: DeepVoxels (section 5.1), and larger pictures (section 8)."""
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping
+from statistics import fmean
 
 import numpy as np
 from jaxtyping import UInt8
 
 from datagen.data.config import TEST_SPLITS, Resolution, Split
-from datagen.data.dataset import Dataset
-from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.variants import evenly
 from datagen.disk.errors import HyalineError
 from eval.score.metrics import psnr, psnr_uint8_wrap
 from eval.score.runs import read_prediction
-from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, group_seeds, score_picture
+from eval.score.scores import RunScores, SceneScores, SplitScores, Truth, score_picture
 from eval.tables.grids import CEILING, MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 from eval.variants import VariantScores, score_variants
-from hyaline_paper.comparisons import NOT_RUN, WRAPPED_NOTE, Line, data_note, spread_cell
+from hyaline_paper.comparisons import DEEP_VOXELS, NOT_RUN, Comparison, comparison_grid, data_note
 
-DEEP_VOXELS = (
-    Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
-    Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
+VOXELS = Comparison(
+    title="DeepVoxels (section 5.1)",
+    lines=DEEP_VOXELS,
+    notes=("The paper shows blurred pictures of a room with glass, and names no number.",),
 )
-SCORES = {
-    "psnr_db": ("PSNR dB ↑", psnr),
-    "psnr_uint8_wrap_db": ("wrapped (authors' script)", psnr_uint8_wrap),
-}
 
 
-def mean_picture_score(dataset: Dataset, split: Split, key: str) -> float:
-    """The score of the mean of all training pictures, shown for every camera of a split."""
-    mean = np.rint(np.mean([view.image for view in dataset.views("train")], axis=0)).astype(np.uint8)
-    values = [SCORES[key][1](mean, view.image) for view in dataset.views(split)]
-    return math.fsum(values) / len(values)
-
-
-def deep_voxels_grid(scenes: Sequence[SceneScores]) -> Grid:
-    """DeepVoxels on each scene beside the mean of the training pictures, scenes without glass first."""
-    rows: list[tuple[str, ...]] = []
-    for scene in sorted(scenes, key=_has_glass):
-        floors = {
-            (key, split): mean_picture_score(scene.dataset, split, key) for key in SCORES for split in TEST_SPLITS
-        }
-        about = (scene.title, "glass" if _has_glass(scene) else "no glass")
-        for line in DEEP_VOXELS:
-            groups = [group for group in group_seeds(scene.runs) if line.fits(group.first)]
-            for group in groups:
-                scores = {(key, split): group.score(key, split) for key in SCORES for split in TEST_SPLITS}
-                rows.append((*about, line.title, str(len(group.runs)), *map(spread_cell, scores.values())))
-            if not groups:
-                rows.append((*about, line.title, NOT_RUN, *[MISSING] * len(floors)))
-        rows.append((*about, "mean of the training pictures", MISSING, *(f"{floor:.2f}" for floor in floors.values())))
-    seals = ", ".join(f"{scene.title} {scene.dataset.seal[:12]}" for scene in scenes)
-    return Grid(
-        title="DeepVoxels with and without glass",
-        columns=(
-            *(Column(group=text, is_number=False) for text in ("scene", "glass", "run")),
-            Column(group="seeds"),
-            *(Column(group=title, split=split) for title, _ in SCORES.values() for split in TEST_SPLITS),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "The paper shows blurred pictures of a room with glass, and names no number.",
-            WRAPPED_NOTE,
-            f"Data: dataset seals {seals}.",
-        ),
+def deep_voxels_grid(scene: SceneScores) -> Grid:
+    """DeepVoxels on a scene beside the mean of all training pictures, shown for every camera."""
+    grid = comparison_grid(VOXELS, scene)
+    mean = np.rint(np.mean([view.image for view in scene.dataset.views("train")], axis=0)).astype(np.uint8)
+    near, far, *wrapped = (
+        fmean(metric(mean, view.image) for view in scene.dataset.views(split))
+        for metric in (psnr, psnr_uint8_wrap)
+        for split in TEST_SPLITS
     )
-
-
-def _has_glass(scene: SceneScores) -> bool:
-    return any(item.is_glass for item in scene.dataset.objects)
+    cells = [f"{value:.2f}" for value in (near, far, near - far, *wrapped)]
+    floor = ("mean of the training pictures", MISSING, MISSING, *cells, *[MISSING] * 3)
+    return dataclasses.replace(grid, rows=(*grid.rows, floor))
 
 
 DEEP_VOXELS_TABLE = Table(
     shows=lambda run: any(line.fits(run) for line in DEEP_VOXELS),
-    grids=lambda scenes, _: [deep_voxels_grid(scenes)] if scenes else [],
+    grids=lambda scenes, _: [deep_voxels_grid(scene) for scene in scenes],
     needs_more=True,
 )
 
@@ -122,25 +88,23 @@ def _larger_rows(scene: SceneScores, scored: VariantScores) -> Iterator[tuple[st
         )
         return (size, name, how, *cells)
 
+    def enlarged(scores: RunScores | None) -> dict[Split, SplitScores | None]:
+        return {split: _enlarged(scene, truth, scores) for split, truth in scored.truths.items()}
+
     small = {scores.run.name: scores for scores in scene.runs}
     for name, scores in scored.runs.items():
         yield row(name, DRAWN, scores.splits)
-        yield row(name, ENLARGED, _enlarged(scene, scored, small[name]))
-    yield row("truth", ENLARGED, _enlarged(scene, scored, None))
+        yield row(name, ENLARGED, enlarged(small[name]))
+    yield row("truth", ENLARGED, enlarged(None))
     ceilings = [format_number(scored.truths[split].ceiling_db, 2) for split in TEST_SPLITS]
     yield (size, CEILING, "", *ceilings, *[MISSING] * (len(TEST_SPLITS) * (len(KEYS) - 1)))
 
 
-def _enlarged(scene: SceneScores, scored: VariantScores, scores: RunScores | None) -> dict[Split, SplitScores | None]:
-    """The scores of a run's enlarged predictions; without a run, of the enlarged truth."""
-    return {
-        split: _score_enlarged(scene, truth, scores) if scores is None or scores.splits[split] is not None else None
-        for split, truth in scored.truths.items()
-    }
-
-
-def _score_enlarged(scene: SceneScores, truth: Truth, scores: RunScores | None) -> SplitScores:
+def _enlarged(scene: SceneScores, truth: Truth, scores: RunScores | None) -> SplitScores | None:
+    """The scores of a run's enlarged predictions of a split, if it has some; without a run, of the enlarged truth."""
     split, size = truth.split, truth.dataset.config.resolution
+    if scores is not None and scores.splits[split] is None:
+        return None
     rows = []
     drawn = evenly(truth.dataset.config.split(split).views, scene.dataset.config.split(split).views)
     for place, view in enumerate(drawn):

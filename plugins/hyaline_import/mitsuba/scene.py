@@ -236,30 +236,21 @@ def _sphere(node: Node, remarks: Remarks) -> list[ForeignObject]:
     mesh = ball(1.0, subdivisions=5)
     remarks.note(node.name, f"is a sphere; made of {len(mesh.faces):,} triangles")
     positions = radius * mesh.vertices.astype(np.float64) + node.point("center", (0.0, 0.0, 0.0))
-    return [_solid(node, positions, mesh.faces, mesh.normals)]
+    return [ForeignObject(name=node.name, positions=positions, faces=mesh.faces, normals=mesh.normals)]
 
 
 def _cube(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
     import trimesh
 
     box = trimesh.creation.box((2.0, 2.0, 2.0))
-    return [_solid(node, np.array(box.vertices), np.array(box.faces))]
+    return [ForeignObject(name=node.name, positions=np.array(box.vertices), faces=np.array(box.faces))]
 
 
 def _rectangle(node: Node, remarks: Remarks) -> list[ForeignObject]:  # noqa: ARG001
     mesh = sheet((-1.0, -1.0, 0.0), (2.0, 0.0, 0.0), (0.0, 2.0, 0.0))
     positions = mesh.vertices.astype(np.float64)
-    return [_solid(node, positions, mesh.faces, mesh.normals, uv=(positions[:, :2] * [1, -1] + 1) / 2)]
-
-
-def _solid(
-    node: Node,
-    positions: np.ndarray,
-    faces: np.ndarray,
-    normals: np.ndarray | None = None,
-    uv: np.ndarray | None = None,
-) -> ForeignObject:
-    return ForeignObject(name=node.name, positions=positions, faces=faces, normals=normals, uv=uv, material=PLAIN)
+    uv = (positions[:, :2] * [1, -1] + 1) / 2
+    return [ForeignObject(name=node.name, positions=positions, faces=mesh.faces, normals=mesh.normals, uv=uv)]
 
 
 SHAPES: dict[str, Callable[[Node, Remarks], list[ForeignObject]]] = {
@@ -325,5 +316,4 @@ def _mesh(stream: bytes, version: int, path: Path) -> ForeignObject:
         faces=corners,
         normals=normals if flags & NORMALS else None,
         uv=uv if flags & UV else None,
-        material=PLAIN,
     )
