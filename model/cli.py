@@ -28,7 +28,7 @@ def main() -> None:
 def commands() -> CommandGroup:
     """All commands of the program."""
     by_name = {
-        "train": CommandGroup(about=TRAIN, commands=_methods, word="method"),
+        "train": CommandGroup(about=TRAIN, commands=_methods, word="method", absent=METHODS.absent()),
         "predict": predict,
         "film": Later(_load_film),
         "sweep": Later(_load_sweep),

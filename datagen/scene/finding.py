@@ -43,8 +43,6 @@ class ImportChoices:
     crease: float | None = None
     """Recompute the shading normals, with an edge where faces meet at more than this many degrees, such as 30; 0 makes
     every face flat. Default: the file's normals; if it has none, 0 for glTF, 40 for OBJ, PLY and STL."""
-    strict: bool = False
-    """Fail if any feature of the file cannot be reproduced."""
 
     def __post_init__(self) -> None:
         if self.scale is not None and not 1e-9 < self.scale < 1e9:
@@ -121,8 +119,9 @@ def find_scene(
         return source.find(given, resolution, imports)
     if flags := imports.given():
         raise HyalineError(f"{flags[0]}: goes with a file that is imported, such as vase.glb; leave it out")
-    if Path(given).is_file() and Path(given).name != "scene.json":
-        raise UsageError(f"{given}: reading files needs the plug-in hyaline_import, which is not installed here")
+    kind = "file" if Path(given).is_file() else given.partition("-")[0]
+    if Path(given).name != "scene.json" and (package := SOURCES.absent().get(kind)):
+        raise UsageError(f"scene {given}: needs the plug-in {package}, which is not here")
     if (Path(given) / "scene.json").is_file():
         say(f"scene {given}: reading and checking it")
         scene = load_scene(Path(given))

@@ -90,7 +90,8 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
             sys.exit(0 if words else 2)
         name, *words = words
         if name in command.absent:
-            raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
+            package = command.absent[name]
+            raise UsageError(f"{program} {name}: is a {command.word} of the plug-in {package}, which is not here")
         commands = command.commands()
         found = commands[choose(f"{program} {command.word}", name, commands)]
         program, command = f"{program} {name}", found.load(words) if isinstance(found, Later) else found

@@ -16,7 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
-from datagen.disk.errors import HyalineError
+from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.parsing import Later, choose
 
 Plugin = TypeVar("Plugin")
@@ -101,7 +101,9 @@ class Group(Generic[Plugin]):
 
     def find(self, name: str) -> Plugin:
         """The plug-in of a name; an unknown name gets the nearest one as a suggestion."""
-        choose(self.what, name, self.names())
+        if name not in (names := self.names()) and (package := self.absent().get(name)):
+            raise UsageError(f"{self.what} {name!r}: is of the plug-in {package}, which is not here")
+        choose(self.what, name, names)
         if name in self.own:
             return self.own[name]
         if name in self.built_in:
@@ -117,6 +119,11 @@ class Group(Generic[Plugin]):
             kind = "function" if self.kind is None else self.kind.partition(":")[2]
             raise HyalineError(f"{where} is not a {'subclass of ' * self.is_class}{kind}; see {self.guide}")
         return cast(Plugin, found)
+
+    def absent(self) -> dict[str, str]:
+        """The packages of this distribution that are not here, by the names that they would bring."""
+        points = metadata.entry_points(group=self.name)
+        return {point.name: point.module.partition(".")[0] for point in points if not _is_there(point)}
 
     def sources(self, name: str) -> list[str]:
         """The distributions that bring a name; "this process" for one that it has added."""
@@ -170,6 +177,5 @@ def commands_of(program: str) -> dict[str, Later]:
 
 def absent_commands(program: str) -> dict[str, str]:
     """The plug-ins of this distribution that are not here, by the words of their commands."""
-    points = metadata.entry_points(group=COMMANDS.name)
-    absent = {point.name: point.module.partition(".")[0] for point in points if not _is_there(point)}
-    return {name.removeprefix(f"{program}."): plugin for name, plugin in absent.items() if name.startswith(program)}
+    absent = COMMANDS.absent().items()
+    return {name.removeprefix(f"{program}."): package for name, package in absent if name.startswith(program)}

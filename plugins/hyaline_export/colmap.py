@@ -24,7 +24,7 @@ from hyaline_export.source import ROLES, Source, rgb_png, tracked
 
 def _colmap(source: Source) -> Iterator[tuple[str, bytes]]:
     images = ["# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME", "# POINTS2D[] as (X, Y, POINT3D_ID)"]
-    for number, item in enumerate(tracked(source.pictures), start=1):
+    for number, item in enumerate(tracked(source.views), start=1):
         yield f"images/{item.name}.png", rgb_png(item)
         pose = item.view.camera.world_from_camera @ np.diag([1.0, -1.0, -1.0, 1.0])  # COLMAP's y is down, and z ahead.
         rotation = pose[:3, :3].T

@@ -59,7 +59,7 @@ def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points:
             (folder / path).write_bytes(data)
         (folder / "LICENSE.txt").write_text(f"The data in this folder: {dataset.license}\n")
     roles = ", ".join(f"{len(source.of_role(role))} {role}" for role in ("train", "val", "test"))
-    say(f"{out}: {len(source.pictures)} views; {roles}; licence: {dataset.license}")
+    say(f"{out}: {len(source.views)} views; {roles}; licence: {dataset.license}")
     if dataset.withheld:
         say(f"{out}: the test pictures are grey, since a verifier keeps the true ones; never train on them")
     return out, chosen.hint.replace("OUT", str(out))

@@ -103,7 +103,7 @@ def _card(source: Source, groups: dict[str, list[ExportView]]) -> str:
         data_files="\n".join(
             f"  - split: {split}\n    path: {FOLDERS[group]}/**" for split, group in zip(splits, groups, strict=True)
         ),
-        count=len(source.pictures),
+        count=len(source.views),
         version=VERSION,
         seal=source.dataset.seal,
         splits="\n".join(f"| `{split}` | {len(items)} |" for split, items in splits.items()),

@@ -22,7 +22,7 @@ Role = Literal["train", "val", "test"]
 ROLES: tuple[Role, ...] = get_args(Role)
 
 MAX_HELD_OUT = 4
-"""Training views that are for validation, as `model train` holds them out."""
+"""Training views that are for validation: as `model train` holds them out, but at least one."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,33 +85,22 @@ class Source:
 
     @functools.cached_property
     def views(self) -> tuple[ExportView, ...]:
-        """All views: training ones, those of them held out for validation, then both test splits.
-
-        Where there are fewer than five training views, none is held out, and the first is for validation, too.
-        """
+        """All views: training ones, those of them held out for validation, then both test splits."""
         train = self.dataset.views("train")
-        if not train:
-            raise HyalineError(f"{self.dataset.root}: has no training views; expected at least one to export")
-        held_out = evenly(min(MAX_HELD_OUT, len(train) // 5), len(train))
+        if len(train) < 2:
+            raise HyalineError(f"{self.dataset.root}: has {len(train)} training views; expected at least two to export")
+        held_out = evenly(max(1, min(MAX_HELD_OUT, len(train) // 5)), len(train))
         test = [view for split in TEST_SPLITS for view in self.dataset.views(split)]
         return (
             *(ExportView(view=view, role="train") for view in train if view.index not in held_out),
-            *(ExportView(view=train[index], role="val") for index in held_out or [0]),
+            *(ExportView(view=train[index], role="val") for index in held_out),
             *(ExportView(view=view, role="test") for view in test),
         )
-
-    @functools.cached_property
-    def pictures(self) -> tuple[ExportView, ...]:
-        """The views, each once: one that both trains and validates is here as a training view."""
-        first: dict[str, ExportView] = {}
-        for item in self.views:
-            first.setdefault(item.name, item)
-        return tuple(first.values())
 
     @property
     def lens(self) -> Camera:
         """A camera with the lens that all views share."""
-        return self.pictures[0].view.camera
+        return self.views[0].view.camera
 
     def of_role(self, role: Role) -> tuple[ExportView, ...]:
         """The views of one role, in order."""

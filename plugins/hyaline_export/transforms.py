@@ -48,7 +48,7 @@ from hyaline_export.source import (
 
 def _nerfstudio(source: Source) -> Iterator[tuple[str, bytes]]:
     frames: list[Json] = []
-    for item in tracked(source.pictures):
+    for item in tracked(source.views):
         found = item.quantities
         picture, depth, mask = (f"{folder}/{item.name}.png" for folder in ("images", "depths", "masks"))
         yield picture, rgb_png(item)
@@ -87,7 +87,7 @@ def _blender(source: Source, form: str) -> Iterator[tuple[str, bytes]]:
 def _capture(source: Source) -> Iterator[tuple[str, bytes]]:
     glass = {item.name: index + 1 for index, item in enumerate(source.dataset.objects) if item.is_glass}
     frames: list[Json] = []
-    for item in tracked([item for item in source.pictures if item.view.split not in source.dataset.withheld]):
+    for item in tracked([item for item in source.views if item.view.split not in source.dataset.withheld]):
         drawn = item.view.imported_object_ids  # Of a captured dataset, whose layers are those of stand-ins.
         first = item.view.object_ids()[0] if drawn is None else drawn
         yield f"images/{item.name}.png", rgb_png(item)

@@ -190,7 +190,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         raise HyalineError(f"{path}: no such file; check the path{start}")
     if resolution.mean_side < MIN_SIDE:
         raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
-    remarks, overrides = Remarks(is_strict=choices.strict), parse_overrides(choices.material)
+    remarks, overrides = Remarks(), parse_overrides(choices.material)
     foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
     check_surfaces(foreign.objects, where=path.name)
     up: Axis = foreign.up if choices.up == "auto" else choices.up

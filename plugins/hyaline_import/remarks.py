@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 
 
@@ -19,18 +18,11 @@ class Remark(NamedTuple):
 class Remarks:
     """The lines of one import, each once, in the order in which they came up."""
 
-    def __init__(self, *, is_strict: bool = False) -> None:
+    def __init__(self) -> None:
         self.lines: list[Remark] = []
-        self._is_strict = is_strict
 
     def approximate(self, where: str, what: str) -> None:
-        """Something is drawn other than the file asks for.
-
-        Raises:
-            HyalineError: the import is strict.
-        """
-        if self._is_strict:
-            raise HyalineError(f"{where}: {what}; leave out --strict to import it so")
+        """Something is drawn other than the file asks for."""
         self.lines += {Remark(where, what, True)}.difference(self.lines)
 
     def note(self, where: str, what: str) -> None:

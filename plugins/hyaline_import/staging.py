@@ -8,11 +8,11 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution
-from datagen.data.meshes import Mesh, face_corners, normals_of, open_edges
+from datagen.data.meshes import Mesh, face_corners, normals_of, open_edges, points_on
 from datagen.data.queries import crossings
 from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Diffuse, SolidTexture, as_vector
-from datagen.scene.modelling import sheet
+from datagen.scene.modelling import merged, sheet
 from datagen.scene.rig import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
 from hyaline_import.foreign import ForeignMap
 from hyaline_import.remarks import Remarks
@@ -28,7 +28,7 @@ MIN_GAP, MAX_GAP = 3e-4, 1e-3
 """Metres between the ground and the scene: coincident faces lose layers."""
 MIN_BACKDROP_DEG, MIN_ARC_DEG = 60, 80
 """Degrees around the glass that a backdrop hides, and that are left for cameras."""
-WATCHED_POINTS = 8
+WATCHED_POINTS = 16
 """Points of the glass that cameras must see."""
 GRAZING_DEG = 25.0
 """Degrees that cameras keep from the edge of a backdrop."""
@@ -110,9 +110,9 @@ def _open_arc(
     remarks: Remarks,
 ) -> tuple[float, float]:
     """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
-    glass = [item.mesh.vertices for item in objects if item.material.is_glass]
+    glass = [item.mesh for item in objects if item.material.is_glass]
     # A backdrop may be close behind a wide row of glass, so rays begin at the glass itself.
-    points = _far_apart(np.concatenate(glass).astype(np.float64), WATCHED_POINTS) if glass else target[None]
+    points = points_on(merged(glass), WATCHED_POINTS).position if glass else target[None]
     begin = (0.02 if glass else 1.05) * reach
     step = 10
     azimuths = FRONT_DEG + np.arange(0, 360, step)
@@ -136,17 +136,6 @@ def _open_arc(
     first, last = first + GRAZING_DEG, first + step * (runs[best] - 1) - GRAZING_DEG
     remarks.note("cameras", f"are at azimuths from {first:.0f} to {last:.0f} degrees, in front of a backdrop")
     return first, last
-
-
-def _far_apart(points: Float[np.ndarray, "point 3"], count: int) -> Float[np.ndarray, "chosen 3"]:
-    """At most `count` of the points, each as far as can be from those before it."""
-    points = points[:: max(1, len(points) // 4096)]
-    chosen = [int(points[:, 2].argmax())]
-    distances = np.linalg.norm(points - points[chosen[0]], axis=-1)
-    while len(chosen) < count and distances.max() > 0:
-        chosen.append(int(distances.argmax()))
-        distances = np.minimum(distances, np.linalg.norm(points - points[chosen[-1]], axis=-1))
-    return points[chosen]
 
 
 def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:

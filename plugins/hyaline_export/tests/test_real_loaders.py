@@ -52,7 +52,7 @@ def check_loader(python: Path, loader: str, form: str, dataset: Dataset, folder:
     rng = np.random.default_rng(0)
     places = {
         item.name: rng.uniform(0, [item.view.camera.width, item.view.camera.height], (NUM_PLACES, 2))
-        for item in source.pictures
+        for item in source.views
     }
     question, answer = folder / "question.npz", folder / "answer.npz"
     np.savez(question, **places)  # pyright: ignore[reportArgumentType]
@@ -67,7 +67,7 @@ def check_loader(python: Path, loader: str, form: str, dataset: Dataset, folder:
     about = json.loads(str(read["about"]))
     listed = {split: sorted(names) for split, names in about["splits"].items()}
     assert listed == {role: sorted(item.name for item in source.of_role(role)) for role in listed}
-    views = {item.name: item for item in source.pictures}
+    views = {item.name: item for item in source.views}
     has_validation = "val" in listed or not listed
     assert set(about["names"]) == {name for name, item in views.items() if has_validation or item.role != "val"}
     for name in about["names"]:

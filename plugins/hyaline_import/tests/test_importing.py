@@ -241,7 +241,7 @@ def test_of_solids_that_overlap_the_inner_one_wins_unless_the_file_gives_priorit
     for index, (name, size, height, *priority) in enumerate(solids):
         entry = {**glass_entry(1.3 + 0.1 * index), "extras": {"priority": priority[0]} if priority else {}}
         add(builder, name, BOX, entry, scale=[size] * 3, translation=[0, height, 0])
-    done = taken(builder.written(tmp_path), "--scale 1 --strict")
+    done = taken(builder.written(tmp_path), "--scale 1")
     record = json.loads((tmp_path / "taken/import.json").read_text())
     told = [line for line in record["notes"] if "overlaps" in line]
     assert told == [f"{line}: it fills the space that they share" for line in notes]
@@ -328,7 +328,6 @@ def test_the_command_writes_a_folder_that_holds_the_scene_and_a_line_for_each_ap
     assert again.status == 1 and "pass --overwrite" in again.error
     assert call("datagen import 'my things.glb' --overwrite --ground never").status == 0
     assert not (root / "meshes" / "ground.ply").exists()
-    assert "leave out --strict" in refused(Path("my things.glb"), "--strict")
 
 
 def test_materials_by_name_override_those_of_the_file_and_a_wrong_name_names_those_that_are_there(
