@@ -35,8 +35,6 @@ DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 LENS_KEYS = ("camera_model", "is_fisheye", "camera_angle_x", "fl_x", "fl_y", "cx", "cy", "w", "h", *DISTORTION)
 PINHOLES = ("PERSPECTIVE", "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 """Camera models, as COLMAP and NeRF tools name them, of pinholes with or without distortion."""
-DISTORTED = "have a distorted lens; drawn as pinholes"
-NOT_SQUARE = "have pixels that are not square; drawn square, as wide as they are"
 
 
 # Writing
@@ -139,36 +137,25 @@ class Transforms:
             raise HyalineError(f"{frame.where}.transform_matrix: {error}") from None
         return pose
 
-    def lens(
-        self,
-        frame: Frame | None = None,
-        *,
-        size: tuple[int, int] | None = None,
-        left_out: list[str] | None = None,
-    ) -> Lens:
+    def lens(self, frame: Frame | None = None, *, size: tuple[int, int] | None = None) -> Lens:
         """The lens of a frame, or that of all frames.
 
         Args:
             size: of the picture, for a file that does not say it; by default the lens is of a picture of one pixel,
                 which fits any shape.
-            left_out: takes a line on each feature that a pinhole with square pixels lacks; without it, these are
-                errors.
         """
         frame = frame or Frame(data={}, where=self.where)
         number = partial(self.number, frame=frame)
         bent = [key for key in DISTORTION if abs(number(key, 0.0)) > 1e-9]
         other = self.other_model(frame)
         focal = number("fl_x", 0.0)
-        is_square = focal <= 0 or abs(number("fl_y", focal) / focal - 1) <= TOLERANCE
-        if left_out is not None:
-            left_out += [DISTORTED] * bool(bent or other) + [NOT_SQUARE] * (not is_square)
-        elif bent or other:
+        if bent or other:
             what = f"camera is not a pinhole camera ({other})" if other else f"lens is distorted ({', '.join(bent)})"
             raise HyalineError(
                 f"{frame.where}: its {what}; expected straight lines, undistort the pictures first (`colmap "
                 "image_undistorter`)"
             )
-        elif not is_square:
+        if focal > 0 and abs(number("fl_y", focal) / focal - 1) > TOLERANCE:
             raise HyalineError(
                 f"{frame.where}: has focal lengths {focal:g} and {number('fl_y', focal):g}; expected square pixels, of "
                 "equal ones"

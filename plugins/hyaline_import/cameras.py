@@ -1,4 +1,4 @@
-"""Cameras of a foreign scene: those of COLMAP or of a transforms file beside the model, and their splits.
+"""Cameras that files list: those of a foreign scene in our splits, and those of COLMAP.
 
 Source: COLMAP's documentation of its output format, and the list of its camera models.
 """
@@ -13,41 +13,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from datagen.data.cameras import TOLERANCE, Camera, Lens
+from datagen.data.cameras import Camera
 from datagen.data.config import MAX_VIEWS
-from datagen.data.transforms import DISTORTED, NOT_SQUARE, read_transforms
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import find_file
 from datagen.scene.description import CameraList
-from hyaline_import.foreign import lens_of, read_foreign
+from hyaline_import.foreign import read_foreign
 from hyaline_import.remarks import Remarks
-
-NAMES = ("transforms.json", "transforms_train.json")
-
-
-def read_camera_file(given: Path, remarks: Remarks) -> tuple[Camera, ...]:
-    """The cameras in a folder or a file, in the axes and units of the model that they belong to."""
-    if given.is_dir() and has_colmap(given):
-        listed = colmap_images(given).values()
-        return tuple(_lens(row, remarks, where=where).camera(pose) for row, pose, where in listed)
-    if given.is_dir():
-        found = next((given / name for name in NAMES if (given / name).is_file()), None)
-        if found is None:
-            raise HyalineError(
-                f"{given}: holds no cameras; expected {' or '.join(NAMES)}, or cameras.bin and images.bin of COLMAP"
-            )
-        given = found
-    if given.suffix.lower() != ".json" or not given.is_file():
-        raise HyalineError(
-            f"--cameras {given}: is not a file; expected around, file, a transforms.json, or a folder of COLMAP's"
-        )
-    file = read_transforms(find_file(given.parent, given.name, where=str(given.parent)))
-    cameras, left_out = [], []
-    for frame in file.frames:
-        cameras.append(file.lens(frame, left_out=left_out).camera(file.pose(frame)))
-    for line in left_out:
-        remarks.approximate("cameras", line)
-    return tuple(cameras)
 
 
 def listed_cameras(
@@ -182,16 +154,6 @@ def _place(root: Path) -> tuple[Path, str] | None:
             if all((root / folder / f"{name}.{ending}").is_file() for name in ("cameras", "images")):
                 return root / folder, ending
     return None
-
-
-def _lens(row: ColmapCamera, remarks: Remarks, *, where: str) -> Lens:
-    numbers, focals = row.values, row.focals
-    if any(abs(value) > 1e-9 for value in numbers[focals + 2 :]):
-        remarks.approximate("cameras", DISTORTED)
-    if abs(numbers[focals - 1] / numbers[0] - 1) > TOLERANCE:
-        remarks.approximate("cameras", NOT_SQUARE)
-    center = numbers[focals], numbers[focals + 1]
-    return lens_of(numbers[0], row.width, row.height, center, where=where)
 
 
 def _world_from_camera(pose: Float[np.ndarray, "7"], *, where: str) -> Float[np.ndarray, "4 4"]:

@@ -32,7 +32,7 @@ from datagen.scene.mending import mend_scene
 from datagen.scene.rig import LIGHT
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
-from hyaline_import.cameras import listed_cameras, read_camera_file
+from hyaline_import.cameras import listed_cameras
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
@@ -268,14 +268,12 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
 
 
 def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) -> CameraRig | CameraList:
-    """Cameras all around, or those that are listed."""
-    asked, remarks = world.choices.cameras, world.remarks
-    if asked == "around":
-        if foreign.cameras:
-            remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
-        return make_rig(objects, remarks)
-    given = foreign.cameras if asked == "file" else read_camera_file(Path(asked), remarks)
-    return listed_cameras(given, world.linear, world.offset, remarks)
+    """Cameras all around, or those of the file."""
+    if world.choices.cameras == "file":
+        return listed_cameras(foreign.cameras, world.linear, world.offset, world.remarks)
+    if foreign.cameras:
+        world.remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
+    return make_rig(objects, world.remarks)
 
 
 def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool) -> SceneObject:

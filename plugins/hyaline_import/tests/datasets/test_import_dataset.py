@@ -308,7 +308,6 @@ def flip(pose: np.ndarray) -> np.ndarray:
     ("line", "written", "question"),
     [
         ("import-dataset {} --mesh {}/glass.ply", flip, r"OpenCV's poses have y and z flipped"),
-        ("import {}/glass.ply --cameras {}", flip, r"OpenCV's poses have y and z flipped"),
         ("import-dataset {} --mesh {}/glass.ply", np.linalg.inv, ""),
     ],
 )
