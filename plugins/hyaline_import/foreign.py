@@ -97,7 +97,6 @@ class ForeignMaterial:
     """The file calls it a thin pane, whatever its mesh."""
     dispersion: float = 0.0
     """20 over the Abbe number."""
-    priority: int = 0
     emission: Color = (0.0, 0.0, 0.0)
     """Radiance that its surface emits to the outside."""
 

@@ -126,7 +126,6 @@ class Mapper:
             ior=foreign.ior,
             absorption=self._absorption(foreign),
             tint=as_vector(np.sqrt(foreign.base_color)),  # Light crosses two surfaces, and then is of that colour.
-            priority=foreign.priority,
             dispersion=dispersion,
         )
         return RoughDielectric(**vars(solid), roughness=alpha) if alpha > SMOOTH_ALPHA else solid

@@ -131,8 +131,7 @@ def _parted_from(small: SceneObject, large: SceneObject, remarks: Remarks, *, gr
 def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
     """The objects with priorities: the smaller of two overlapping solids fills the space that they share.
 
-    It is the one that lies in the other with more of its volume: ice in whiskey, a bubble in glass. Where a file gives
-    priorities, these stay.
+    It is the one that lies in the other with more of its volume: ice in whiskey, a bubble in glass.
     """
     solids = [(item, item.material) for item in objects if isinstance(item.material, Dielectric)]
     solids.sort(key=lambda solid: -signed_volume(solid[0].mesh))
@@ -143,18 +142,15 @@ def nested(objects: list[SceneObject], remarks: Remarks) -> list[SceneObject]:
             if glass == around or not _overlap(small.mesh, large.mesh):
                 continue
             pairs.append((small.name, large.name))
-            if not glass.priority and not around.priority:
-                priorities[small.name] = min(max(priorities[small.name], priorities[large.name] + 1), MAX_PRIORITY)
+            priorities[small.name] = min(max(priorities[small.name], priorities[large.name] + 1), MAX_PRIORITY)
     if len(solids) > MAX_NESTED:
         for small, large in pairs:
             remarks.approximate(
                 small, f"overlaps {large}; of more than {MAX_NESTED} solids, these two are drawn as if they were apart"
             )
         return objects
-    places = {item.name: index for index, item in enumerate(objects)}
-    for pair in pairs:
-        loser, winner = sorted(pair, key=lambda name: (priorities[name], -places[name]))
-        remarks.note(loser, f"overlaps {winner}, which wins: it fills the space that they share")
+    for small, large in pairs:
+        remarks.note(large, f"overlaps {small}, which wins: it fills the space that they share")
     return [
         dataclasses.replace(item, material=dataclasses.replace(item.material, priority=priorities[item.name]))
         if isinstance(item.material, Dielectric)

@@ -143,13 +143,6 @@ class Material(Entry):
     emissive_factor: Color = (0.0, 0.0, 0.0)
     alpha_mode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
     alpha_cutoff: float = 0.5
-    extras: Any = None
-
-
-class Extras(Struct):
-    """What a user may add to a material."""
-
-    priority: Annotated[int, Meta(ge=-9, le=9)] = 0
 
 
 class Extension(Struct, rename="camel"):

@@ -112,7 +112,6 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
     volume = entry.extension(VOLUME)
-    extras = entry.extras if isinstance(entry.extras, dict) else {}
     material = ForeignMaterial(
         name=name,
         base_color=clipped_color(color),
@@ -129,7 +128,6 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         attenuation_color=clipped_color(volume.attenuation_color),
         attenuation_distance=math.inf if volume.attenuation_distance is None else volume.attenuation_distance,
         dispersion=max(entry.extension("KHR_materials_dispersion").dispersion, 0.0),
-        priority=records.read(records.Extras, extras, where=f"{entry.where}.extras").priority,
         emission=_emission(entry, name, remarks),
     )
     return material, use

@@ -231,16 +231,14 @@ def test_a_shell_that_faces_inwards_inside_a_body_of_its_material_is_its_cavity(
             ("a: overlaps b, which wins", "a: overlaps c, which wins", "b: overlaps c, which wins"),
         ),
         ((("a", 0.04, 0.0), ("b", 0.1, 0.1)), (0, 0), ()),
-        ((("a", 0.1, 0.0, 3), ("b", 0.04, 0.0)), (3, 0), ("b: overlaps a, which wins",)),
     ],
 )
-def test_of_solids_that_overlap_the_inner_one_wins_unless_the_file_gives_priorities(
+def test_of_solids_that_overlap_the_inner_one_wins(
     solids: tuple, expected: tuple[int, ...], notes: tuple[str, ...], tmp_path: Path
 ) -> None:
     builder = GltfBuilder()
-    for index, (name, size, height, *priority) in enumerate(solids):
-        entry = {**glass_entry(1.3 + 0.1 * index), "extras": {"priority": priority[0]} if priority else {}}
-        add(builder, name, BOX, entry, scale=[size] * 3, translation=[0, height, 0])
+    for index, (name, size, height) in enumerate(solids):
+        add(builder, name, BOX, glass_entry(1.3 + 0.1 * index), scale=[size] * 3, translation=[0, height, 0])
     done = taken(builder.written(tmp_path), "--scale 1")
     record = json.loads((tmp_path / "taken/import.json").read_text())
     told = [line for line in record["notes"] if "overlaps" in line]

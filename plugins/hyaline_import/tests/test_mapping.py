@@ -57,14 +57,14 @@ def test_attenuation_becomes_absorption_per_metre(tmp_path: Path) -> None:
     ("entry", "expected"),
     [
         (
-            {"extensions": {"KHR_materials_ior": {"ior": 1.33}}, "extras": {"priority": 3}},
-            Dielectric(ior=1.33, priority=3),
+            {"extensions": {"KHR_materials_ior": {"ior": 1.33}}},
+            Dielectric(ior=1.33),
         ),
         ({"pbrMetallicRoughness": clear(roughnessFactor=0.5)}, RoughDielectric(ior=1.5, roughness=0.25)),
         ({"extensions": {"KHR_materials_dispersion": {"dispersion": 0.5}}}, Dielectric(ior=1.5, dispersion=0.5)),
     ],
 )
-def test_index_priority_and_roughness_are_those_of_the_file(entry: dict, expected: Material, tmp_path: Path) -> None:
+def test_index_and_roughness_are_those_of_the_file(entry: dict, expected: Material, tmp_path: Path) -> None:
     extensions = {**glass(), **entry.get("extensions", {})}
     given = {"pbrMetallicRoughness": clear(), **entry, "extensions": extensions}
     assert mapped(foreign(tmp_path, **given)) == (expected, [])
