@@ -37,9 +37,8 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
         if inside := [scored for scored in found if scored.track == track]:
             parts += [f"## Track: {track}\n", "Allowed inputs:\n"]
             parts += [*(f"- {markdown_escaped(told)}" for told in protocol.allowed(track)), ""]
-            grids = (track_grid("all scenes", inside, protocol), _methods_grid(inside, protocol))
-            each = (scene_grid(scored, protocol) for scored in inside)
-            parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in (*grids, *each)]
+            grids = (track_grid("all scenes", inside, protocol), *(scene_grid(scored, protocol) for scored in inside))
+            parts += [grid_text(grid, "markdown", width=TABLE_WIDTH) for grid in grids]
     return "\n".join(parts)
 
 
@@ -162,21 +161,4 @@ def scene_grid(scored: Scored, protocol: Protocol) -> Grid:
         ),
         rows=tuple(rows),
         notes=(f"Submission {scored.submission[:12]}, {packed}scored by {scored.scored_by}.",),
-    )
-
-
-def _methods_grid(found: Sequence[Scored], protocol: Protocol) -> Grid:
-    """Scenes by methods."""
-    rows, best = [], set()
-    for scene in protocol.all_scenes(found[0].preset):
-        values = [each.scenes[scene].psnr_db(ALL) if scene in each.scenes else None for each in found]
-        known = [(value, -column) for column, value in enumerate(values) if value is not None]
-        if known:
-            best |= {(len(rows), 1 - max(known)[1])} if len(known) > 1 else set()
-            rows.append((scene, *(format_number(value, 2) for value in values)))
-    return Grid(
-        title="PSNR of each scene, dB",
-        columns=(Column(group="scene", is_number=False), *(Column(group=scored.name) for scored in found)),
-        rows=tuple(rows),
-        best=frozenset(best),
     )
