@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from statistics import fmean
 
 from datagen.data.config import TEST_SPLITS
-from datagen.disk.errors import HyalineError, shown
+from datagen.disk.errors import HyalineError
 from eval.tables.grids import MISSING, TABLE_WIDTH, Column, Grid, format_number, grid_text, markdown_escaped
 from hyaline_bench.protocol import ALL, Protocol
 from hyaline_bench.score import COSTS, Scored, Summary, summarise
@@ -24,7 +24,7 @@ NOTES = (
 
 def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
     """The page of scored submissions, all of one preset: the tables of each track that has some."""
-    check_comparable(found, protocol)
+    check_comparable(found)
     preset = found[0].preset
     parts = [
         f"# hyaline-bench {protocol.version}, {preset}\n",
@@ -42,18 +42,11 @@ def results_page(found: Sequence[Scored], protocol: Protocol) -> str:
     return "\n".join(parts)
 
 
-def check_comparable(found: Sequence[Scored], protocol: Protocol) -> None:
-    """Raises a HyalineError unless all were scored by this protocol on the same datasets of one preset.
+def check_comparable(found: Sequence[Scored]) -> None:
+    """Raises a HyalineError unless all were scored on the same datasets.
 
     Digests change with the format of datasets, so those of different versions are not compared.
     """
-    preset = found[0].preset
-    for scored in found:
-        if (scored.version, scored.preset) != (protocol.version, preset):
-            raise HyalineError(
-                f"{scored.name}: was scored with protocol {scored.version} at {shown(scored.preset)}; expected "
-                f"{protocol.version} at {preset}, as the others"
-            )
     digests: dict[tuple[str, str], str] = {}
     for scored in found:
         for scene, result in scored.scenes.items():

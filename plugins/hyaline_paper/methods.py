@@ -68,7 +68,7 @@ class DeepVoxelsConfig(MethodConfig):
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
     plane_size: int = unflagged(64)
-    """Width and height on which features are lifted and projected: a power of two, at most the pictures' size. Each
+    """Width and height on which features are lifted and projected: a power of two below the pictures' size. Each
     halving from the pictures to it is a stage of the feature extractor, and one of the rendering network."""
     voxel_features: int = unflagged(64, limits=(1, 4096))
     width: int = unflagged(64, limits=(2, 4096))
@@ -102,8 +102,7 @@ class DeepVoxelsConfig(MethodConfig):
                 f"resolution: is {resolution}; deepvoxels needs square pictures whose width is a power of two, "
                 f"so build the dataset with --resolution {max(16, 2 ** round(math.log2(side)))}"
             )
-        plane_size = min(self.plane_size, side)
-        return dataclasses.replace(self, image_size=side, plane_size=plane_size)
+        return dataclasses.replace(self, image_size=side, plane_size=min(self.plane_size, side // 2))
 
 
 @dataclass(frozen=True, kw_only=True)

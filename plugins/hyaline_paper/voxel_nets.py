@@ -32,11 +32,7 @@ class Unet(nn.Module):
         num_down: int,
         max_channels: int,
         dropout: float = 0.0,
-        is_linear: bool = False,
     ) -> None:
-        """Args:
-        is_linear: the output convolution has a bias and neither norm nor ReLU.
-        """
         super().__init__()
         self.before = nn.Sequential(*conv(dims, num_inputs, width, activation=nn.LeakyReLU(0.2), dropout=dropout))
         widths = [min(width * 2**depth, max_channels) for depth in range(num_down)]
@@ -46,10 +42,7 @@ class Unet(nn.Module):
             block = _Skip(dims, widths[depth], inner, block, dropout=dropout)
         assert block is not None, "a U-Net has at least one stage"
         self.stages = block
-        if is_linear:
-            self.after = nn.Sequential(*conv(dims, 2 * width, num_outputs, activation=None, is_normed=False))
-        else:
-            self.after = nn.Sequential(*conv(dims, 2 * width, num_outputs, activation=nn.ReLU(), dropout=dropout))
+        self.after = nn.Sequential(*conv(dims, 2 * width, num_outputs, activation=nn.ReLU(), dropout=dropout))
 
     def forward(self, x: Tensor) -> Tensor:
         return self.after(self.stages(self.before(x)))
@@ -153,10 +146,7 @@ Volume = Float32[Tensor, "1 c z y x"]
 
 
 def feature_extractor(*, width: int, num_outputs: int, num_halvings: int, plane_size: int) -> nn.Sequential:
-    """Picture to feature map: halvings that double the channels, then a U-Net down to one pixel.
-
-    Without a halving, which the authors' code cannot build, the U-Net sees the picture itself.
-    """
+    """Picture to feature map: halvings that double the channels, then a U-Net down to one pixel."""
     channels = [width * 2**stage for stage in range(num_halvings)]
     stages = [
         halve(2, channels[stage - 1] if stage else 3, after, middle=0 if stage else after)
@@ -166,9 +156,9 @@ def feature_extractor(*, width: int, num_outputs: int, num_halvings: int, plane_
         *stages,
         Unet(
             2,
-            channels[-1] if channels else 3,
+            channels[-1],
             num_outputs,
-            width=channels[-1] if channels else width,
+            width=channels[-1],
             num_down=int(math.log2(plane_size)),
             max_channels=8 * width,
         ),
@@ -182,15 +172,12 @@ def rendering_network(
     unet = Unet(
         2,
         num_inputs,
-        4 * width if num_doublings else 3,
+        4 * width,
         width=width * 2**num_doublings,
         num_down=int(math.log2(plane_size)),
         max_channels=8 * width,
         dropout=dropout,
-        is_linear=num_doublings == 0,
     )
-    if not num_doublings:
-        return nn.Sequential(unet, nn.Tanh())
     return nn.Sequential(
         unet,
         *(double(2, 4 * width if stage == 0 else width, width, dropout=dropout) for stage in range(num_doublings)),

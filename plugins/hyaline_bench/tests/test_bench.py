@@ -213,9 +213,9 @@ def test_scores_on_another_dataset_of_a_scene_do_not_enter_a_table(predicted: Pa
     scored = read_scored(MEAN)
     scene = dataclasses.replace(scored.scenes["synthetic"], dataset="0" * 64)
     other = dataclasses.replace(scored, name="other", scenes={**scored.scenes, "synthetic": scene})
-    check_comparable([scored, dataclasses.replace(scored, name="again")], small_protocol)
+    check_comparable([scored, dataclasses.replace(scored, name="again")])
     with pytest.raises(HyalineError, match="other: was scored on another dataset of synthetic"):
-        check_comparable([scored, other], small_protocol)
+        check_comparable([scored, other])
 
 
 # Tracks

@@ -280,7 +280,7 @@ def test_the_command_trains_the_small_preset_on_a_cpu(tmp_path: Path) -> None:
     assert answer.status == 0 and "no layers" in answer.err
     run = json.loads((out / "run.json").read_text())
     assert run["config"]["lr"] == 2e-3 and run["config"]["batch"] == 2
-    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 32)
+    assert (run["config"]["net"]["width"], run["config"]["net"]["plane_size"]) == (16, 16)
     assert read_png(out / "predictions/extrapolating/0001.png").shape == (32, 32, 3)
     answer = call(f"model predict {out} --variant remove:pane")
     assert "method deepvoxels uses no geometry, so it cannot draw an edit" in answer.err
