@@ -53,8 +53,6 @@ class FactorImage:
     """0 is red, 3 alpha."""
     lies_as_color: bool = True
     """It is looked up in the uv of the surface; else only its mean is known."""
-    is_glossiness: bool = False
-    """It multiplies 1 - factor."""
 
 
 @dataclass(frozen=True, kw_only=True)

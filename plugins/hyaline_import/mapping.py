@@ -75,7 +75,7 @@ class Mapper:
             mean = round(float(np.average(seen, weights=areas)), 2)
             spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
             factor: float = getattr(foreign, use.factor)
-            factors[use.factor] = 1 - (1 - factor) * mean if use.is_glossiness else factor * mean
+            factors[use.factor] = factor * mean
         told = " and ".join(f"{name} {value:.2f}" for name, value in factors.items())
         if spread > UNIFORM:
             self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")

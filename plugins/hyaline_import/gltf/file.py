@@ -155,12 +155,6 @@ class Extension(Struct, rename="camel"):
     tex_coord: Channel | None = None
     # EXT_texture_webp
     source: Index | None = None
-    # KHR_materials_pbrSpecularGlossiness
-    diffuse_factor: Quaternion = (1.0, 1.0, 1.0, 1.0)
-    diffuse_texture: Use | None = None
-    specular_factor: Color = WHITE
-    glossiness_factor: float = 1.0
-    specular_glossiness_texture: Use | None = None
     # KHR_materials_transmission, _volume
     transmission_factor: float = 0.0
     transmission_texture: Use | None = None

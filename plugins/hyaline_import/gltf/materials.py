@@ -23,20 +23,16 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.gltf import file as records
 from hyaline_import.gltf.file import GltfFile
-from hyaline_import.pictures import decoded
 from hyaline_import.remarks import Remarks
 
 READ = {
-    f"KHR_materials_{name}"
-    for name in ("dispersion", "emissive_strength", "ior", "pbrSpecularGlossiness", "transmission", "unlit", "volume")
+    f"KHR_materials_{name}" for name in ("dispersion", "emissive_strength", "ior", "transmission", "unlit", "volume")
 }
 """Extensions of a material that are read."""
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
 VOLUME = "KHR_materials_volume"
-LEAST_METAL = 0.25
-"""Reflectance at normal incidence that only metals have; a diamond has 0.17."""
 ROUNDING = 1e-4
 """Largest distance of uv from an image's edge, in images, that counts as rounding."""
 
@@ -67,6 +63,10 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         return PLAIN, None
     entry = file.item(file.root.materials, index, where=str(file.path))
     name = entry.name or f"material_{index}"
+    if GLOSS in entry.extensions:
+        advice = "`npx @gltf-transform/cli metalrough IN OUT` converts it"
+        remarks.approximate(name, f"is of the withdrawn specular-glossiness model; drawn grey and matt, {advice}")
+        return replace(PLAIN, name=name), None
     pbr = entry.pbr_metallic_roughness
     *color, alpha = pbr.base_color_factor
     metallic, roughness = 1.0 if pbr.metallic_factor is None else pbr.metallic_factor, pbr.roughness_factor
@@ -74,20 +74,6 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
     others: list[tuple[Factor, records.Use, int]] = []
     if (shared := pbr.metallic_roughness_texture) is not None:
         others = [("metallic", shared, 2), ("roughness", shared, 1)]
-    if is_gloss := GLOSS in entry.extensions:
-        gloss = entry.extension(GLOSS)
-        *color, alpha = gloss.diffuse_factor
-        metallic, roughness, texture, others = 0.0, 1 - clipped(gloss.glossiness_factor), gloss.diffuse_texture, []
-        specular = np.clip(gloss.specular_factor, 0, 1)
-        if (shiny := gloss.specular_glossiness_texture) is not None:
-            others = [("roughness", shiny, 3)]
-            if (shown := _texture(file, shiny, name, remarks)[0]) is not None:
-                specular *= decoded(shown)[..., :3].mean(axis=(0, 1))
-        what = "plastic of its diffuse colour"
-        if specular.max() > LEAST_METAL:
-            color, metallic, texture = specular.tolist(), 1.0, None
-            what = "metal of its specular colour"
-        remarks.approximate(name, f"is of the specular-glossiness model; drawn as {what}")
     if "KHR_materials_unlit" in entry.extensions:
         metallic, roughness, others = 0.0, 1.0, []
         remarks.approximate(name, "is unlit; drawn as a matt surface that light falls on")
@@ -106,8 +92,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         found, own_use = _texture(file, other, name, remarks)
         if found is not None:
             use = use or own_use
-            kind = FactorImage(factor=factor, image=found, channel=channel, lies_as_color=own_use == use)
-            factor_images.append(replace(kind, is_glossiness=is_gloss and factor == "roughness"))
+            factor_images.append(FactorImage(factor=factor, image=found, channel=channel, lies_as_color=own_use == use))
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
@@ -136,7 +121,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
 def _ior(entry: records.Material, name: str) -> float:
     if "KHR_materials_unlit" in entry.extensions and TRANSMISSION not in entry.extensions:
         return 1.0
-    # 0 is the extension's word for a surface that mirrors all, as one of the specular-glossiness model may.
+    # 0 is the extension's word for a surface that mirrors all.
     ior = entry.extension("KHR_materials_ior").ior or 1.5
     if not 1 <= ior < 10:
         raise HyalineError(f"{entry.where}: material {name} has an index of refraction of {ior:g}; expected 1 to 10")
