@@ -115,8 +115,6 @@ class World:
     offset: Float[np.ndarray, "3"]
     mapper: Mapper
     choices: ImportChoices
-    thins_open: bool = False
-    """Glass on an open mesh, which light could never leave, becomes thin; otherwise it is an error."""
 
     @property
     def remarks(self) -> Remarks:
@@ -296,12 +294,7 @@ def scene_object(name: str, part: ForeignObject, world: World, chosen: Material 
         is_closed = open_edges(mesh) == 0
         material = world.mapper.material(material, is_closed=is_closed, has_uv=has_uv, where=name)
     if material.medium is not None and (count := open_edges(mesh)):
-        if not world.thins_open:
-            raise HyalineError(
-                f"{name}: has {count} open edges, and glass must be closed; --repair closes holes, and --material "
-                f"'{name}=thin-glass' draws it as a thin pane"
-            )
-        remarks.approximate(name, f"is not closed ({count} open edges); taken for thin glass, close it in a modeller")
+        remarks.approximate(name, f"has {count} open edges; drawn as thin glass, close it by `datagen import --repair`")
         material = ThinDielectric(ior=material.surface().ior)
     if choices.crease is not None:
         mesh = with_new_normals(mesh, crease_deg=choices.crease)

@@ -158,7 +158,6 @@ def _save_scene(folder: Path, name: str, cameras: dict[Split, Cameras], choices:
         offset=np.zeros(3),
         mapper=Mapper(metres=choices.scale, remarks=remarks),
         choices=ImportChoices(),
-        thins_open=True,
     )
     parts: list[tuple[str, ForeignObject]] = []
     for file in choices.mesh:

@@ -185,7 +185,7 @@ def test_a_mesh_for_pictures_may_have_quads_and_be_open_and_one_that_is_not_read
     solid, pane = load_scene(tmp_path / "out" / "scene", is_checked=True).objects
     assert signed_volume(solid.mesh) == pytest.approx(8 * math.sin(2 * math.pi / 8), rel=1e-5)
     assert pane.material == ThinDielectric(ior=1.5)
-    assert "open: is not closed (3 open edges); taken for thin glass" in answer.err
+    assert "open: has 3 open edges; drawn as thin glass" in answer.err
     answer = call(f"{command}/prism.ply --material prsm=gold --out {tmp_path / 'no'}")
     assert "no object 'prsm'; did you mean 'prism'? Choose from prism" in answer.error
 
