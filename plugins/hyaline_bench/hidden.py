@@ -77,6 +77,8 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     Args:
         name: what the scene is called from now on, such as hidden-0.
     """
+    from datagen.builder.build import peel_dataset  # With a ray tracer, which scoring does not need.
+
     preset = source.config.preset
     choose("scene", name, protocol.hidden_scenes(preset))
     if source.imported is not None or source.parent is not None:
@@ -94,15 +96,9 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     for root, is_truth in ((public, False), (truth, True)):
         with holding(root, DATASET):
             made = _write(root, source, published, files, is_truth=is_truth)
-        _peel(made, num_layers)
+        peel_dataset(made, TRUTH, num_layers=num_layers, overwrite=False)
         say(f"{root}: dataset {made.seal[:12]}, {'with' if is_truth else 'without'} the truth of its test views")
     return public, truth
-
-
-def _peel(made: Dataset, num_layers: int) -> None:
-    from datagen.builder.build import peel_dataset  # With a ray tracer, which scoring does not need.
-
-    peel_dataset(made, TRUTH, num_layers=num_layers, overwrite=False)
 
 
 def without_colours(scene: Scene, name: str) -> Scene:

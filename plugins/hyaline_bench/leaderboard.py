@@ -107,7 +107,7 @@ def _row(scored: Scored, others: Sequence[str], protocol: Protocol) -> tuple[str
         *(format_number(None if column is None else column.mean, 2) for column in columns),
         *_cost_cells(scored),
         ", ".join(map(str, seeds)) or MISSING,
-        scored.code,
+        scored.packed_by or scored.scored_by,
     )
 
 

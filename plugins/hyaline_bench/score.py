@@ -44,8 +44,6 @@ COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
 MEAN_ABOVE_CEILING, ABOVE_CEILING = 1.0, 3.0
 """dB by which a split's mean and a single picture's score may exceed the noise ceiling, which is an estimate. Against
 pictures of 64 times the samples, those of `pool` with 32 x 32 pixels are off by 0.6 dB (standard deviation)."""
-MAX_WORDS = 200
-"""Characters of a run's texts that scores repeat."""
 
 
 # Submissions
@@ -180,11 +178,6 @@ class Scored:
     truths: str = ""
     """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
 
-    @property
-    def code(self) -> str:
-        """The version that tables name."""
-        return self.packed_by or self.scored_by
-
 
 @dataclass(frozen=True, kw_only=True)
 class Summary:
@@ -228,8 +221,8 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
         preset=preset,
         name=first.name,
         track=track,
-        method=None if first.record.method is None else first.record.method[:MAX_WORDS],
-        knowledge=None if first.record.knowledge is None else first.record.knowledge[:MAX_WORDS],
+        method=first.record.method,
+        knowledge=first.record.knowledge,
         submission=sha256(b"".join(pictures)),
         scored_by=code_version(),
         scenes={scene: _score_scene(run, parts[scene]) for scene, run in every},

@@ -227,7 +227,8 @@ def with_cavities(parts: tuple[ForeignObject, ...], remarks: Remarks) -> tuple[F
             and parts[outer].material == parts[inner].material
             and (windings(corners[outer], parts[inner].positions[:MOST_POINTS]) > 0).all()
         ]
-        if around and _is_closed(parts[inner]):
+        mesh = mesh_of(parts[inner].positions, parts[inner].faces, None, None, where=parts[inner].name)
+        if around and 0 in (open_edges(mesh), open_edges(seams_joined(mesh)[0])):
             cavities.setdefault(min(around, key=lambda outer: volumes[outer]), []).append(inner)
     for outer, inside in cavities.items():
         names = ", ".join(parts[inner].name for inner in inside)
@@ -238,11 +239,6 @@ def with_cavities(parts: tuple[ForeignObject, ...], remarks: Remarks) -> tuple[F
         for index, part in enumerate(parts)
         if index not in within
     )
-
-
-def _is_closed(part: ForeignObject) -> bool:
-    mesh = mesh_of(part.positions, part.faces, None, None, where=part.name)
-    return open_edges(mesh) == 0 or open_edges(seams_joined(mesh)[0]) == 0
 
 
 def joined(group: Sequence[ForeignObject]) -> ForeignObject:

@@ -197,7 +197,8 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         parts = merged_by_material(parts, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
     check_overrides(overrides, names)
-    low, high = _box(parts)
+    points = np.concatenate([part.positions[np.unique(part.faces)] for part in parts])
+    low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
     if not 1e-30 < size < 1e30:
         raise HyalineError(f"{path.name}: is {size:g} units large; expected a scene that has a size")
@@ -310,12 +311,6 @@ def _lamps(name: str, part: ForeignObject, world: World) -> tuple[RectangleLight
         return ()
     world.remarks.approximate(name, "emits light; drawn as the sides of a box around it, which shine as much in all")
     return glowing(world.mesh(name, part), emission)
-
-
-def _box(parts: tuple[ForeignObject, ...]) -> Float[np.ndarray, "2 3"]:
-    """The corners of the box around all faces."""
-    points = [part.positions[np.unique(part.faces)] for part in parts]
-    return np.array([np.min([p.min(axis=0) for p in points], axis=0), np.max([p.max(axis=0) for p in points], axis=0)])
 
 
 def unique_names(names: list[str]) -> list[str]:

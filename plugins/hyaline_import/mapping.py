@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from jaxtyping import Float
 
+from datagen.data.images import png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import Mesh
 from datagen.disk.storage import file_name
 from datagen.scene.materials import (
@@ -27,9 +28,10 @@ from datagen.scene.materials import (
     ThinDielectric,
     as_vector,
 )
+from datagen.scene.shading_normals import unit
 from datagen.scene.substances import MAX_DISPERSION
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
-from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, linear_png, mean_color, stored, values_on
+from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, mean_color, stored, values_on
 from hyaline_import.remarks import Remarks
 
 MIN_ALPHA = 0.001
@@ -44,8 +46,6 @@ METAL_ENOUGH = 0.5
 """Share of its light that rough metal must be able to mirror; other renderers give back what ours loses."""
 MIN_TRANSMITTANCE = 1e-4
 """Least share of a channel after the attenuation distance; 0 would mean infinite absorption."""
-UNIFORM = 0.05
-"""Standard deviation of an image's values over a surface up to which they are one value."""
 ANGLES, POINTS = 64, 32
 """Directions that light comes from, and facets a side of the square that each of them meets."""
 
@@ -65,7 +65,6 @@ class Mapper:
         if not foreign.factor_images:
             return foreign
         factors: dict[str, float] = {}
-        spread = 0.0
         for use in foreign.factor_images:
             values = stored(use.image)[..., use.channel] / 255
             seen, areas = values.reshape(-1), np.ones(values.size)
@@ -73,14 +72,10 @@ class Mapper:
                 seen, areas = values_on(mesh, values)
             # Rounded, so that objects that differ by nothing that one sees share their images.
             mean = round(float(np.average(seen, weights=areas)), 2)
-            spread = max(spread, float(np.average((seen - mean) ** 2, weights=areas)) ** 0.5)
             factor: float = getattr(foreign, use.factor)
             factors[use.factor] = factor * mean
         told = " and ".join(f"{name} {value:.2f}" for name, value in factors.items())
-        if spread > UNIFORM:
-            self.remarks.approximate(where, f"its image varies over the surface; drawn with the mean: {told}")
-        else:
-            self.remarks.note(where, f"from its image: {told}")
+        self.remarks.approximate(where, f"has images of its factors; drawn with their means: {told}")
         return dataclasses.replace(foreign, factor_images=(), **factors)
 
     def material(self, foreign: ForeignMaterial, *, is_closed: bool, has_uv: bool, where: str) -> Material:
@@ -104,7 +99,7 @@ class Mapper:
             return ThinDielectric(ior=foreign.ior, tint=(red, green, blue))
         if foreign.transmission > 0:
             told(f"is drawn opaque, and lets no light through (transmission {foreign.transmission:.2g})")
-        return self._opaque(foreign, told, where=where)
+        return self._opaque(foreign, told)
 
     def _glass(self, foreign: ForeignMaterial, told: Callable[[str], None], *, is_closed: bool, where: str) -> Material:
         alpha, dispersion = min(foreign.roughness**2, 1.0), min(foreign.dispersion, MAX_DISPERSION)
@@ -139,7 +134,7 @@ class Mapper:
         )
         return red, green, blue
 
-    def _opaque(self, foreign: ForeignMaterial, told: Callable[[str], None], *, where: str) -> Material:
+    def _opaque(self, foreign: ForeignMaterial, told: Callable[[str], None]) -> Material:
         alpha = max(foreign.roughness**2, MIN_ALPHA)
         if 0.1 < foreign.metallic < 0.9:
             kind = "metal" if foreign.metallic >= 0.5 else "no metal"
@@ -159,8 +154,6 @@ class Mapper:
             if shown.sum() >= BRIGHT_ENOUGH * wanted.sum():
                 return Plastic(color=self._reflectance(foreign, coat.base_of), ior=foreign.ior, roughness=alpha)
             told("is brighter than a base below so rough a coat can be; drawn matt, as bright as with its highlight")
-        elif coat.mirrored > 0 and foreign.roughness < 1:
-            self.remarks.note(where, "its sheen, of a roughness of 0.6 or more, is drawn as matt light")
         return Diffuse(color=self._reflectance(foreign, coat.with_mirrored))
 
     def _reflectance(
@@ -174,7 +167,7 @@ class Mapper:
         if key not in self._paths:
             # Two materials may have one name.
             self._paths[key] = f"textures/{len(self._paths)}_{file_name(foreign.name)[:60]}.png"
-            self.images[self._paths[key]] = linear_png(colors)
+            self.images[self._paths[key]] = png_bytes(to_8bit(srgb_from_linear(colors)))
         return ImageTexture(path=self._paths[key])
 
 
@@ -247,7 +240,7 @@ def _shares(eta: float, alpha: float) -> tuple[float, float]:
     cosine = (np.arange(ANGLES) + 0.5)[:, None, None] / ANGLES
     u, v = np.meshgrid((np.arange(POINTS) + 0.5) / POINTS, (np.arange(POINTS) + 0.5) / POINTS)
     wi = np.stack(np.broadcast_arrays(np.sqrt(1 - cosine**2), 0.0, cosine), axis=-1)
-    stretched = _unit(wi * (alpha, alpha, 1))
+    stretched = unit(wi * (alpha, alpha, 1))
     # A point of the disk that is seen along the stretched direction.
     radius, angle = np.sqrt(u), 2 * np.pi * v
     x, y = radius * np.cos(angle), radius * np.sin(angle)
@@ -260,7 +253,7 @@ def _shares(eta: float, alpha: float) -> tuple[float, float]:
         + y[..., None] * np.cross(stretched, across)
         + np.sqrt(np.maximum(1 - x**2 - y**2, 0))[..., None] * stretched
     )
-    m = _unit(np.concatenate([alpha * facet[..., :2], np.maximum(facet[..., 2:], 1e-6)], axis=-1))
+    m = unit(np.concatenate([alpha * facet[..., :2], np.maximum(facet[..., 2:], 1e-6)], axis=-1))
     cos_i = np.clip((wi * m).sum(axis=-1), 0, 1)
     cos_t = np.sqrt(np.maximum(1 - (1 - cos_i**2) / eta**2, 0))
     with np.errstate(invalid="ignore"):
@@ -273,10 +266,6 @@ def _shares(eta: float, alpha: float) -> tuple[float, float]:
         float((weights * fresnel * _unshadowed(mirrored, alpha)).sum()),
         float((weights * (1 - fresnel) * _unshadowed(refracted, alpha)).sum()),
     )
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def _unshadowed(cosine: np.ndarray, alpha: float) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float32, Int64, UInt8
 
-from datagen.data.images import linear_from_srgb, png_bytes, srgb_from_linear, to_8bit
+from datagen.data.images import linear_from_srgb, srgb_from_linear
 from datagen.data.meshes import MIN_AREA, Mesh, face_areas, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.images import opened_image
@@ -176,11 +176,6 @@ def values_on(
     )
     seen = values[np.minimum(row, height - 1), np.minimum(column, width - 1)].astype(np.float64)
     return seen, np.repeat(face_areas(mesh), len(INSIDE)) + np.finfo(np.float32).tiny  # So that some of them count.
-
-
-def linear_png(pixels: Float[np.ndarray, "tex_h tex_w 3"]) -> bytes:
-    """The sRGB PNG of linear colours."""
-    return png_bytes(to_8bit(srgb_from_linear(pixels)))
 
 
 @functools.lru_cache(maxsize=256)

@@ -119,7 +119,8 @@ def _room(radius: float, below: float, rng: np.random.Generator) -> Backdrop:
         rounded_box((0.06, 2.55 * far - GAP, tall), bevel=0.004), (-far - 0.03, -0.275 * far - GAP / 2, middle)
     )
     paper = pattern(rng.uniform(0.2, 0.4) * radius, rng=rng)
-    plain = _muted(pick(color_pair(rng=rng), rng=rng))
+    red, green, blue = (round(0.5 * channel + 0.5 * 0.4, 3) for channel in pick(color_pair(rng=rng), rng=rng))
+    plain = red, green, blue  # Half way to a middle grey.
     papers = [paper, plain] if rng.random() < 0.5 else [plain, paper]
     size = 1.1 * radius
     panel = moved(rounded_box((size, 0.02, size), bevel=0.004), (-0.2 * far, far - 0.03, below + 0.02 + size / 2))
@@ -177,12 +178,6 @@ def _disc(name: str, radius: float, top: float, material: Plastic) -> SceneObjec
 
 def _turned_sky(rng: np.random.Generator) -> EnvironmentMap:
     return EnvironmentMap(path=SKY_PATH, rotation_deg=round(rng.uniform(0, 360), 1))
-
-
-def _muted(color: tuple[float, float, float]) -> tuple[float, float, float]:
-    """A wall's colour: half way to a middle grey."""
-    red, green, blue = (round(0.5 * channel + 0.5 * 0.4, 3) for channel in color)
-    return red, green, blue
 
 
 HEIGHT = 256

@@ -18,6 +18,7 @@ from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
 from datagen.scene.materials import Color, as_vector
 from datagen.scene.modelling import ball, sheet
+from datagen.scene.shading_normals import unit
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
@@ -172,7 +173,7 @@ def _up(sensors: list[Node]) -> Axis:
     """The axis that is up in the pictures of the cameras; Mitsuba's own examples have y by default."""
     if not sensors:
         return "y"
-    ups = np.abs(_unit(np.array([node.matrix("to_world")[:3, 1] for node in sensors])).sum(axis=0))
+    ups = np.abs(unit(np.array([node.matrix("to_world")[:3, 1] for node in sensors])).sum(axis=0))
     axes: tuple[Axis, Axis, Axis] = ("x", "y", "z")
     return axes[int(ups.argmax())]
 
@@ -204,10 +205,6 @@ def read_shape(node: Node, remarks: Remarks) -> list[ForeignObject]:
             normals = np.array(trimesh.Trimesh(positions, faces, process=False).vertex_normals)
         found.append(replace(item, positions=positions, faces=faces, normals=normals, crease_deg=crease_deg))
     return found
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-30)
 
 
 def _file(node: Node, remarks: Remarks) -> list[ForeignObject]:

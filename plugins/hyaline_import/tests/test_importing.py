@@ -389,6 +389,6 @@ def test_an_image_that_makes_a_part_of_a_surface_metal_is_averaged_and_told(tmp_
     found = import_scene(builder.written(tmp_path), ImportChoices())
     kinds = {item.name: type(item.material) for item in found.scene.objects}
     assert kinds == {"most": Conductor, "some": Plastic, "apart": Conductor, "ground": Diffuse}
-    told = {line.where: line.what for line in found.remarks if "varies" in line.what and line.is_approximation}
-    assert told["apart"].endswith("drawn with the mean: metallic 0.50 and roughness 0.60")
+    told = {line.where: line.what for line in found.remarks if "has images of its factors" in line.what}
+    assert told["apart"].endswith("drawn with their means: metallic 0.50 and roughness 0.60")
     assert set(told) == {"most", "some", "apart"}
