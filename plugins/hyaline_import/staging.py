@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from datagen.data.config import Resolution
 from datagen.data.meshes import Mesh, face_corners, normals_of, open_edges, points_on
@@ -57,7 +57,7 @@ def has_ground(objects: Sequence[SceneObject]) -> bool:
     around = np.array([[1.2, 1.2], [1.2, -1.2], [-1.2, 1.2], [-1.2, -1.2]])
     origins = np.concatenate([middle[:2] + around * half[:2], np.full((4, 1), middle[2])], axis=-1)
     downwards = np.tile([0.0, 0.0, -1.0], (4, 1))
-    return int(np.isfinite(_distances(_opaque(objects), origins, downwards)).sum()) >= 3
+    return int(_meets_opaque(objects, origins, downwards, within=np.inf).sum()) >= 3
 
 
 def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remarks: Remarks) -> SceneObject:
@@ -95,33 +95,25 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
 
 def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
     """Cameras around the glass, on the side from which nothing opaque hides it."""
-    low, high = subject_box(objects)
-    rig = rig_around(objects)
-    reach = float(np.linalg.norm(high - low)) / 2
-    arc = _open_arc(objects, np.array(rig.target), reach, rig.radius, remarks)
-    return rig_around(objects, azimuth_deg=arc)
+    return rig_around(objects, azimuth_deg=_open_arc(objects, remarks))
 
 
-def _open_arc(
-    objects: Sequence[SceneObject],
-    target: Float[np.ndarray, "3"],
-    reach: float,
-    radius: float,
-    remarks: Remarks,
-) -> tuple[float, float]:
+def _open_arc(objects: Sequence[SceneObject], remarks: Remarks) -> tuple[float, float]:
     """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
+    low, high = subject_box(objects)
+    reach = float(np.linalg.norm(high - low)) / 2
     glass = [item.mesh for item in objects if item.material.is_glass]
     # A backdrop may be close behind a wide row of glass, so rays begin at the glass itself.
-    points = points_on(merged(glass), WATCHED_POINTS).position if glass else target[None]
+    points = points_on(merged(glass), WATCHED_POINTS).position if glass else (low + high)[None] / 2
     begin = (0.02 if glass else 1.05) * reach
     step = 10
     azimuths = FRONT_DEG + np.arange(0, 360, step)
     directions = np.array([towards(a, e) for a in azimuths for e in (8.0, 45.0)])
     origins = (points + begin * directions[:, None]).reshape(-1, 3)
-    distances = _distances(_opaque(objects), origins, directions.repeat(len(points), axis=0))
-    is_seen = (distances > radius - begin).reshape(len(azimuths), -1)
+    far = rig_around(objects).radius - begin
+    is_hidden = _meets_opaque(objects, origins, directions.repeat(len(points), axis=0), within=far)
     # Some of the points are on the back of the glass, and may be in the wall behind it.
-    is_open = is_seen.mean(axis=-1) >= 0.5
+    is_open = is_hidden.reshape(len(azimuths), -1).mean(axis=-1) <= 0.5
     # Things among the glass hide it only here and there.
     if (~is_open).sum() * step < MIN_BACKDROP_DEG:
         return ALL_AROUND
@@ -138,18 +130,18 @@ def _open_arc(
     return first, last
 
 
-def _opaque(objects: Sequence[SceneObject]) -> Float[np.ndarray, "face 3 3"]:
+def _meets_opaque(
+    objects: Sequence[SceneObject],
+    origins: Float[np.ndarray, "ray 3"],
+    directions: Float[np.ndarray, "ray 3"],
+    *,
+    within: float,
+) -> Bool[np.ndarray, " ray"]:
+    """Whether each ray meets something opaque within this distance."""
     opaque = [face_corners(item.mesh) for item in objects if not item.material.is_glass]
-    return np.concatenate(opaque).astype(np.float64) if opaque else np.zeros((0, 3, 3))
-
-
-def _distances(
-    corners: Float[np.ndarray, "face 3 3"], origins: Float[np.ndarray, "ray 3"], directions: Float[np.ndarray, "ray 3"]
-) -> Float[np.ndarray, " ray"]:
-    """Metres along each ray to the first face; infinite where it meets none."""
-    found = np.full(len(origins), np.inf)
-    for line, _, distance in crossings(corners, origins, directions):
-        np.minimum.at(found, line[distance > 0], distance[distance > 0])
+    found = np.zeros(len(origins), bool)
+    for line, _, distance in crossings(np.concatenate([np.zeros((0, 3, 3)), *opaque]), origins, directions):
+        found[line[(distance > 0) & (distance <= within)]] = True
     return found
 
 
