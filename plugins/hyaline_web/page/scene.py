@@ -12,6 +12,7 @@ from typing import Literal, cast
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int32, Shaped, UInt16, UInt32
+from scipy.ndimage import binary_dilation
 from torch import Tensor
 
 from datagen.data.dataset import Dataset
@@ -97,7 +98,7 @@ class Packed:
 
 
 def fold_normals(normals: Float32[np.ndarray, "vertex 3"]) -> Float32[np.ndarray, "vertex 2"]:
-    """Unit vectors as points of an unfolded octahedron (as `data.number_formats.encode_directions`), in floats."""
+    """Unit vectors as points of an unfolded octahedron, in floats."""
     d = normals.astype(np.float64)
     d /= np.abs(d).sum(axis=1, keepdims=True)
     folded = (1 - np.abs(d[:, [1, 0]])) * np.where(d[:, :2] >= 0, 1, -1)
@@ -215,11 +216,7 @@ def touched_texels(mesh: Mesh, size: int) -> Bool[np.ndarray, " texel"]:
         for part in np.array_split(chosen, -(-len(chosen) * len(shares) // 1_000_000)):
             places = np.clip(np.floor(np.einsum("pk,fkc->fpc", shares, part) * size), 0, size - 1).astype(int) + 1
             touched[places[..., 1], places[..., 0]] = True
-    wider = np.zeros_like(touched)
-    for down in (-1, 0, 1):
-        for right in (-1, 0, 1):
-            wider |= np.roll(touched, (down, right), axis=(0, 1))
-    return wider[1:-1, 1:-1].ravel()
+    return binary_dilation(touched, np.ones((3, 3)))[1:-1, 1:-1].ravel()
 
 
 def _summed(textures: NeuralTextures | TexturePyramid, texture: int, size: int) -> Tensor:
