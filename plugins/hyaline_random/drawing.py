@@ -124,7 +124,8 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
     things = _with_own_names(spread_out(family.draw(rng), rng=rng))
     check_inside(things, where=f"scene {name}")
     objects = tuple(item for thing in things for item in thing.objects)
-    target = _target(things)
+    # Over the middle, at half the mean height of the glass.
+    target = 0.0, 0.0, round(0.5 * float(np.mean([thing.height for thing in things if thing.is_glass])), 3)
     extent = max(float(np.linalg.norm(item.mesh.vertices[:, :2], axis=-1).max()) for item in objects)
     radius, share = _radius(objects, target, extent, rng)
     if not GLASS_SHARE[0] <= share <= GLASS_SHARE[1]:
@@ -225,12 +226,6 @@ def _rig(target: Vector, radius: float, azimuth_deg: tuple[float, float], rng: n
         target_jitter=0.08,
         walk=tuple(walk),
     )
-
-
-def _target(things: list[Thing]) -> Vector:
-    """Over the middle, at half the mean height of the glass."""
-    heights = [thing.height for thing in things if thing.is_glass]
-    return 0.0, 0.0, round(0.5 * float(np.mean(heights)), 3)
 
 
 def _with_own_names(things: list[Thing]) -> list[Thing]:
