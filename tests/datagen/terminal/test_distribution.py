@@ -8,9 +8,12 @@ import sys
 import tomllib
 from pathlib import Path
 
+import pytest
+from support.plugins import install
 from support.synthetic import write_predictions, write_synthetic_dataset
 
-from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION
+from datagen.disk.errors import UsageError
+from datagen.terminal.plugins import DISTRIBUTION, PARTS, VERSION, Group
 
 ROOT = Path(__file__).resolve().parents[3]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -104,3 +107,15 @@ def test_each_part_has_the_modules_that_pip_would_bring() -> None:
     assert everything >= {name for modules in PARTS.values() for name in modules}
     assert PROJECT["name"] == DISTRIBUTION
     assert re.search(rf"^version: {re.escape(VERSION)}$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+
+
+def test_a_name_of_a_plugin_that_is_not_here_names_the_plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    install(tmp_path, "hyaline.ghosts", "ghost", "hyaline_glass:GHOST", "")
+    (tmp_path / "hyaline_glass.py").unlink()
+    monkeypatch.syspath_prepend(tmp_path)
+    ghosts: Group = Group(name="hyaline.ghosts", what="ghost", built_in={}, guide="docs/index.md")
+    assert ghosts.names() == ()
+    with pytest.raises(UsageError, match="ghost 'ghost': is of the plug-in hyaline_glass, which is not here"):
+        ghosts.find("ghost")
+    with pytest.raises(UsageError, match="no ghost 'goblin'"):
+        ghosts.find("goblin")
