@@ -22,7 +22,7 @@ MAX_SURFACES = 255
 """Surface ids are bytes, and 0 means empty."""
 
 
-SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 128
+SKY_HEIGHT, MAX_SKY_HEIGHT = 32, 256
 """Default height in texels of the learned sky's finest map, and its limit where pixels see the sky finer."""
 
 FINER_COUNTS = 0.7
@@ -71,7 +71,7 @@ class LightPathConfig(MethodConfig):
     environment_size: int = choice(SKY_HEIGHT, "sky{}", flag="environment", limits=(1, 1024))
     """Height in texels of the finest map of the learned sky, a sum of latitude-longitude maps, each half as large as
     the one before down to a single colour, so that directions without training rays are filled in from nearby ones; 1:
-    two colours. 32, the default, grows to 128 where training pixels see the sky finer."""
+    two colours. 32, the default, grows to 256 where training pixels see the sky finer."""
     sky_lobes: int = choice(12, "{}-lobes", limits=(0, 256))
     """Spherical Gaussians of the learned sky, which represent lamps. No effect on a sky of two colours."""
     sky_lr: float = choice(0.1, "sky-lr{}", limits=RATE)

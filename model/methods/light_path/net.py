@@ -30,7 +30,7 @@ from model.methods.renderer import ParameterGroup, PatchTerms, Renderer, pixel_l
 from model.nets.filling import add_visits, fill_in, filled_layout
 from model.nets.learned_sky import LearnedSky
 from model.nets.pixel_mlp import LEAKY_SLOPE, spherical_harmonics
-from model.nets.texture import NeuralTextures, TexturePyramid, object_layout
+from model.nets.texture import NeuralTextures, TexturePyramid, level_scales, object_layout
 from model.settings import Optimisation
 
 RELIEF_DEPTH = 0.01
@@ -139,12 +139,17 @@ class LightPathRenderer(Renderer[LightPathPixels]):
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
         """The usual groups, but the sky has its own learning rate."""
         net, textures = super().groups(optimisation)
-        sky = self.parameters_of(LearnedSky)
-        others = self.all_but([*sky, *textures.parameters])
+        sky = self.environment
+        others = self.all_but([*sky.parameters(), *textures.parameters])
+        # A map's gradients are as small as its weight: with one epsilon for all, fine maps would hardly learn.
+        scales = level_scales(sky.num_maps, sky.finer_counts)
+        parts = [*zip(sky.maps, scales, strict=True)]
+        if sky.lobes is not None:
+            parts += [(value, 1.0) for value in sky.lobes.parameters()]
         return [
             dataclasses.replace(net, parameters=others),
             textures,
-            ParameterGroup(parameters=sky, lr=self.config.sky_lr, eps=SKY_EPS),
+            *(ParameterGroup(parameters=[part], lr=self.config.sky_lr, eps=SKY_EPS * scale) for part, scale in parts),
         ]
 
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:

@@ -257,6 +257,24 @@ def test_the_sky_where_no_ray_has_been_is_filled_in_from_around(lobes: int, most
     assert (behind - color).abs().max() < most  # One map alone would say 0.69 there: 1.3 off.
 
 
+def test_the_finest_map_of_the_sky_learns_although_its_gradients_are_small() -> None:
+    renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,), sky_lobes=0, environment_size=64))
+    directions = torch.nn.functional.normalize(
+        torch.randn(20_000, 3, generator=torch.Generator().manual_seed(0)), dim=-1
+    )
+    stripes = (1 + 0.5 * torch.sign(torch.sin(20 * directions[:, 2:]))).expand(-1, 3)
+    sky = {id(value) for value in renderer.environment.parameters()}
+    groups = [group for group in renderer.groups(LightPathConfig().optimisation()) if id(group.parameters[0]) in sky]
+    optimizer = torch.optim.Adam([{"params": part.parameters, "lr": part.lr, "eps": part.eps} for part in groups])
+    for _ in range(200):
+        optimizer.zero_grad()
+        (renderer.environment(directions) - stripes).square().mean().backward()
+        optimizer.step()
+    with torch.no_grad():
+        error = (renderer.environment(directions) - stripes).square().mean()
+    assert error < 0.12  # The variance of the stripes is 0.25; with one epsilon for all maps 0.19 stays.
+
+
 def test_textures_and_sky_are_as_fine_as_the_pixels_that_see_them(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=16)
     pixels = trace_light_paths(LightPathConfig().usual(TRUTH).sized((2, 2)), dataset, TRUTH, dataset.cameras("train"))
