@@ -25,8 +25,6 @@ class BenchChoices:
     """Hidden units of the first layer: 34k (as many as make 34,000 parameters), 256, or any number."""
     rounds: int = 7
     """Rounds of every candidate, without warm-up."""
-    json: bool = False
-    """Print JSON instead of tables."""
 
     def __post_init__(self) -> None:
         for name in ("pixels", "resolution", "objects", "layers", "texture_size", "features"):

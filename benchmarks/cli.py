@@ -41,7 +41,6 @@ def peel(
     layers: int = 6,
     triangles: float = 1.0,
     rounds: int = 7,
-    json: bool = False,
 ) -> None:
     """Peeling a view and tracing light paths: the tracers against plain loops.
 
@@ -50,7 +49,6 @@ def peel(
         layers: Layers kept per ray.
         triangles: A factor on the 315,000 triangles of the scene.
         rounds: Turns of each.
-        json: Print JSON instead of tables.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
 
@@ -58,7 +56,7 @@ def peel(
     from benchmarks.harness import show
     from benchmarks.peel import bench_peel
 
-    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds), as_json=json)
+    show(bench_peel(size=size, num_layers=layers, triangles=triangles, rounds=rounds))
 
 
 def truth(
@@ -66,7 +64,6 @@ def truth(
     light: Literal["soft", "scene", "lamp"] = "soft",
     size: int = 128,
     rounds: int = 7,
-    json: bool = False,
 ) -> None:
     """Rendering until noise allows 45 dB: the sampling of `datagen build` against Mitsuba's defaults.
 
@@ -77,7 +74,6 @@ def truth(
             noise need only allow 40 dB.
         size: Width and height in pixels.
         rounds: Turns of each.
-        json: Print JSON instead of tables.
     """
     from datagen.machine.mitsuba_variant import use_mitsuba
 
@@ -95,7 +91,7 @@ def truth(
         description = under_a_lamp(description)
     config = DatasetConfig.even(description.name, square(size), 4)
     cameras = make_cameras(description.cameras, config)["train"]
-    show(bench_truth(description, cameras, GOALS[light], rounds=rounds), as_json=json)
+    show(bench_truth(description, cameras, GOALS[light], rounds=rounds))
 
 
 def cycles(
@@ -159,7 +155,7 @@ def step(choices: BenchChoices) -> None:
     from benchmarks.harness import show
     from benchmarks.step import all_ceilings, bench_step
 
-    show(bench_step(choices, ceilings=all_ceilings()), as_json=choices.json)
+    show(bench_step(choices, ceilings=all_ceilings()))
 
 
 def gpu(choices: BenchChoices) -> None:
@@ -170,7 +166,7 @@ def gpu(choices: BenchChoices) -> None:
     from benchmarks.gpu import bench_gpu
     from benchmarks.harness import show
 
-    show(bench_gpu(choices), as_json=choices.json)
+    show(bench_gpu(choices))
 
 
 def turntable(
@@ -234,7 +230,6 @@ def screenshot(
     *,
     width: int = 1100,
     height: int = 640,
-    dark: bool = False,
     rays: int = 4,
     link: str = "",
     overwrite: bool = False,
@@ -246,7 +241,6 @@ def screenshot(
         out: The picture, a PNG; an existing file is kept.
         width: Of the browser's window, in pixels.
         height: Of the browser's window, in pixels.
-        dark: Let the browser ask for dark colours.
         rays: Rays a pixel that the page draws before the picture is taken; 0 for a report or a look, which draw none.
         link: What the page's own "Copy link" gives after the #: a camera and edits; in a report a part of it.
         overwrite: Replace an existing file.
@@ -256,5 +250,5 @@ def screenshot(
 
     if not overwrite:
         refuse_file(out)
-    out.write_bytes(take_screenshot(page, width=width, height=height, dark=dark, rays=rays, link=link))
+    out.write_bytes(take_screenshot(page, width=width, height=height, rays=rays, link=link))
     print(out)

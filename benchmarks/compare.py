@@ -182,14 +182,14 @@ def page_edits(base: Dataset, edits: tuple[Edit, ...], *, knows_materials: bool)
     return changes
 
 
-def take_screenshot(page: Path, *, width: int, height: int, dark: bool, rays: int, link: str) -> bytes:
+def take_screenshot(page: Path, *, width: int, height: int, rays: int, link: str) -> bytes:
     """The PNG of a page in a window of this size, when all its pixels have this number of rays.
 
     Args:
         rays: 0 for a page that draws none, such as a report.
         link: the part after the # of the page's address.
     """
-    with running_browser() as browser, watched_page(browser, width=width, height=height, dark=dark) as watched:
+    with running_browser() as browser, watched_page(browser, width=width, height=height) as watched:
         if not rays:
             watched.page.goto(page.resolve().as_uri() + (f"#{link}" if link else ""))
             return watched.page.screenshot()

@@ -11,9 +11,7 @@ A bench names its candidates, its checks and its gates; `measure` runs them and 
 Imports neither Mitsuba nor torch: further ceilings are passed in.
 """
 
-import dataclasses
 import gc
-import json
 import math
 import os
 import platform
@@ -192,23 +190,19 @@ def measure(
     )
 
 
-def show(report: BenchReport, *, as_json: bool) -> None:
+def show(report: BenchReport) -> None:
     """Prints the report on stdout; exits with status 1 when a check or a gate failed."""
-    if as_json:
-        print(json.dumps({**dataclasses.asdict(report), "passed": report.passed}, indent=2, allow_nan=False))
-    else:
-        _print_tables(report)
+    _print_tables(report)
     if not report.passed:
         failed = [verdict for verdict in report.checks + report.gates if not verdict.passed]
         fail("; ".join(f"{report.title}: {verdict.name}: {verdict.detail}" for verdict in failed))
 
 
 def machine_ceilings() -> tuple[Ceiling, ...]:
-    """Matrix product of all cores, copy and random gather of one, each the best of a few tries; about a second."""
+    """Matrix product of all cores and copy of one, each the best of a few tries."""
     return (
         Ceiling(name="float32 matrix product, all cores", value=_matmul_gflops(), unit="GFLOP/s"),
         Ceiling(name="copy, one core, bytes read and written", value=_copy_gigabytes(), unit="GB/s"),
-        Ceiling(name="gather of random 64-byte rows, one core", value=_gather_nanoseconds(), unit="ns/row"),
     )
 
 
@@ -346,22 +340,3 @@ def _copy_gigabytes() -> float:
     source = np.ones(1 << 25, np.float32)  # 128 MiB, beyond the caches.
     target = np.zeros_like(source)
     return 2 * source.nbytes / best_seconds(lambda: np.copyto(target, source)) * 1e-9
-
-
-def _gather_nanoseconds() -> float:
-    import numba
-
-    # 16 floats are one texel of a neural texture, and one cache line.
-    rows, picks = 1 << 21, 1 << 18
-    table = np.ones((rows, 16), np.float32)
-    index = np.random.default_rng(0).integers(0, rows, picks)
-    out = np.zeros((picks, 16), np.float32)
-
-    @numba.njit
-    def gather(table, index, out):
-        for place in range(len(index)):
-            row = index[place]
-            for channel in range(16):
-                out[place, channel] = table[row, channel]
-
-    return best_seconds(lambda: gather(table, index, out)) / picks * 1e9
