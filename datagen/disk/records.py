@@ -6,6 +6,7 @@ become JSON and come back by the types of their fields. `checked` does the same 
 
 import dataclasses
 import functools
+import hashlib
 import inspect
 import json
 import math
@@ -19,7 +20,7 @@ from pathlib import Path
 import msgspec
 
 from datagen.disk.errors import DamagedError, HyalineError, as_hyaline_error, shown
-from datagen.disk.storage import MAKE_AGAIN, commit, read_regular, sha256
+from datagen.disk.storage import MAKE_AGAIN, commit, read_regular
 
 if typing.TYPE_CHECKING:
     Json = typing.Union[None, bool, int, float, str, list["Json"], dict[str, "Json"]]  # noqa: UP007
@@ -198,7 +199,7 @@ def dump_json(data: Json) -> bytes:
 
 def seal_of(data: dict[str, Json]) -> str:
     """The hash under which `seal_bytes` seals `data`."""
-    return sha256(dump_json(data))
+    return hashlib.sha256(dump_json(data)).hexdigest()
 
 
 def seal_bytes(data: dict[str, Json]) -> bytes:

@@ -4,7 +4,7 @@ They are fast (a second for a scene of 100,000 triangles), since they run whenev
 """
 
 import re
-from itertools import combinations, permutations
+from itertools import combinations, compress, permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -72,9 +72,11 @@ def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
     there, solids = [item for item in scene.objects if is_there(item.mesh)], _solids(scene)
     if not there:
         raise HyalineError(f"scene {scene.name}: all of its objects were removed; expected at least one with a mesh")
-    for item in there:
-        check_material(item.material, where=_place(scene, item))
-        check_mesh(item.mesh, where=_place(scene, item))
+    places = [_place(scene, item) for item in there]
+    for item, place in zip(there, places, strict=True):
+        check_material(item.material, where=place)
+    for item, place in zip(there, places, strict=True):
+        check_mesh(item.mesh, where=place)
     for item in solids:
         check_closed(item.mesh, where=_place(scene, item))
     _check_nesting(scene, solids)
@@ -93,7 +95,8 @@ def check_scene(scene: Scene, *, is_checked: bool = False) -> None:
 
 def _solids(scene: Scene) -> list[SceneObject]:
     """The objects of glass or liquid, whose meshes are closed, less those that an edit removed."""
-    return [item for item in scene.objects if is_there(item.mesh) and item.material.medium is not None]
+    there = [item for item in scene.objects if is_there(item.mesh)]
+    return [item for item in there if item.material.medium is not None]
 
 
 def _place(scene: Scene, item: SceneObject) -> str:
@@ -233,9 +236,10 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
     """Rejects glass whose surface coincides with another: a ray hits only one of them."""
     order = [there[place] for place in np.argsort([face_areas(item.mesh).sum() for item in there], kind="stable")]
     sampled = [points_on(item.mesh, SAMPLES) for item in order]
-    for (small, points), (large, _) in combinations(zip(order, sampled, strict=True), 2):
-        if not (small.material.is_glass or large.material.is_glass):
-            continue
+    pairs = [pair for pair in combinations(range(len(order)), 2) if any(order[item].material.is_glass for item in pair)]
+    near = [boxes_meet(order[small].mesh, order[large].mesh, TOLERANCE) for small, large in pairs]
+    for one, other in compress(pairs, near):
+        small, large, points = order[one], order[other], sampled[one]
         share = float(_touches(small.mesh, large.mesh, TOLERANCE, points).mean())
         if share > MAX_TOUCHING:
             raise HyalineError(

@@ -65,8 +65,9 @@ class Peeler:
         import drjit as dr
 
         # Mitsuba gets only objects with a mesh; ids still count all objects.
-        self._object_id = np.array([0, *(index + 1 for index, mesh in enumerate(meshes) if is_there(mesh))], np.uint8)
-        meshes = tuple(mesh for mesh in meshes if is_there(mesh))
+        kept = [index for index, mesh in enumerate(meshes) if is_there(mesh)]
+        self._object_id = np.array([0, *(index + 1 for index in kept)], np.uint8)
+        meshes = tuple(meshes[index] for index in kept)
         self._scene = load_geometry_mitsuba(meshes)
         self._shape_of = shapes_by_id(self._scene)
         self._trace = dr.freeze(_trace, limit=RECORDINGS, warn_after=1 << 30)
