@@ -10,7 +10,7 @@ from typing import Literal
 
 from datagen.terminal.command import hush, run
 
-Format = Literal["table", "markdown", "csv", "latex"]
+Format = Literal["table", "markdown"]
 
 
 def report(

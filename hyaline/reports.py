@@ -1,7 +1,5 @@
 """Scores of one picture, and reports: those of runs as tables, data and a page."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,12 +82,16 @@ class Report:
     """The scores themselves: of each dataset, run, split, picture and metric."""
 
     @property
-    def rows(self) -> list[dict[str, str]]:
-        """What `report --format csv` prints: a row for each run, and one for each scene's noise ceiling. pandas makes a
-        frame of them: `pandas.DataFrame(report.rows)`."""
-        from eval.tables.results import results_csv
-
-        return list(csv.DictReader(io.StringIO(results_csv(self.scored.scenes))))
+    def rows(self) -> list[dict[str, str | float | None]]:
+        """A row for each run: its record, and the mean of each metric on each split, such as `psnr_db_interpolating`;
+        "inf" in dB of identical pictures. pandas makes a frame of them: `pandas.DataFrame(report.rows)`."""
+        rows = []
+        for scene in self.scored.results["scenes"]:
+            for run in scene["runs"]:
+                about, splits = {key: value for key, value in run.items() if key != "splits"}, run["splits"].items()
+                means = {f"{key}_{split}": each["mean"] for split, of in splits if of for key, each in of.items()}
+                rows.append({"scene": scene["scene"], **about, **means})
+        return rows
 
     def _repr_html_(self) -> str:
         from eval.tables.grids import html_table

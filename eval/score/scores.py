@@ -40,13 +40,13 @@ class Metric:
     """A metric's names and format."""
 
     key: str
-    """Name in CSV and JSON."""
+    """Name in JSON."""
     title: str
     """Title; ends in ↑ if more is better, in ↓ if less is."""
     decimals: int
     in_db: bool = False
     is_printed: bool = True
-    """False: only in CSV and JSON."""
+    """False: only in JSON."""
 
     @property
     def sign(self) -> int:

@@ -39,7 +39,7 @@ def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def write_page(root: Path, out: Path, **how) -> bytes:
-    make_report(root / "runs", root / "data", out, output_format="csv", **how)
+    make_report(root / "runs", root / "data", out, output_format="json", **how)
     return (out / "index.html").read_bytes()
 
 
