@@ -3,7 +3,6 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
@@ -11,10 +10,7 @@ from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
-from datagen.terminal.plugins import absent_commands, commands_of
-
-if TYPE_CHECKING:
-    pass
+from datagen.terminal.plugins import commands_of
 
 
 def main() -> None:
@@ -37,7 +33,6 @@ def commands() -> CommandGroup:
     return group(
         "Path-traced datasets of transparent objects, with peeled layers.",
         by_name | commands_of("datagen"),
-        absent_commands("datagen"),
     )
 
 

@@ -15,7 +15,7 @@ import re
 import sys
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Any, NamedTuple, get_args, get_origin
 
 from datagen.disk.errors import HyalineError, UsageError, shown
@@ -48,15 +48,11 @@ class CommandGroup:
     commands: Callable[[], "Mapping[str, Command | CommandGroup | Later]"]
     word: str = "command"
     """What a name is called in messages."""
-    absent: Mapping[str, str] = field(default_factory=dict)
-    """Plug-ins that are not here, by the names that they would add."""
 
 
-def group(
-    about: str, commands: Mapping[str, Command | CommandGroup | Later], absent: Mapping[str, str] | None = None
-) -> CommandGroup:
+def group(about: str, commands: Mapping[str, Command | CommandGroup | Later]) -> CommandGroup:
     """The commands of a program."""
-    return CommandGroup(about=about, commands=lambda: commands, absent=absent or {})
+    return CommandGroup(about=about, commands=lambda: commands)
 
 
 def choose(what: str, value: str, choices: Collection[str]) -> str:
@@ -89,8 +85,6 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
             print(_list_commands(program, command))
             sys.exit(0 if words else 2)
         name, *words = words
-        if name in command.absent:
-            raise UsageError(f"{program} {name}: is a command of the plug-in {command.absent[name]}, which is not here")
         commands = command.commands()
         found = commands[choose(f"{program} {command.word}", name, commands)]
         program, command = f"{program} {name}", found.load(words) if isinstance(found, Later) else found

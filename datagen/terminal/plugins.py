@@ -166,10 +166,3 @@ def commands_of(program: str) -> dict[str, Later]:
     """The commands that plug-ins add to a program, by their words."""
     names = [name for name in COMMANDS.names() if name.startswith(f"{program}.")]
     return {name.removeprefix(f"{program}."): Later(lambda _, name=name: COMMANDS.find(name)) for name in names}
-
-
-def absent_commands(program: str) -> dict[str, str]:
-    """The plug-ins of this distribution that are not here, by the words of their commands."""
-    points = metadata.entry_points(group=COMMANDS.name)
-    absent = {point.name: point.module.partition(".")[0] for point in points if not _is_there(point)}
-    return {name.removeprefix(f"{program}."): plugin for name, plugin in absent.items() if name.startswith(program)}

@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words, group, parse
+from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words
 
 PROGRAMS = ("datagen", "proxies", "model")
 
@@ -89,9 +89,3 @@ def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:
     found = json.loads(damaged.out)
     assert damaged.status == 1 and len(found["problems"]) == 1
     assert len(damaged.err.splitlines()) == 1
-
-
-def test_a_command_whose_plugin_is_not_here_names_it() -> None:
-    program = group("Tools.", {}, {"import": "hyaline_import"})
-    with pytest.raises(UsageError, match=r"tool import: .* plug-in hyaline_import, which is not here"):
-        parse("tool", program, ["import", "vase.glb"])
