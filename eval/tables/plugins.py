@@ -8,7 +8,7 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.pages.pictures import Image8
+from datagen.pages.html import Image8
 from datagen.terminal.plugins import Group
 from eval.score.runs import Run
 from eval.score.scores import SceneScores

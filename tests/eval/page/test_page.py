@@ -11,8 +11,8 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
 from datagen.data.images import png_bytes
+from eval.page.page import ranked_views
 from eval.page.report import make_report
-from eval.page.run_page import ranked_views
 from eval.score.scores import SplitScores
 
 HOSTILE = '"><img src=x onerror=alert(1)><script>alert(2)</script>'
