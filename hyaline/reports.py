@@ -106,7 +106,6 @@ def report(
     *,
     root: Path | str = RUNS,
     data: Path | str = DATA_ROOT,
-    views: int = 3,
 ) -> Report:
     """Scores runs against the truth and writes a page of them, as `eval report` does.
 
@@ -119,7 +118,6 @@ def report(
         out: folder of the page; unless given, `report` in `root`, or beside the scenes' folders of the first run.
         root: folder of the runs.
         data: folder with the datasets, DATA/SCENE, of runs that name none.
-        views: views of each split and run on the page, the worst, the median and the best first.
 
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
@@ -149,4 +147,4 @@ def report(
         say(f"error: {error}")
     if scored is None:
         raise errors[-1]
-    return Report(page=write_page(scored, place, most_views=views), scored=scored)
+    return Report(page=write_page(scored, place), scored=scored)

@@ -156,8 +156,7 @@ def run_page(scene: SceneScores, scores: RunScores, views: Mapping[Compared, Sho
             tag("div", *(_compared_figure(gallery, item, *view) for view in shown), class_="views"),
         ]
         if len(shown) < count:
-            more = f"{len(shown)} of {count} views; `eval report --shown-views {count}` shows as many as fit."
-            pictures.append(tag("p", prose(more), class_="note"))
+            pictures.append(tag("p", f"{len(shown)} of {count} views.", class_="note"))
     parts: list[Part] = [
         tag("p", "On ", scene.title, class_="note"),
         *pictures,
@@ -237,8 +236,8 @@ def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Mark
 PAGE = "index.html"
 MOST_BYTES = 20_000_000
 """Most bytes of a page's pictures."""
-USUAL_VIEWS = 3
-"""Views shown by default for each split and run: the worst, the median and the best."""
+SHOWN_VIEWS = 3
+"""Views shown of each split and run: the worst, the median and the best."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -280,11 +279,10 @@ class ScenePart:
         }
 
 
-def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, most_bytes: int = MOST_BYTES) -> bytes:
+def report_page(parts: Sequence[ScenePart], *, most_bytes: int = MOST_BYTES) -> bytes:
     """The page. Pictures that do not fit are left out, with a note on the page; the most important ones come first.
 
     Args:
-        most_views: views shown of each split and run.
         most_bytes: bytes of all pictures.
     """
     gallery = Gallery(most_bytes)
@@ -292,9 +290,8 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     overview = _overview(parts, [_side_by_side(part, gallery) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
     every = [item for _, of_part in listed for items in of_part.values() for item in items]
-    store_views(gallery, every, min(most_views, USUAL_VIEWS))
+    shown = store_views(gallery, every, SHOWN_VIEWS)
     scenes = [_scene_page(part, gallery) for part in parts]
-    shown = store_views(gallery, every, most_views)
     runs = [
         run_page(part.scene, scores, {item: shown[item] for item in of_part[scores.run.name]}, gallery)
         for part, of_part in listed

@@ -24,7 +24,7 @@ from datagen.disk.records import Json, dump_json
 from datagen.disk.storage import commit
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
-from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
+from eval.page.page import PAGE, ScenePart, report_page
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, Truth, read_truth, score_run
 from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, paragraphs
@@ -43,13 +43,11 @@ def make_report(
     *,
     output_format: str,
     only: Path | None = None,
-    most_views: int = USUAL_VIEWS,
 ) -> None:
     """Scores all runs; errors of runs that cannot be scored come last.
 
     Args:
         only: score only the runs of this dataset; None: all runs.
-        most_views: views that the page shows of each split and run.
     """
     refuse_others(out, REPORT)
     runs, errors = _open_runs(runs_root, data_root, out, only)
@@ -68,7 +66,7 @@ def make_report(
             _print_grids([grid for part in found.parts for grid in part.grids], output_format)
             sys.stdout.write("\n" + paragraphs(METRIC_NOTES, output_format, _output_width()))
         sys.stdout.flush()
-        write_page(found, out, most_views=most_views)
+        write_page(found, out)
     _raise_last(errors)
 
 
@@ -121,13 +119,9 @@ def score_runs(
     return Scored(parts=parts, results=results)
 
 
-def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
-    """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path.
-
-    Args:
-        most_views: views that the page shows of each split and run.
-    """
-    page = report_page(found.parts, most_views=most_views)
+def write_page(found: Scored, out: Path) -> Path:
+    """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path."""
+    page = report_page(found.parts)
     with holding(out, REPORT):
         begin(out, REPORT, {"version": REPORT_VERSION})
         for name, data in {"results.json": dump_json(found.results), PAGE: page}.items():
