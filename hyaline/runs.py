@@ -140,6 +140,7 @@ def train(
     *,
     geometry: str = TRUTH,
     out: Path | str | None = None,
+    label: str | None = None,
     seed: int = 0,
     device: Device = "auto",
     overwrite: bool = False,
@@ -156,6 +157,7 @@ def train(
         dataset: a dataset, its name under data/, or its folder.
         geometry: whose layers the method sees: `truth`, or proxies such as `ellipsoid`.
         out: folder of the run; runs/SCENE/METHOD unless given, with a suffix for each setting that is not the default.
+        label: what the list of runs and pages add to the run's name, its folder's; that name unless given.
         seed: of all random numbers.
         device: auto (a GPU where there is one), cpu or cuda.
         overwrite: delete the run in `out` and start over.
@@ -186,6 +188,7 @@ def train(
         run=RunFlags(
             geometry=geometry,
             out=None if out is None else Path(out),
+            label=label,
             seed=seed,
             device=device,
             overwrite=overwrite,

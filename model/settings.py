@@ -138,6 +138,8 @@ class RunFlags:
     """Whose layers to look up: truth, or a kind of proxy such as box."""
     out: Path | None = choice(None)
     """Folder of the run. Default: runs/SCENE/METHOD, with a suffix for each choice that is not the default."""
+    label: str | None = choice(None)
+    """Label of the run on its page; tables of scores have the folder's name, the default."""
     seed: int = choice(0, "seed{}", limits=SEED)
     """Seed of all random numbers."""
     device: Device = choice("auto")

@@ -118,8 +118,8 @@ def complete_run(method: str, asked: Asked) -> Path:
         say(f"{out}: finished before, nothing to do; --overwrite trains it again")
         return out
     config = configure(method, asked, dataset)
-    device = choose_device(run.device)
-    for where, text in (("--out", out.name), ("dataset", dataset.root.as_posix())):
+    label, device = run.label or out.name, choose_device(run.device)
+    for where, text in (("--label", label), ("dataset", dataset.root.as_posix())):
         if not text.isprintable():  # The run's record could not be read again.
             raise HyalineError(f"{where}: is {text!r}; expected text without control characters")
 
@@ -137,7 +137,7 @@ def complete_run(method: str, asked: Asked) -> Path:
         if is_new or not (out / WEIGHTS).is_file():
             with measured(out) if run.costs else nullcontext():
                 flags = flags_asked(asked)
-                train(config, dataset, out, label=out.name, device=device, flags=flags, overwrite=run.overwrite)
+                train(config, dataset, out, label=label, device=device, flags=flags, overwrite=run.overwrite)
         else:
             (out / CHECKPOINT).unlink(missing_ok=True)
             say(f"{out}: is trained; continuing with its predictions")

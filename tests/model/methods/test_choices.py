@@ -74,7 +74,7 @@ def test_recorded_flags_ask_for_the_same_run_and_say_nothing_usual(words: str) -
     asked = parse_train(method, tuple(flags))
     again = flag_words(flags_asked(asked).items())
     assert parse_train(method, tuple(again)) == asked and sorted(again) == sorted(flags)
-    unrecorded = (*flags, "--out", "x", "--costs", "--overwrite", "--device", "cpu")
+    unrecorded = (*flags, "--out", "x", "--label", "y", "--costs", "--overwrite", "--device", "cpu")
     assert flags_asked(parse_train(method, unrecorded)) == flags_asked(asked)
 
 

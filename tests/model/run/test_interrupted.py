@@ -21,7 +21,7 @@ from model.state import load_state, save_state
 
 pytestmark = [pytest.mark.promise("R3"), pytest.mark.usefixtures("one_thread")]
 
-SIZE = "--steps 6 --batch 64 --texture-size 16 --hidden 32 --device cpu"
+SIZE = "--label it --steps 6 --batch 64 --texture-size 16 --hidden 32 --device cpu"
 WHOLE, PARTS = Path("whole"), Path("parts")
 
 
