@@ -3,7 +3,6 @@
 import shlex
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
@@ -12,9 +11,6 @@ from datagen.scene.finding import ImportChoices
 from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
-
-if TYPE_CHECKING:
-    pass
 
 
 def main() -> None:

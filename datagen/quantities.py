@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
 from datagen.data.dataset import Dataset, View
-from datagen.data.geometries import read_meshes
+from datagen.data.geometries import GeometryKey, read_meshes
 from datagen.data.layers import Layers
 from datagen.data.meshes import Mesh, is_there, normals_of
 from datagen.data.paths import TRUTH
@@ -101,6 +101,15 @@ class Surfaces:
             for material in self.materials
         )
         return LightPathTracer(self.meshes, tuple(smooth), tints_of(self.scene, own_uv=True))
+
+
+@functools.lru_cache(maxsize=2)
+def peeler_of(key: GeometryKey) -> "Peeler":
+    """What finds the surfaces of a geometry along straight rays, loaded once."""
+    from datagen.trace.peel import Peeler
+
+    use_mitsuba()
+    return Peeler(read_meshes(key.dataset, key.geometry))
 
 
 _OPENED: "weakref.WeakKeyDictionary[Dataset, Surfaces]" = weakref.WeakKeyDictionary()
@@ -244,17 +253,6 @@ class ViewQuantities:
     def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
         """True where the ray hits the object of this name first."""
         return self.object_id == self.view.dataset.object_id(name)
-
-    @functools.cached_property
-    def material_names(self) -> tuple[str, ...]:
-        """Names of the scene's material classes, sorted: `material_id` i is `material_names[i - 1]`."""
-        return tuple(sorted({type(material).__name__ for material in self.surfaces.materials}))
-
-    @property
-    def material_id(self) -> UInt8[np.ndarray, "h w"]:
-        """The class of the first material along the ray: 1 + its place in `material_names`; 0 where there is none."""
-        kinds = [1 + self.material_names.index(type(material).__name__) for material in self.surfaces.materials]
-        return np.array([0, *kinds], np.uint8)[self.object_id]
 
     # Where they are
 

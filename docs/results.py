@@ -9,8 +9,7 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.disk.records import load_json
 from eval.tables.grids import TABLE_WIDTH, Column, Grid, grid_text, markdown_escaped
 from eval.tables.plugins import report_parts
-from eval.tables.results import RESULTS_VERSION
-from eval.tables.scenes import Stored, scene_grids
+from eval.tables.results import RESULTS_VERSION, Stored, scene_grids
 
 SEEDS_NOTE = "±: sample standard deviation over seeds."
 

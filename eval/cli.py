@@ -10,7 +10,7 @@ from typing import Literal
 
 from datagen.terminal.command import hush, run
 
-Format = Literal["table", "markdown", "csv", "latex"]
+Format = Literal["table", "markdown"]
 
 
 def report(
@@ -22,7 +22,6 @@ def report(
     format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
-    shown_views: int = 3,
     quiet: bool = False,
     json: bool = False,
 ) -> None:
@@ -42,8 +41,6 @@ def report(
             network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or known
             (scores by prior knowledge of the glass). May be repeated. With --json, these tables are part of the
             results.
-        shown_views: Views of each split and run on the page, starting with the worst, the median and the best. If the
-            pictures would exceed 20 MB, it shows fewer.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
@@ -57,7 +54,7 @@ def report(
         make_tables(runs, data, tables=table, output_format=output_format, only=only)
     else:
         place = out if out is not None else runs / "report"
-        make_report(runs, data, place, output_format=output_format, only=only, most_views=shown_views)
+        make_report(runs, data, place, output_format=output_format, only=only)
 
 
 def main() -> None:

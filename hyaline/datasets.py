@@ -1,7 +1,6 @@
 """Datasets: finding, opening and building them; layers along the rays of any camera; proxies of their objects."""
 
 import dataclasses
-import functools
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +13,7 @@ from datagen.data.config import TEST_SPLITS as TEST_SPLITS
 from datagen.data.config import Split as Split
 from datagen.data.dataset import Dataset, has_layers
 from datagen.data.dataset import View as View
-from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
+from datagen.data.geometries import geometry_key, read_meshes
 from datagen.data.layers import Layers, check_settings, round_mantissa
 from datagen.data.meshes import Mesh as Mesh
 from datagen.data.paths import DATA_ROOT, PROXY_KINDS, TRUTH
@@ -22,6 +21,7 @@ from datagen.disk.errors import HyalineError as HyalineError
 from datagen.disk.records import checked
 from datagen.quantities import LightEnds as LightEnds
 from datagen.quantities import ViewQuantities as ViewQuantities
+from datagen.quantities import peeler_of
 from datagen.quantities import quantities as quantities
 from datagen.terminal.command import choose, say_all
 from datagen.terminal.parsing import flags_of
@@ -30,7 +30,6 @@ from hyaline.scenes import Hemisphere, Scene
 from model.settings import with_settings
 
 if TYPE_CHECKING:
-    from datagen.trace.peel import Peeler
     from proxies.make import ProxyReport
 
 NUM_LAYERS = 8
@@ -56,17 +55,8 @@ def layers(dataset: Dataset, camera: Camera, geometry: str = TRUTH, num_layers: 
         is_peeled = geometry != TRUTH or has_layers(dataset)
         num_layers = dataset.layer_store(geometry).head.num_layers if is_peeled else NUM_LAYERS
     check_settings(num_layers=num_layers, workers=1)
-    found, _ = _peeler(geometry_key(dataset, geometry)).peel(camera.alone, 0, num_layers)
+    found, _ = peeler_of(geometry_key(dataset, geometry)).peel(camera.alone, 0, num_layers)
     return dataclasses.replace(found, depth=round_mantissa(found.depth))  # As stored layers are.
-
-
-@functools.lru_cache(maxsize=2)
-def _peeler(key: GeometryKey) -> "Peeler":
-    from datagen.machine.mitsuba_variant import use_mitsuba
-    from datagen.trace.peel import Peeler
-
-    use_mitsuba()
-    return Peeler(read_meshes(key.dataset, key.geometry))
 
 
 @checked

@@ -1,7 +1,5 @@
 """Scores of one picture, and reports: those of runs as tables, data and a page."""
 
-import csv
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -84,12 +82,16 @@ class Report:
     """The scores themselves: of each dataset, run, split, picture and metric."""
 
     @property
-    def rows(self) -> list[dict[str, str]]:
-        """What `report --format csv` prints: a row for each run, and one for each scene's noise ceiling. pandas makes a
-        frame of them: `pandas.DataFrame(report.rows)`."""
-        from eval.tables.results import results_csv
-
-        return list(csv.DictReader(io.StringIO(results_csv(self.scored.scenes))))
+    def rows(self) -> list[dict[str, str | float | None]]:
+        """A row for each run: its record, and the mean of each metric on each split, such as `psnr_db_interpolating`;
+        "inf" in dB of identical pictures. pandas makes a frame of them: `pandas.DataFrame(report.rows)`."""
+        rows = []
+        for scene in self.scored.results["scenes"]:
+            for run in scene["runs"]:
+                about, splits = {key: value for key, value in run.items() if key != "splits"}, run["splits"].items()
+                means = {f"{key}_{split}": each["mean"] for split, of in splits if of for key, each in of.items()}
+                rows.append({"scene": scene["scene"], **about, **means})
+        return rows
 
     def _repr_html_(self) -> str:
         from eval.tables.grids import html_table
@@ -104,7 +106,6 @@ def report(
     *,
     root: Path | str = RUNS,
     data: Path | str = DATA_ROOT,
-    views: int = 3,
 ) -> Report:
     """Scores runs against the truth and writes a page of them, as `eval report` does.
 
@@ -117,7 +118,6 @@ def report(
         out: folder of the page; unless given, `report` in `root`, or beside the scenes' folders of the first run.
         root: folder of the runs.
         data: folder with the datasets, DATA/SCENE, of runs that name none.
-        views: views of each split and run on the page, the worst, the median and the best first.
 
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
@@ -147,4 +147,4 @@ def report(
         say(f"error: {error}")
     if scored is None:
         raise errors[-1]
-    return Report(page=write_page(scored, place, most_views=views), scored=scored)
+    return Report(page=write_page(scored, place), scored=scored)

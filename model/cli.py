@@ -3,15 +3,16 @@
 import os
 import shlex
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
+from datagen.builder.choices import FilmChoices
 from datagen.data.paths import find_dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import next_command, run, say, tell
-from datagen.terminal.parsing import Command, CommandGroup, Later, group
+from datagen.terminal.parsing import CommandGroup, Later, group
 from datagen.terminal.plugins import absent_commands, commands_of
 from model.methods.protocol import METHODS, about
+from model.run.sweep import sweep
 from model.run.train_flags import Asked, complete_run, make_command
 from model.runtime import choose_device, wait_briefly
 from model.settings import RUNS, Device
@@ -30,8 +31,8 @@ def commands() -> CommandGroup:
     by_name = {
         "train": CommandGroup(about=TRAIN, commands=_methods, word="method", absent=METHODS.absent()),
         "predict": predict,
-        "film": Later(_load_film),
-        "sweep": Later(_load_sweep),
+        "film": film,
+        "sweep": sweep,
         "check-method": check_method,
     }
     return group(
@@ -101,45 +102,34 @@ def predict(
     _end(out, run=run)
 
 
-def _load_film(_: Sequence[str]) -> Command:
-    from datagen.builder.choices import FilmChoices
+def film(
+    run: Path,
+    /,
+    *,
+    dataset: str | None = None,
+    device: Device = "auto",
+    choices: FilmChoices = FilmChoices(),  # noqa: B008
+) -> None:
+    """Render a film with a trained run; `datagen film` path-traces the same film.
 
-    def film(
-        run: Path,
-        /,
-        *,
-        dataset: str | None = None,
-        device: Device = "auto",
-        choices: FilmChoices = FilmChoices(),  # noqa: B008
-    ) -> None:
-        """Render a film with a trained run; `datagen film` path-traces the same film.
+    Args:
+        run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
+        dataset: A dataset's folder, or its name under data/. Default: where the run found it.
+        device: Where to compute; auto uses a GPU if there is one.
+    """
+    from datagen.builder.film import plan_film, write_film
+    from model.run.run_folder import find_run, open_trained
 
-        Args:
-            run: A trained run: its folder, or its name under runs/ (SCENE/NAME).
-            dataset: A dataset's folder, or its name under data/. Default: where the run found it.
-            device: Where to compute; auto uses a GPU if there is one.
-        """
-        from datagen.builder.film import plan_film, write_film
-        from model.run.run_folder import find_run, open_trained
+    run = find_run(run)
+    record, opened = open_trained(run, dataset)
+    out = choices.out or Path(f"{opened.name}-{run.name}.webp")
+    cameras = plan_film(opened, choices, out)
+    say(f"{run}: rendering {out}")
+    from model.run.predict import film_pictures
 
-        run = find_run(run)
-        record, opened = open_trained(run, dataset)
-        out = choices.out or Path(f"{opened.name}-{run.name}.webp")
-        cameras = plan_film(opened, choices, out)
-        say(f"{run}: rendering {out}")
-        from model.run.predict import film_pictures
-
-        pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
-        write_film(out, pictures, choices.fps)
-        tell(str(out))
-
-    return film
-
-
-def _load_sweep(_: Sequence[str]) -> Command:
-    from model.run.sweep import sweep
-
-    return sweep
+    pictures = film_pictures(run, record.config, opened, cameras, device=choose_device(device))
+    write_film(out, pictures, choices.fps)
+    tell(str(out))
 
 
 def check_method(name: str, /, *, dataset: str | None = None) -> None:

@@ -3,8 +3,8 @@
 import sys
 from typing import TYPE_CHECKING
 
-from datagen.data.paths import BUILD, DATA_ROOT, MIXED, ProxyKind, find_dataset, list_datasets, train_command
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.data.paths import MIXED, ProxyKind, find_dataset, train_command
+from datagen.disk.errors import UsageError
 from datagen.terminal.command import fail, next_command, run, tell
 from datagen.terminal.parsing import CommandGroup, group
 
@@ -37,7 +37,7 @@ def make(
     """Fit a proxy to every object and peel the proxies for every view; images are not rendered again.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: every dataset there.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         kind: box (oriented, of minimum volume), ellipsoid (of minimum volume), hull (convex, rounded edges) or wrap
             (shrink-wrapped, follows hollows).
         assign: OBJECT=KIND, instead of one kind for all: the kind for one object, or for all that match a pattern such
@@ -48,51 +48,36 @@ def make(
         workers: Parallel processes.
         overwrite: Replace existing proxies and layers.
     """
+    from datagen.data.dataset import open_dataset
     from datagen.data.layers import check_settings
     from proxies.make import assign_kinds, make_and_peel
 
     if kind != "ellipsoid" if assign else name != MIXED:
         raise UsageError("--kind does not go with --assign, and --name needs it; write --assign OBJECT=KIND")
     check_settings(num_layers=num_layers, workers=workers)
-    datasets = _datasets(dataset)
-    geometry = name if assign else kind
-    mixtures = [assign_kinds([item.name for item in opened.objects], assign) for opened in datasets if assign]
-    for place, opened in enumerate(datasets):
-        kinds = mixtures[place] if assign else None
-        reports = make_and_peel(opened, geometry, kinds, num_layers=num_layers, workers=workers, overwrite=overwrite)
-        _print_table(opened, geometry, reports)
-    next_command(train_command(datasets[0].root, geometry))
+    opened, geometry = open_dataset(find_dataset(dataset)), name if assign else kind
+    kinds = assign_kinds([item.name for item in opened.objects], assign) if assign else None
+    reports = make_and_peel(opened, geometry, kinds, num_layers=num_layers, workers=workers, overwrite=overwrite)
+    _print_table(opened, geometry, reports)
+    next_command(train_command(opened.root, geometry))
 
 
 def check(dataset: str | None = None, /, *, geometry: str = "ellipsoid") -> None:
     """Verify the proxies on disk: closed, outward, enclosing the object, with texels for every face.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: every dataset there.
+        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         geometry: box, ellipsoid, hull, wrap, or the name of a mixture or of fitted shapes.
     """
+    from datagen.data.dataset import open_dataset
     from proxies.make import read_reports
 
-    problems = []
-    for opened in _datasets(dataset):
-        reports = read_reports(opened, geometry)
-        _print_table(opened, geometry, reports)
-        problems += [
-            f"{opened.root}: the {report.kind} of {report.object} {report.problem}"
-            for report in reports
-            if report.problem
-        ]
-    if problems:
-        fail(f"{problems[0]}; {len(problems)} of the proxies are unsound, make them again with --overwrite")
-
-
-def _datasets(given: str | None) -> "list[Dataset]":
-    from datagen.data.dataset import open_dataset
-
-    roots = list_datasets() if given is None else [find_dataset(given)]
-    if not roots:
-        raise HyalineError(f"{DATA_ROOT}: no dataset there; make one with `{BUILD}`")
-    return [open_dataset(root) for root in roots]
+    opened = open_dataset(find_dataset(dataset))
+    reports = read_reports(opened, geometry)
+    _print_table(opened, geometry, reports)
+    if unsound := [report for report in reports if report.problem]:
+        what = f"the {unsound[0].kind} of {unsound[0].object} {unsound[0].problem}"
+        fail(f"{opened.root}: {what}; {len(unsound)} of the proxies are unsound, make them again with --overwrite")
 
 
 def _print_table(dataset: "Dataset", geometry: str, reports: "tuple[ProxyReport, ...]") -> None:

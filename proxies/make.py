@@ -21,8 +21,7 @@ from proxies.kinds.box import fit_box
 from proxies.kinds.ellipsoid import fit_ellipsoid
 from proxies.kinds.hull import fit_hulls
 from proxies.kinds.wrap import fit_wraps
-from proxies.measure import enclosure, proxy_statistics
-from proxies.solid import Solid, make_solid
+from proxies.solid import Solid, enclosure, make_solid, proxy_statistics
 
 PADDING = 2e-6
 """Step between the paddings of two proxies, relative to the scene's extent."""

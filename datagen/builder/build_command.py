@@ -94,11 +94,11 @@ def _build_scene(
         overwrite=choices.overwrite,
         shard=part,
     )
-    peel_variants(made, workers=choices.workers, shard=part)
     if part is not None:
         say(f"{root}: part {part} is done; the same command without --shard makes what other parts left")
-    else:
-        say_all(summary(made, TRUTH))
+        return made
+    peel_variants(made, workers=choices.workers)
+    say_all(summary(made, TRUTH))
     return made
 
 
@@ -134,16 +134,11 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
         raise UsageError("datagen add: nothing to add; give --edit, --twins, --angles or --larger")
     if choices.larger_views is not None and not choices.larger:
         raise UsageError("--larger-views: goes with --larger; give that, too, or leave it out")
-    if choices.shard is not None and edits:
-        raise UsageError("--shard: does not go with --edit and --twins, whose few views one machine renders")
-    part = None if choices.shard is None else parse_shard(choices.shard)
     plans = [plan_edit(base, tuple(map(parse_edit, edit))) for edit in edits]
     plans += [plan_angles(base)] if choices.angles else []
     plans += [plan_larger(base, scale, views=choices.larger_views) for scale in choices.larger]
     made = []
     for plan in plans:
-        variant = build_variant(base, plan, workers=choices.workers, shard=part, overwrite=choices.overwrite)
-        if part is None:
-            say_all(summary(variant, TRUTH))
-        made.append(variant)
+        made.append(build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite))
+        say_all(summary(made[-1], TRUTH))
     return made

@@ -136,8 +136,6 @@ class AddChoices:
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
     """Render again, even if present."""
-    shard: str | None = None
-    """With --angles or --larger: render part I of N of the views, such as 2/4, as `datagen build --shard` does."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ from jaxtyping import Bool, Float, UInt8
 
 from datagen.builder.angles import make_angle_cameras
 from datagen.builder.build import peel_dataset, render_dataset
-from datagen.builder.choices import Shard
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
     TEST_SPLITS,
@@ -46,9 +45,9 @@ from datagen.data.variants import (
     open_variant,
     variant_root,
 )
-from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
+from datagen.data.writing import clear_dataset, head_contents, write_head
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours, refuse_taken
+from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours
 from datagen.disk.records import Json, load_sealed
 from datagen.disk.storage import check_files, commit_all, sha256
 from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
@@ -136,39 +135,35 @@ def _check_base(base: Dataset) -> None:
         )
 
 
-def build_variant(
-    base: Dataset, plan: Plan, *, workers: int, shard: Shard | None = None, overwrite: bool = False
-) -> Dataset:
-    """Renders and peels what is missing of a variant, or of one part of its views.
+def build_variant(base: Dataset, plan: Plan, *, workers: int, overwrite: bool = False) -> Dataset:
+    """Renders and peels what is missing of a variant.
 
     An edit gets the proxies of the base, changed as their objects are, and its edit masks.
     """
     root = variant_root(base.root, plan.name)
-    with holding(root, DATASET, within=base.root, shared=shard is not None):
-        variant = _open_or_start(base, plan, overwrite=overwrite, is_alone=shard is None)
-        render_dataset(variant, workers=workers, shard=shard)
-    _peel(base, variant, workers=workers, shard=shard)
+    with holding(root, DATASET, within=base.root):
+        variant = _open_or_start(base, plan, overwrite=overwrite)
+        render_dataset(variant, workers=workers)
+    _peel(base, variant, workers=workers)
     if variant.edit is not None:
         say(f"{root}: finding where the edit shows")
         write_edit_masks(base, variant)
     return variant
 
 
-def peel_variants(base: Dataset, *, workers: int, shard: Shard | None = None) -> None:
+def peel_variants(base: Dataset, *, workers: int) -> None:
     """Peels what is missing in every variant, of each geometry that has layers in the dataset itself.
 
     A variant that is damaged, or needs damaged proxies, is left to the commands that make these.
     """
     for name in list_variants(base.root):
         try:
-            variant = open_variant(base, name)
-            if shard is None or variant.edit is None:  # Edits are made by one machine.
-                _peel(base, variant, workers=workers, shard=shard)
+            _peel(base, open_variant(base, name), workers=workers)
         except DamagedError as error:
             say(f"{variant_root(base.root, name)}: is not peeled: {error}")
 
 
-def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None) -> None:
+def _peel(base: Dataset, variant: Dataset, *, workers: int) -> None:
     """Peels as many layers of each geometry as the base has of it."""
     for geometry in list_geometries(base):
         if not (layers_root(base.root, geometry) / LAYERS.head).is_file():
@@ -178,22 +173,14 @@ def _peel(base: Dataset, variant: Dataset, *, workers: int, shard: Shard | None)
                 _write_proxies(base, variant, variant.edit, geometry)
         num_layers = base.layer_store(geometry).head.num_layers
         is_other = find_num_layers(variant, geometry) not in (None, num_layers)
-        peel_dataset(
-            variant,
-            geometry,
-            num_layers=num_layers,
-            overwrite=is_other and shard is None,
-            workers=workers,
-            shard=shard,
-        )
+        peel_dataset(variant, geometry, num_layers=num_layers, overwrite=is_other, workers=workers)
 
 
-def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool, is_alone: bool) -> Dataset:
+def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool) -> Dataset:
     """The variant, when it is this plan's and of this dataset; an empty one where none is, or an outdated one.
 
     Args:
         overwrite: start over even if files exist.
-        is_alone: False: other processes may be doing the same; nothing is deleted.
     """
     root = variant_root(base.root, plan.name)
     record = Variant(of=base.seal, splits=tuple(plan.cameras), edit=plan.edit)
@@ -209,9 +196,6 @@ def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool, is_alone: bool
         wanted = {path: sha256(data) for path, data in contents.items()}
         is_outdated = variant.variant != record or variant.files != wanted
     if is_outdated:
-        if not is_alone:
-            raise HyalineError(f"{root}: holds an outdated variant; build without --shard, which replaces it")
-        refuse_taken(root, DATASET, [*view_files(plan.config, record.splits), *contents], dataset_files(root))
         clear_dataset(root)
     return write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record, replace=is_outdated)
 

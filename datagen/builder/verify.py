@@ -1,7 +1,7 @@
 """The search for damage: every byte of a dataset against what its records promise.
 
 Damage is a file of the dataset that is missing, does not hold what was promised, or is not a file (a link is never
-followed, a pipe never opened). The commands that made the dataset mend it; files of others are a remark.
+followed, a pipe never opened). The commands that made the dataset mend it; files of others are not looked at.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ from typing import NamedTuple
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_proxy_records
-from datagen.data.layers import DTYPES, LayerStore, array_file, record_path_of_layers
+from datagen.data.layers import LayerStore, record_path_of_layers
 from datagen.data.paths import TRUTH, geometry_root, layers_root
 from datagen.data.variants import EDIT_MASKS_FOLDER, VARIANTS_FOLDER, edit_mask_files
 from datagen.disk.errors import HyalineError
@@ -53,8 +53,6 @@ class _Search:
         self.root = root
         self.promised: dict[Path, str | None] = {}
         """SHA-256 of each file; None for records, which hold their own."""
-        self.known: set[Path] = set()
-        """Files that are no part of the dataset yet, but may become one."""
         self.problems: dict[Path, str] = {}
 
     def add_record(self, path: Path, root: Path, read: Callable[[], Mapping[str, str]]) -> None:
@@ -73,7 +71,6 @@ class _Search:
             if path not in unmade:
                 self.add_record(path, root, read)
         if unmade:
-            self.known |= {*unmade}
             what = f"{len(unmade)} of {len(records)} views have no record ({_some(self.root, unmade)})"
             self.problems[root] = f"unfinished: {what}"
 
@@ -81,7 +78,6 @@ class _Search:
         """A dataset or a variant: views, edit masks and geometries; the files of its head."""
         root = dataset.root
         views = [view for split in dataset.splits if split not in dataset.withheld for view in dataset.views(split)]
-        self.known |= {root / view.file(ending) for view in views for ending in dataset.endings}
         self.add_views(root, {view.record_path: lambda view=view: view.record.files for view in views})
         if dataset.edit is not None:
             masks = root / EDIT_MASKS_FOLDER
@@ -113,7 +109,6 @@ class _Search:
         views: list[tuple[Split, int]] = [
             (view.split, view.index) for split in dataset.splits for view in dataset.views(split)
         ]
-        self.known |= {store.root / array_file(*view, name) for view in views for name in DTYPES}
         reads = {record_path_of_layers(store.root, *view): lambda at=view: store.record(*at).files for view in views}
         self.add_views(store.root, reads)
         return {}
@@ -129,16 +124,7 @@ class _Search:
                     files[path.relative_to(self.root).as_posix()] = digest
                 else:
                     self.problems[path] = "damaged or edited (checksum differs)"
-        for path in self.known:  # What is in the way of files that are not made yet.
-            if (obstacle := _obstacle(self.root, path)) and os.path.lexists(obstacle[0]):
-                self.problems.setdefault(*obstacle)
         remarks = []
-        walked = ((place, [*folders, *names]) for place, folders, names in os.walk(self.root))
-        found = {Path(place) / name for place, names in walked for name in names}
-        foreign = {path for path in found if path.is_symlink() or not path.is_dir()}
-        if foreign := sorted(foreign - self.known - self.promised.keys() - self.problems.keys()):
-            what = f"{len(foreign)} files are no part of the dataset and were not looked at"
-            remarks.append(f"{self.root}: {what}: {_some(self.root, foreign)}")
         if withheld:
             remarks.append(f"{self.root}: a verifier keeps the pictures of its {withheld} test views")
         return Findings(

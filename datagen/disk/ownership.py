@@ -7,7 +7,7 @@ no other program uses. Links below a head are not followed, since they lead to f
 
 import contextlib
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,8 +28,6 @@ class FolderKind:
     """Patterns of the folders below in which its files lie, but for those of folders with a head of their own."""
     way_out: str = "choose another --out"
     """What to do when something else stands there."""
-    holds_head: Callable[[Path], bool] | None = None
-    """Whether such a file is a head, where a verified seal is not the answer."""
 
 
 _WITHIN_A_DATASET = "move that elsewhere, or delete the folder"
@@ -41,8 +39,6 @@ EDIT_MASKS = FolderKind(what="edit masks", head="edit-masks.json", folders=("*",
 
 def is_ours(root: Path, kind: FolderKind) -> bool:
     """True when the folder's head stands there and verifies."""
-    if kind.holds_head is not None:
-        return kind.holds_head(root / kind.head)
     try:
         load_sealed(root / kind.head)
     except HyalineError:
@@ -95,21 +91,6 @@ def refuse_others(root: Path, kind: FolderKind) -> None:
     if os.path.lexists(root / kind.head):
         raise HyalineError(f"{root / kind.head}: is damaged, or of another program; restore it, or move the folder")
     raise HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
-
-
-def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:
-    """Refuses to write files where others stand that are not ours.
-
-    Args:
-        wanted: paths relative to `root` that will be written.
-        own: those that are ours already.
-    """
-    known = set(own)
-    for path in wanted:
-        if path not in known and os.path.lexists(root / path):
-            raise HyalineError(
-                f"{root / path}: is in the way, and no file of this {kind.what}; move it elsewhere, or {kind.way_out}"
-            )
 
 
 def refuse_file(path: Path, *, overwrite: bool = False) -> None:

@@ -16,8 +16,7 @@ from datagen.look.drawings import (
     object_colors,
     stored_pictures,
 )
-from datagen.pages.html import Markup, Part, anchor, definitions, document, join, prose, section, tag
-from datagen.pages.pictures import Gallery
+from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.quantities import surfaces_of
 
 MOST_BYTES = 18_000_000

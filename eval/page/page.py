@@ -1,33 +1,243 @@
 """The report as one HTML file that opens without a server, requests nothing, and can be read without scripts."""
 
-from collections.abc import Iterable, Sequence
+import contextlib
+import json
+import math
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from datagen.data.config import TEST_SPLITS, Split
+from datagen.data.dataset import Dataset
+from datagen.data.paths import view_name
 from datagen.data.variants import OBJECT, read_edit_mask
-from datagen.pages.html import Markup, Part, anchor, document, join, prose, section, tag
-from datagen.pages.pictures import Gallery
-from eval.page.run_page import (
-    Compared,
-    compared,
-    prediction_panel,
-    run_anchor,
-    run_page,
-    store_views,
-    truth_panel,
-)
-from eval.score.scores import METRIC_NOTES, SceneScores
-from eval.tables.grids import Grid, html_table
+from datagen.disk.errors import HyalineError
+from datagen.disk.records import MAX_JSON_BYTES, parse_json
+from datagen.disk.storage import read_regular
+from datagen.pages.charts import Line, line_chart
+from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
+from datagen.terminal.parsing import flag_words
+from eval.score.runs import Run, is_number, read_costs, read_prediction
+from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, SplitScores
+from eval.tables.grids import Grid, format_number, html_table, psnr_text
 from eval.tables.plugins import PartPage
 from eval.variants import VariantScores
+
+TITLES = {"loss": ("Training loss", "loss"), "held_out_psnr": ("PSNR on held-out views", "PSNR (dB)")}
+"""Titles of a curve and of its axis. Other curves use their names in the file."""
+HELD_OUT_NOTE = (
+    "Held-out views are training views that are not trained on. They measure progress by a quarter of their pixels, "
+    "and do not compare with the scores on test views, since they are noisier."
+)
+MAX_VALUE = 1e30
+"""Larger numbers in a run's curves count as damage."""
+MOST_POINTS = 400
+"""Most points of a curve on the page; from more, an even selection."""
+
+ShownViews = list[tuple[int, str]]
+"""Views on the page, and the rank of each among the others: worst, median, best, or empty."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Compared:
+    """A run's predictions of one split of its dataset or of a variant."""
+
+    run: Run
+    split: Split
+    scores: SplitScores
+    digests: Sequence[str]
+    """SHA-256 of each picture."""
+
+    @property
+    def title(self) -> str:
+        dataset = self.run.dataset
+        return self.split if dataset.variant is None else f"{dataset.name}: {self.split}"
+
+    def caption(self, view: int) -> str:
+        return psnr_text(self.scores.images["psnr_db"][view])
+
+
+def compared(scores: RunScores) -> list[Compared]:
+    """The splits that a run predicted."""
+    return [
+        Compared(run=scores.run, split=split, scores=values, digests=scores.digests[split])
+        for split, values in scores.splits.items()
+        if values is not None
+    ]
+
+
+def ranked_views(scores: SplitScores) -> ShownViews:
+    """All views of a split: the worst, the median and the best by PSNR, then the others from the worst on."""
+    values = [-math.inf if value is None else value for value in scores.images["psnr_db"]]
+    rising = sorted(range(len(values)), key=lambda view: (values[view], view))
+    named: dict[int, str] = {}
+    for rank, view in (("worst", rising[0]), ("median", rising[(len(rising) - 1) // 2]), ("best", rising[-1])):
+        named.setdefault(view, rank)
+    return [*named.items(), *((view, "") for view in rising if view not in named)]
+
+
+def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[Compared, ShownViews]:
+    """Adds truth and prediction of up to `most` views of each to the gallery; returns the views that fit.
+
+    The first views of all are added before the second ones, so that a full page lacks the least important ones.
+    """
+    shown: dict[Compared, ShownViews] = {item: [] for item in items}
+    ranked = {item: ranked_views(item.scores) for item in items}
+    for rank in range(min(most, max(map(len, ranked.values()), default=0))):
+        for item, views in ranked.items():
+            if rank < len(views) and store_view(gallery, item, views[rank][0]):
+                shown[item].append(views[rank])
+    return shown
+
+
+def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
+    """Adds truth and prediction of a view to the gallery; False if there is no room for both."""
+    dataset, split = item.run.dataset, item.split
+    is_there = gallery.add(_truth_name(dataset, split, view), lambda: dataset.view(split, view).image)
+    return is_there and gallery.add(_prediction_name(item, view), lambda: read_prediction(item.run, split, view))
+
+
+def truth_panel(gallery: Gallery, dataset: Dataset, split: Split, view: int, what: str = "truth") -> Markup | None:
+    """The truth of a view; None if it does not fit into the gallery."""
+    label = f"{what}, {split} view {view_name(view)}"
+    place = _truth_name(dataset, split, view)
+    return gallery.figure(place, lambda: dataset.view(split, view).image, label=label, caption=label)
+
+
+def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
+    """A prediction with its score; None if it does not fit into the gallery."""
+    label, caption = f"{item.run.name}, {item.title} view {view_name(view)}", f"{item.run.name}: {item.caption(view)}"
+    place = _prediction_name(item, view)
+    return gallery.figure(place, lambda: read_prediction(item.run, item.split, view), label=label, caption=caption)
+
+
+def _compared_figure(gallery: Gallery, item: Compared, view: int, rank: str) -> Markup:
+    """Truth, prediction and their difference, under a slider where scripts run; both are in the gallery."""
+    what = f"{item.title} view {view_name(view)}"
+    truth, pred = _truth_name(item.run.dataset, item.split, view), _prediction_name(item, view)
+    panels = [
+        ("truth", gallery.show(truth, label=f"truth, {what}")),
+        ("prediction", gallery.show(pred, label=f"prediction, {what}")),
+        ("error × 8", gallery.show(truth, pred, label=f"error, {what}", class_="error")),  # noqa: RUF001
+    ]
+    drawn = tag("div", *(tag("div", picture, tag("span", name)) for name, picture in panels), class_="panels")
+    caption = f"{what}{f' ({rank})' if rank else ''}: {item.caption(view)}"
+    return tag("figure", tag("figcaption", caption), drawn, class_="compare")
+
+
+def _truth_name(dataset: Dataset, split: Split, view: int) -> str:
+    return anchor("truth", dataset.seal, split, view_name(view))
+
+
+def _prediction_name(item: Compared, view: int) -> str:
+    return anchor("prediction", item.digests[view])
+
+
+def run_anchor(scene: SceneScores, run: Run) -> str:
+    """The anchor of a run on the page."""
+    return anchor("run", scene.title, run.folder.parent.name, run.name)
+
+
+def run_page(scene: SceneScores, scores: RunScores, views: Mapping[Compared, ShownViews], gallery: Gallery) -> Markup:
+    """Everything about one run.
+
+    Args:
+        views: the views to show of each split that it predicted.
+    """
+    run, place = scores.run, run_anchor(scene, scores.run)
+    pictures: list[Part] = []
+    for item, shown in views.items():
+        count = len(item.digests)
+        pictures += [
+            tag("h3", f"{item.title}: {format_number(item.scores.mean('psnr_db'), 2)} dB"),
+            tag("div", *(_compared_figure(gallery, item, *view) for view in shown), class_="views"),
+        ]
+        if len(shown) < count:
+            pictures.append(tag("p", f"{len(shown)} of {count} views.", class_="note"))
+    parts: list[Part] = [
+        tag("p", "On ", scene.title, class_="note"),
+        *pictures,
+        tag("h3", "Training"),
+        training_charts(read_training(run.folder)),
+        tag("h3", "Settings"),
+        definitions(_facts(scores)),
+        tag("h3", "Make it again"),
+        _how_to_make(run),
+    ]
+    return tag("div", section(run.name, *parts, id_=place), class_="page", id=f"{place}-page")
+
+
+def _facts(scores: RunScores) -> list[tuple[str, Part]]:
+    run, record, costs = scores.run, scores.run.record, read_costs(scores.run.folder)
+    known: list[tuple[str, Part]] = [
+        ("method", record.method),
+        ("label", record.label),
+        ("knows", record.knowledge),
+        ("geometry", record.geometry),
+        ("layers", record.num_layers),
+        ("parameters", None if record.num_parameters is None else f"{record.num_parameters:,}"),
+        ("seed", record.seed),
+        ("training, minutes", f"{costs['seconds'] / 60:.1f}" if "seconds" in costs else None),
+        ("training, processor minutes", f"{costs['cpu_seconds'] / 60:.1f}" if "cpu_seconds" in costs else None),
+        ("memory, at most", f"{costs['peak_memory_bytes'] / 1e9:.2f} GB" if "peak_memory_bytes" in costs else None),
+        ("dataset", run.dataset.seal[:12]),
+        ("predictions", scores.predictions_sha256[:12]),
+    ]
+    return [(term, value if value is not None else "unknown") for term, value in known]
+
+
+def _how_to_make(run: Run) -> Markup:
+    record, details = run.record, None
+    if record.config:
+        text = tag("pre", json.dumps(record.config, indent=2, ensure_ascii=False))
+        details = tag("details", tag("summary", "All parameters"), text)
+    if record.method is None or record.flags is None:
+        note = "A foreign method's pictures: its folder does not record the command that made them."
+        return join([tag("p", note, class_="note"), details])
+    dataset = Path("data") / run.dataset.name if run.dataset.root.is_absolute() else run.dataset.root
+    words = ["model", "train", record.method, str(dataset), *flag_words(record.flags.items())]
+    return join([tag("pre", tag("code", shlex.join(words))), details])
+
+
+def read_training(folder: Path) -> dict[str, list[tuple[float, float]]]:
+    """Steps and values of a run's curves by name, from metrics.jsonl; empty without it, as for foreign methods."""
+    path = folder / "metrics.jsonl"
+    curves: dict[str, list[tuple[float, float]]] = {}
+    with contextlib.suppress(HyalineError):  # A run that was killed may have left half a line.
+        for line in read_regular(path, at_most=MAX_JSON_BYTES).splitlines() if path.is_file() else []:
+            record = parse_json(line, where=str(path))
+            step = record.pop("step", None)
+            for key, value in record.items():
+                if is_number(step) and is_number(value) and abs(value) < MAX_VALUE:
+                    curves.setdefault(key, []).append((float(step), float(value)))
+    return {key: points[:: -(-len(points) // MOST_POINTS)] for key, points in curves.items()}
+
+
+def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Markup:
+    """Curves of two points and more as charts."""
+    charts: list[Part] = []
+    for key, points in curves.items():
+        if len(points) > 1:
+            title, y_title = TITLES.get(key, (key.replace("_", " "),) * 2)
+            line = Line(name=title, points=tuple(points))
+            charts.append(line_chart((line,), title=f"{title} by training step", x_title="step", y_title=y_title))
+    if not charts:
+        return tag("p", "The run's folder contains no training curves.", class_="note")
+    note = tag("p", HELD_OUT_NOTE, class_="note") if "held_out_psnr" in curves else None
+    return join([tag("div", *charts, class_="charts"), note])
+
+
+# The whole page
+
 
 PAGE = "index.html"
 MOST_BYTES = 20_000_000
 """Most bytes of a page's pictures."""
-USUAL_VIEWS = 3
-"""Views shown by default for each split and run: the worst, the median and the best."""
+SHOWN_VIEWS = 3
+"""Views shown of each split and run: the worst, the median and the best."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -69,11 +279,10 @@ class ScenePart:
         }
 
 
-def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, most_bytes: int = MOST_BYTES) -> bytes:
+def report_page(parts: Sequence[ScenePart], *, most_bytes: int = MOST_BYTES) -> bytes:
     """The page. Pictures that do not fit are left out, with a note on the page; the most important ones come first.
 
     Args:
-        most_views: views shown of each split and run.
         most_bytes: bytes of all pictures.
     """
     gallery = Gallery(most_bytes)
@@ -81,9 +290,8 @@ def report_page(parts: Sequence[ScenePart], *, most_views: int = USUAL_VIEWS, mo
     overview = _overview(parts, [_side_by_side(part, gallery) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
     every = [item for _, of_part in listed for items in of_part.values() for item in items]
-    store_views(gallery, every, min(most_views, USUAL_VIEWS))
+    shown = store_views(gallery, every, SHOWN_VIEWS)
     scenes = [_scene_page(part, gallery) for part in parts]
-    shown = store_views(gallery, every, most_views)
     runs = [
         run_page(part.scene, scores, {item: shown[item] for item in of_part[scores.run.name]}, gallery)
         for part, of_part in listed

@@ -18,19 +18,18 @@ from typing import cast
 from datagen.data.config import TEST_SPLITS, Split
 from datagen.data.dataset import Dataset, has_glass_mask, open_dataset
 from datagen.data.paths import list_datasets
-from datagen.disk.errors import HyalineError, UsageError
+from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import FolderKind, begin, holding, refuse_others
 from datagen.disk.records import Json, dump_json
 from datagen.disk.storage import commit
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say, track
-from eval.page.page import PAGE, USUAL_VIEWS, ScenePart, report_page
+from eval.page.page import PAGE, ScenePart, report_page
 from eval.score.runs import Run, has_predictions, list_run_folders, open_run
 from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, Truth, read_truth, score_run
 from eval.tables.grids import TABLE_WIDTH, Grid, grid_text, paragraphs
 from eval.tables.plugins import TABLES, EditedPsnr, FoundPart, Table, report_parts
-from eval.tables.results import grid_json, results_csv, results_data
-from eval.tables.scenes import Stored, scene_grids
+from eval.tables.results import Stored, grid_json, results_data, scene_grids
 from eval.variants import edit_grid, object_psnr, score_variants, variant_json
 
 REPORT = FolderKind(what="report", head="report.json", way_out="choose another --out, or empty the folder")
@@ -44,13 +43,11 @@ def make_report(
     *,
     output_format: str,
     only: Path | None = None,
-    most_views: int = USUAL_VIEWS,
 ) -> None:
     """Scores all runs; errors of runs that cannot be scored come last.
 
     Args:
         only: score only the runs of this dataset; None: all runs.
-        most_views: views that the page shows of each split and run.
     """
     refuse_others(out, REPORT)
     runs, errors = _open_runs(runs_root, data_root, out, only)
@@ -65,13 +62,11 @@ def make_report(
     if found := score_runs(runs, errors, folders, command=shlex.join(words)):
         if output_format == "json":
             sys.stdout.write(dump_json(found.results).decode())
-        elif output_format == "csv":
-            sys.stdout.write(results_csv(found.scenes))
         else:
             _print_grids([grid for part in found.parts for grid in part.grids], output_format)
             sys.stdout.write("\n" + paragraphs(METRIC_NOTES, output_format, _output_width()))
         sys.stdout.flush()
-        write_page(found, out, most_views=most_views)
+        write_page(found, out)
     _raise_last(errors)
 
 
@@ -82,10 +77,6 @@ class Scored:
     parts: list[ScenePart]
     results: Stored
     """The content of results.json."""
-
-    @property
-    def scenes(self) -> list[SceneScores]:
-        return [part.scene for part in self.parts]
 
 
 def score_runs(
@@ -128,13 +119,9 @@ def score_runs(
     return Scored(parts=parts, results=results)
 
 
-def write_page(found: Scored, out: Path, *, most_views: int) -> Path:
-    """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path.
-
-    Args:
-        most_views: views that the page shows of each split and run.
-    """
-    page = report_page(found.parts, most_views=most_views)
+def write_page(found: Scored, out: Path) -> Path:
+    """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path."""
+    page = report_page(found.parts)
     with holding(out, REPORT):
         begin(out, REPORT, {"version": REPORT_VERSION})
         for name, data in {"results.json": dump_json(found.results), PAGE: page}.items():
@@ -153,8 +140,6 @@ def make_tables(
         HyalineError: an unknown table or format, or a run that cannot be scored.
     """
     asked = {name: TABLES.find(name) for name in tables}
-    if output_format == "csv":
-        raise UsageError("--format csv: has no named tables; leave out --table, or choose another format")
     runs, errors = _open_runs(runs_root, data_root, runs_root / "report", only)
     wanted = [run for run in runs if any(table.shows(run) for table in asked.values())]
     scenes = _score_scenes(wanted, errors)

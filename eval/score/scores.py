@@ -15,24 +15,9 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import NumericsError
 from datagen.disk.records import dump_json
 from datagen.disk.storage import sha256
-from eval.score.metrics import (
-    SSIM_WINDOW,
-    delta_e_2000,
-    flip,
-    lpips,
-    masked_psnr,
-    mean_of,
-    psnr,
-    psnr_uint8_wrap,
-    ssim,
-)
-from eval.score.runs import (
-    Run,
-    has_split,
-    prediction_digests,
-    prediction_path,
-    read_prediction,
-)
+from eval.score import metrics
+from eval.score.metrics import mean_of
+from eval.score.runs import Run, has_split, prediction_digests, prediction_path, read_prediction
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +25,13 @@ class Metric:
     """A metric's names and format."""
 
     key: str
-    """Name in CSV and JSON."""
+    """Name in JSON."""
     title: str
     """Title; ends in ↑ if more is better, in ↓ if less is."""
     decimals: int
     in_db: bool = False
     is_printed: bool = True
-    """False: only in CSV and JSON."""
+    """False: only in JSON."""
 
     @property
     def sign(self) -> int:
@@ -214,16 +199,16 @@ def score_picture(
     pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"], glass: Bool[np.ndarray, "h w"] | None
 ) -> dict[str, float | None]:
     """Every metric of one picture by its key; None if it is undefined."""
-    delta_e = delta_e_2000(pred, target)
+    delta_e = metrics.delta_e_2000(pred, target)
     return {
-        "psnr_db": psnr(pred, target),
-        "glass_psnr_db": masked_psnr(pred, target, glass) if glass is not None and glass.any() else None,
-        "ssim": ssim(pred, target) if min(target.shape[:2]) >= SSIM_WINDOW else None,
+        "psnr_db": metrics.psnr(pred, target),
+        "glass_psnr_db": metrics.masked_psnr(pred, target, glass) if glass is not None and glass.any() else None,
+        "ssim": metrics.ssim(pred, target) if min(target.shape[:2]) >= metrics.SSIM_WINDOW else None,
         "delta_e": float(delta_e.mean()),
         "delta_e_p95": float(np.percentile(delta_e, 95)),
-        "flip": flip(pred, target),
-        "lpips": lpips(pred, target),
-        "psnr_uint8_wrap_db": psnr_uint8_wrap(pred, target),
+        "flip": metrics.flip(pred, target),
+        "lpips": metrics.lpips(pred, target),
+        "psnr_uint8_wrap_db": metrics.psnr_uint8_wrap(pred, target),
     }
 
 

@@ -1,11 +1,11 @@
-"""Tables: their cells, and their formats: plain text for terminals, Markdown, LaTeX, HTML."""
+"""Tables: their cells, and their formats: plain text for terminals, Markdown, HTML."""
 
 import dataclasses
 import io
 import math
 import re
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from datagen.data.config import Split
@@ -72,7 +72,7 @@ def psnr_text(value: float | None) -> str:
 
 
 def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False) -> str:
-    """One table as `table` (plain text, `width` columns wide), `markdown` or `latex`."""
+    """One table as `table` (plain text, `width` columns wide) or `markdown`."""
     # Names come from folders and files: they must not contain line breaks or control a terminal in any format.
     grid = dataclasses.replace(
         grid,
@@ -82,7 +82,7 @@ def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False
     )
     if output_format == "table":
         return _plain(grid, width, color)
-    return {"markdown": _markdown, "latex": _latex}[output_format](grid)
+    return _markdown(grid)
 
 
 def _plain(grid: Grid, width: int, color: bool) -> str:
@@ -121,8 +121,6 @@ def paragraphs(notes: Sequence[str], output_format: str, width: int) -> str:
     """Notes below tables."""
     if output_format == "markdown":
         return "".join(f"\n{markdown_escaped(note)}\n" for note in notes)
-    if output_format == "latex":
-        return "".join(f"% {note}\n" for note in notes)
     return "".join(f"{textwrap.fill(note, width - 2, subsequent_indent='  ')}\n" for note in notes)
 
 
@@ -131,43 +129,15 @@ def markdown_escaped(text: str) -> str:
     return re.sub(r"([\\`|<>\[\]])", r"\\\1", text)
 
 
-def _cells(grid: Grid, escaped: Callable[[str], str], best: Callable[[str], str]) -> list[list[str]]:
-    """The rows' cells, escaped, and those of the best values as `best` marks them."""
-    return [
-        [best(escaped(cell)) if (place, column) in grid.best else escaped(cell) for column, cell in enumerate(row)]
-        for place, row in enumerate(grid.rows)
-    ]
-
-
 def _markdown(grid: Grid) -> str:
     heads = [column.group if column.split is None else f"{column.group}, {column.split}" for column in grid.columns]
     rules = ["---:" if column.is_number else "---" for column in grid.columns]
-    rows = _cells(grid, markdown_escaped, lambda cell: f"**{cell}**")
+    rows = [
+        [f"**{escaped}**" if (place, column) in grid.best else escaped for column, escaped in enumerate(cells)]
+        for place, cells in enumerate([*map(markdown_escaped, row)] for row in grid.rows)
+    ]
     body = "".join(f"| {' | '.join(line)} |\n" for line in ([*map(markdown_escaped, heads)], rules, *rows))
     return f"### {markdown_escaped(grid.title)}\n\n{body}" + paragraphs(grid.notes, "markdown", TABLE_WIDTH)
-
-
-LATEX_SPELLING = {
-    "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "#": r"\#", "_": r"\_", "$": r"\$", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "∞": r"$\infty$", "Δ": r"$\Delta$", "↑": r"$\uparrow$",
-    "↓": r"$\downarrow$", "±": r"$\pm$", "→": r"$\to$", MISSING: "--",
-}  # fmt: skip
-
-
-def latex_escaped(text: str) -> str:
-    return "".join(LATEX_SPELLING.get(character, character) for character in text)
-
-
-def _latex(grid: Grid) -> str:
-    """A booktabs tabular; it only needs \\usepackage{booktabs}."""
-    alignment = "".join("r" if column.is_number else "l" for column in grid.columns)
-    heads = [latex_escaped(column.short) for column in grid.columns]
-    rows = _cells(grid, latex_escaped, lambda cell: rf"\textbf{{{cell}}}")
-    lines = [" & ".join(row) + r" \\" for row in (heads, *rows)]
-    if grid.last_row_apart:
-        lines.insert(-1, r"\midrule")
-    lines = [rf"\begin{{tabular}}{{{alignment}}}", r"\toprule", lines[0], r"\midrule", *lines[1:], r"\bottomrule"]
-    return "\n".join([f"% {grid.title}", *lines, r"\end{tabular}", paragraphs(grid.notes, "latex", TABLE_WIDTH)])
 
 
 def html_table(grid: Grid, links: Mapping[str, str] | None = None) -> Markup:

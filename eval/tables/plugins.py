@@ -8,12 +8,12 @@ from datagen.data.config import Split
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
-from datagen.pages.pictures import Image8
+from datagen.pages.html import Image8
 from datagen.terminal.plugins import Group
 from eval.score.runs import Run
 from eval.score.scores import SceneScores
 from eval.tables.grids import Grid
-from eval.tables.scenes import Stored
+from eval.tables.results import Stored
 
 EditedPsnr = Mapping[str, Mapping[str, Mapping[Split, float | None]]]
 """PSNR in dB where the edited object is or was, by the run's name, the edit and the split; None where none is seen."""

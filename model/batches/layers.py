@@ -1,7 +1,6 @@
 """Pixels with the straight layers along their rays: stored ones, or traced for every batch."""
 
 import dataclasses
-import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,10 +14,11 @@ from torch import Tensor
 from datagen.data.cameras import Cameras
 from datagen.data.config import Split
 from datagen.data.dataset import Dataset
-from datagen.data.geometries import GeometryKey, geometry_key, read_meshes
+from datagen.data.geometries import geometry_key
 from datagen.data.layers import UV_SCALE
 from datagen.disk.errors import HyalineError
-from datagen.machine.mitsuba_variant import short_lived_workers, use_mitsuba
+from datagen.machine.mitsuba_variant import short_lived_workers
+from datagen.quantities import peeler_of
 from model.batches.rays import PixelSource, RayBatch, black, cameras_of, rays_through, read_colors, to_device
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def peel_cameras(
         whole_views: the renderer needs neighbouring pixels.
     """
 
-    peeler = _load_peeler(geometry_key(dataset, geometry))
+    peeler = peeler_of(geometry_key(dataset, geometry))
     with short_lived_workers():
         views = [peeler.peel(cameras, view, num_layers)[0] for view in range(len(cameras))]
     return _stored(cameras, [(layers.uv, layers.object_id) for layers in views], whole_views=whole_views)
@@ -151,17 +151,8 @@ def trace_cameras(
     return TracedLayerPixels(
         cameras=cameras,
         rgb=black(cameras),
-        peeler=_load_peeler(geometry_key(dataset, geometry)),
+        peeler=peeler_of(geometry_key(dataset, geometry)),
         num_layers=num_layers,
         train_samples=train_samples,
         render_samples=render_samples,
     )
-
-
-@functools.lru_cache(maxsize=1)
-def _load_peeler(key: GeometryKey) -> "Peeler":
-
-    use_mitsuba()
-    from datagen.trace.peel import Peeler
-
-    return Peeler(read_meshes(key.dataset, key.geometry))

@@ -21,7 +21,7 @@ from datagen.disk.records import Json, from_json, load_sealed, to_json
 from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
-from eval.tables.scenes import Stored
+from eval.tables.results import Stored
 from hyaline_photos.fit.shapes import perpendicular
 
 FIT = FolderKind(what="fit", head="fit.json")

@@ -14,7 +14,7 @@ from support.reference import winding_numbers
 from datagen.data.meshes import Mesh, check_mesh, face_corners, points_on, signed_volume, vertex_normals
 from datagen.data.paths import ProxyKind
 from datagen.data.queries import check_closed
-from proxies import measure
+from proxies import solid
 from proxies.kinds import box, ellipsoid, hull
 from proxies.make import FITTERS, paddings
 from proxies.solid import Solid, make_solid, outside_by
@@ -79,7 +79,7 @@ def test_proxies_are_closed_outward_and_enclose_every_vertex_as_stored(kind: Pro
         assert reach > -2 * padding - 8 * 2.0**-24 * np.abs(truth.vertices).max()
         normals = np.einsum("vi,vi->v", proxy.normals, proxy.normals)
         np.testing.assert_allclose(normals, 1, atol=1e-5)
-        assert measure.enclosure(proxy, truth).problem is None
+        assert solid.enclosure(proxy, truth).problem is None
 
 
 @settings(max_examples=3, deadline=None, derandomize=True)
@@ -91,7 +91,7 @@ def test_any_points_get_a_sound_proxy(seed: int, count: int, flatness: float, di
     own = make_solid(truth)
     for kind in CONVEX_KINDS:
         proxy = fit(kind, own, padding=paddings((own,))[0])
-        assert measure.enclosure(proxy, truth).problem is None
+        assert solid.enclosure(proxy, truth).problem is None
         assert signed_volume(proxy) >= own.hull_volume * (1 - 1e-6)
 
 
@@ -200,7 +200,7 @@ def test_every_point_of_the_atlas_belongs_to_one_face_at_most(kind: ProxyKind, p
     counts = np.concatenate([faces_around(part, a, b, c) for part in np.split(points, 50)])
     assert counts.max() == 1
     areas = 0.5 * ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0])
-    assert areas.min() > measure.ATLAS_ROOM
+    assert areas.min() > solid.ATLAS_ROOM
     assert counts.mean() == pytest.approx(areas.sum(), abs=0.04)
     assert areas.sum() > {"box": 0.8, "ellipsoid": 0.999}.get(kind, 0.3)
     if kind in CELLS_OF_A_CHART:
@@ -237,7 +237,7 @@ def test_statistics_of_a_box_in_a_box_are_the_analytic_ones() -> None:
     cube = np.stack(np.meshgrid([-1, 1], [-1, 1], [-1, 1]), axis=-1).reshape(-1, 3).astype(float)
     truth = box.fit_box(make_solid(cloud_mesh(cube)), padding=0)
     proxy = box.fit_box(make_solid(cloud_mesh(cube)), padding=0.1)
-    numbers = measure.proxy_statistics(proxy, truth, make_solid(truth))
+    numbers = solid.proxy_statistics(proxy, truth, make_solid(truth))
     assert numbers.volume_ratio == pytest.approx(1.1**3, rel=1e-5)
     assert numbers.max_distance == pytest.approx(0.1 * np.sqrt(3), rel=1e-5)
     # On a side: 0.1 over the middle 2 x 2, the distance to an edge or a corner over the rim.
@@ -267,7 +267,7 @@ def test_wraps_are_closed_outward_and_enclose_all_of_the_surface(piece: int) -> 
     truth, proxy = wrap_of(piece)
     check_mesh(proxy, where="wrap")
     check_closed(proxy, where="wrap")
-    assert measure.enclosure(proxy, truth).problem is None
+    assert solid.enclosure(proxy, truth).problem is None
     np.testing.assert_allclose(np.linalg.norm(proxy.normals, axis=-1), 1, atol=1e-5)
     # By another way than the check goes: vertices and points on the surface, by their winding numbers.
     points = np.concatenate([truth.vertices[np.unique(truth.faces)], points_on(truth, 200).position])
@@ -301,14 +301,14 @@ def test_crossed_faces_are_those_that_a_loop_finds(seed: int) -> None:
         for face in theirs:
             for side in range(3):
                 expected[index] |= crosses(one[side], one[side - 1], *face) or crosses(face[side], face[side - 1], *one)
-    np.testing.assert_array_equal(measure.crossed_faces(other, truth), expected)
+    np.testing.assert_array_equal(solid.crossed_faces(other, truth), expected)
 
 
 def test_a_part_outside_is_missed_though_nothing_crosses() -> None:
     proxy = fit("box", make_solid(shapes(0)[0]), padding=1e-5)
     near, far = shapes(0)[0], cloud_mesh(shapes(0)[0].vertices + 50)
-    assert measure.enclosed_share(proxy, near) == 1
-    assert measure.enclosed_share(proxy, far) == 0
+    assert solid.enclosed_share(proxy, near) == 1
+    assert solid.enclosed_share(proxy, far) == 0
 
 
 @pytest.mark.parametrize(
@@ -323,5 +323,5 @@ def test_a_part_outside_is_missed_though_nothing_crosses() -> None:
 def test_an_enclosure_names_what_is_wrong(changed: Callable[[Mesh], dict[str, np.ndarray]], problem: str) -> None:
     truth = shapes(0)[0]
     proxy = fit("box", make_solid(truth), padding=1e-5)
-    assert measure.enclosure(proxy, truth).problem is None
-    assert problem in str(measure.enclosure(dataclasses.replace(proxy, **changed(proxy)), truth).problem)
+    assert solid.enclosure(proxy, truth).problem is None
+    assert problem in str(solid.enclosure(dataclasses.replace(proxy, **changed(proxy)), truth).problem)

@@ -47,7 +47,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def report(root: Path) -> ReadPage:
-    make_report(root / "runs", root / "data", root / "out", output_format="csv")
+    make_report(root / "runs", root / "data", root / "out", output_format="json")
     return read_page((root / "out" / "index.html").read_bytes())
 
 

@@ -19,7 +19,7 @@ from datagen.data.paths import view_name
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import commit, read_regular
-from datagen.pages.pictures import data_uri
+from datagen.pages.html import data_uri
 from datagen.terminal.plugins import VERSION
 from hyaline_web.page.scene import Quality, web_scene
 from model.methods.page import package_text

@@ -1,7 +1,5 @@
 """Tests builds in parts: at once, killed, sent off as jobs; each ends in the bytes of one build."""
 
-import dataclasses
-import shutil
 import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -13,7 +11,6 @@ from support.commands import call, run
 from support.synthetic import synthetic_scene
 
 from datagen.builder.build import open_or_start
-from datagen.builder.verify import verify_dataset
 from datagen.data.config import DatasetConfig, square
 from datagen.data.geometries import geometry_hash
 from datagen.data.layers import start_layers
@@ -21,16 +18,11 @@ from datagen.data.paths import TRUTH, layers_root
 from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
 
-ALL = "--angles --larger 2 --larger-views 1"
-"""Variants of both kinds."""
-
 
 @pytest.fixture(scope="module")
 def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scene") / "mine"
-    scene = synthetic_scene()
-    rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
-    save_scene(dataclasses.replace(scene, cameras=rig), folder)
+    save_scene(synthetic_scene(), folder)
     return folder
 
 
@@ -39,16 +31,6 @@ def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("data") / "built"
     run(build(scene_folder, out))
     return out
-
-
-@pytest.mark.slow
-def test_variants_in_parts_at_once_are_the_whole_byte_for_byte(built: Path, tmp_path: Path) -> None:
-    whole, out = shutil.copytree(built, tmp_path / "whole"), shutil.copytree(built, tmp_path / "parts")
-    run(f"datagen add {whole} {ALL}")
-    parts = [subprocess.Popen(command(f"datagen add {out} {ALL} --shard {part}")) for part in ("1/2", "2/2")]
-    assert [part.wait() for part in parts] == [0, 0]
-    assert tree(out) == tree(whole)
-    assert verify_dataset(out).problems == []
 
 
 def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(

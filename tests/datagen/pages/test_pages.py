@@ -9,8 +9,7 @@ from PIL import Image
 from support.pages import read_page
 
 from datagen.pages.charts import Line, line_chart
-from datagen.pages.html import document, section, tag
-from datagen.pages.pictures import Gallery, lossless_uri
+from datagen.pages.html import Gallery, document, lossless_uri, section, tag
 
 HOSTILE = (
     "<script>alert(1)</script>",

@@ -73,11 +73,11 @@ def test_the_base_verifies_reads_and_scores_and_a_missing_part_is_one_line(tmp_p
         "model train paper one --steps 1": "model",
         "model check-method light-path": "model",
     }
-    working = ["datagen verify data/one", "datagen scenes", "report --format csv", "model train --help"]
+    working = ["datagen verify data/one", "datagen scenes", "report --json", "model train --help"]
     answers = without_parts(tmp_path, *working, *needing)
     for line in working:
         assert answers[line][0] == 0, answers[line]
-    assert "mine" in answers["report --format csv"][1]
+    assert "mine" in answers["report --json"][1]
     for line, extra in needing.items():
         status, out, err = answers[line]
         told = [text for text in err.splitlines() if text.startswith("error: ")]

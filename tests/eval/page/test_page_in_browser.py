@@ -30,7 +30,7 @@ def report(dataset: Dataset) -> Path:
     root = dataset.root.parents[1]
     for name, step in (("near", 3), ("very dark", 200)):
         write_predictions(dataset, root / "runs/synthetic" / name, lambda image, by=step: image - np.minimum(image, by))
-    make_report(root / "runs", root / "data", root / "out", output_format="csv")
+    make_report(root / "runs", root / "data", root / "out", output_format="json")
     return root / "out" / "index.html"
 
 

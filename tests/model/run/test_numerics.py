@@ -126,7 +126,7 @@ def test_a_renderer_that_predicts_no_number_writes_no_picture(
 
 def test_a_metric_that_is_no_number_reaches_no_table(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     run(TRAIN.format(dataset.root))
-    monkeypatch.setattr("eval.score.scores.ssim", lambda *_: NAN)
+    monkeypatch.setattr("eval.score.metrics.ssim", lambda *_: NAN)
     answer = call(f"report --data {dataset.root.parent} --out report")
     assert (answer.status, answer.out) == (3, "")
     assert answer.error.endswith("predictions/interpolating/0000.png: its ssim is not a number; run not scored")

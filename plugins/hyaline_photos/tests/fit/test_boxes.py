@@ -13,7 +13,7 @@ from datagen.scene.atlas import coverage
 from datagen.scene.modelling import rotation
 from hyaline_photos.fit.boxes import Box, fit_box
 from hyaline_photos.fit.views import rays_near
-from proxies.measure import enclosure
+from proxies.solid import enclosure
 
 UP = np.array([0.0, 0.0, 1.0])
 CENTER, SIZES, TURN = (0.01, -0.02, 0.052), (0.03, 0.02, 0.05), rotation((0, 0, 1), 28)
