@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import cast
 
+import numba
 import numpy as np
 import torch
 from jaxtyping import Float32, Int
@@ -12,7 +13,7 @@ from torch import Tensor, nn
 from torch.autograd.function import FunctionCtx
 from torch.nn import functional
 
-from model.nets.texels import add_sky, add_sky_gradient
+from datagen.machine.compiled import compiled
 from model.nets.texture import constant_on, level_scales, sum_texels, taps_around
 
 LOBE_RATE = 2.5
@@ -136,15 +137,62 @@ def _wrapped(texels: Float32[Tensor, "3 tex_h tex_w"]) -> Float32[Tensor, "3 tex
     return texels.index_select(2, constant_on((width - 1, *range(width), 0), torch.int32, texels.device))
 
 
+@numba.njit
+def _taps(place, texels, ray):
+    """Rows and columns of the four texels of a map around a ray's place, and the share of the later ones: the map goes
+    once around, and its first and last rows go on to the poles."""
+    height, width = texels.shape[1:]
+    x = (place[0, ray] + np.float32(1)) / np.float32(2) * np.float32(width) - np.float32(0.5)
+    y = (place[1, ray] + np.float32(1)) / np.float32(2) * np.float32(height) - np.float32(0.5)
+    y = min(max(y, np.float32(0)), np.float32(height - 1))
+    left, top = np.int32(np.floor(x)), min(max(np.int32(y), 0), height - 1)  # Inside the map even where y is NaN.
+    columns = (left + width) % width, (left + 1) % width
+    return (top, min(top + 1, height - 1)), columns, y - np.float32(top), x - np.float32(left)
+
+
+@compiled(boundscheck=False)
+def _add_map(
+    result: Float32[np.ndarray, "ray 3"],
+    texels: Float32[np.ndarray, "3 tex_h tex_w"],
+    place: Float32[np.ndarray, "2 ray"],
+    scale: np.float32,
+) -> None:
+    """Adds `scale` times a latitude-longitude map at each ray's azimuth and polar angle, both from -1 to 1."""
+    for ray in range(len(result)):
+        (top, bottom), (left, right), y, x = _taps(place, texels, ray)
+        for c in range(3):
+            upper = (1 - x) * texels[c, top, left] + x * texels[c, top, right]
+            lower = (1 - x) * texels[c, bottom, left] + x * texels[c, bottom, right]
+            result[ray, c] += scale * ((1 - y) * upper + y * lower)
+
+
+@compiled(boundscheck=False)
+def _add_map_gradient(
+    gradient: Float32[np.ndarray, "3 tex_h tex_w"],
+    upstream: Float32[np.ndarray, "ray 3"],
+    place: Float32[np.ndarray, "2 ray"],
+    scale: np.float32,
+) -> None:
+    """Adds the gradient of `_add_map` with respect to its map, ray by ray: sums repeat bit by bit."""
+    for ray in range(len(upstream)):
+        (top, bottom), (left, right), y, x = _taps(place, gradient, ray)
+        for c in range(3):
+            upper, lower = scale * (1 - y) * upstream[ray, c], scale * y * upstream[ray, c]
+            gradient[c, top, left] += (1 - x) * upper
+            gradient[c, top, right] += x * upper
+            gradient[c, bottom, left] += (1 - x) * lower
+            gradient[c, bottom, right] += x * lower
+
+
 class _CompiledSky(torch.autograd.Function):
-    """`_sum_of_maps` by the loops of `model.nets.texels`; directions have no gradients."""
+    """`_sum_of_maps` by the loops above; directions have no gradients."""
 
     @staticmethod
     def forward(ctx: FunctionCtx, scales: list[float], place: Float32[Tensor, "2 exit"], *maps: Tensor) -> Tensor:
         ctx.given = scales, place.numpy(), [texels.shape for texels in maps]  # pyright: ignore[reportAttributeAccessIssue]
         found = torch.zeros(place.shape[1], 3)
         for scale, texels in zip(scales, maps, strict=True):
-            add_sky(found.numpy(), texels.detach().numpy(), place.numpy(), np.float32(scale))
+            _add_map(found.numpy(), texels.detach().numpy(), place.numpy(), np.float32(scale))
         return found
 
     @staticmethod
@@ -152,7 +200,7 @@ class _CompiledSky(torch.autograd.Function):
         scales, place, shapes = ctx.given  # pyright: ignore[reportAttributeAccessIssue]
         above, gradients = upstream[0].contiguous().numpy(), [torch.zeros(shape) for shape in shapes]
         for scale, gradient in zip(scales, gradients, strict=True):
-            add_sky_gradient(gradient.numpy(), above, place, np.float32(scale))
+            _add_map_gradient(gradient.numpy(), above, place, np.float32(scale))
         return None, None, *gradients
 
 

@@ -188,53 +188,6 @@ def add_uv_gradient(
                 gradient[slot, 1] -= scale * np.float32(size) * along_y
 
 
-@numba.njit
-def _sky_taps(place, texels, ray):
-    """Rows and columns of the four texels of a map around a ray's place, and the share of the later ones: the map goes
-    once around, and its first and last rows go on to the poles."""
-    height, width = texels.shape[1:]
-    x = (place[0, ray] + np.float32(1)) / np.float32(2) * np.float32(width) - np.float32(0.5)
-    y = (place[1, ray] + np.float32(1)) / np.float32(2) * np.float32(height) - np.float32(0.5)
-    y = min(max(y, np.float32(0)), np.float32(height - 1))
-    left, top = np.int32(np.floor(x)), min(max(np.int32(y), 0), height - 1)  # Inside the map even where y is NaN.
-    columns = (left + width) % width, (left + 1) % width
-    return (top, min(top + 1, height - 1)), columns, y - np.float32(top), x - np.float32(left)
-
-
-@compiled(boundscheck=False)
-def add_sky(
-    result: Float32[np.ndarray, "ray 3"],
-    texels: Float32[np.ndarray, "3 tex_h tex_w"],
-    place: Float32[np.ndarray, "2 ray"],
-    scale: np.float32,
-) -> None:
-    """Adds `scale` times a latitude-longitude map at each ray's azimuth and polar angle, both from -1 to 1."""
-    for ray in range(len(result)):
-        (top, bottom), (left, right), y, x = _sky_taps(place, texels, ray)
-        for c in range(3):
-            upper = (1 - x) * texels[c, top, left] + x * texels[c, top, right]
-            lower = (1 - x) * texels[c, bottom, left] + x * texels[c, bottom, right]
-            result[ray, c] += scale * ((1 - y) * upper + y * lower)
-
-
-@compiled(boundscheck=False)
-def add_sky_gradient(
-    gradient: Float32[np.ndarray, "3 tex_h tex_w"],
-    upstream: Float32[np.ndarray, "ray 3"],
-    place: Float32[np.ndarray, "2 ray"],
-    scale: np.float32,
-) -> None:
-    """Adds the gradient of `add_sky` with respect to its map, ray by ray: sums repeat bit by bit."""
-    for ray in range(len(upstream)):
-        (top, bottom), (left, right), y, x = _sky_taps(place, gradient, ray)
-        for c in range(3):
-            upper, lower = scale * (1 - y) * upstream[ray, c], scale * y * upstream[ray, c]
-            gradient[c, top, left] += (1 - x) * upper
-            gradient[c, top, right] += x * upper
-            gradient[c, bottom, left] += (1 - x) * lower
-            gradient[c, bottom, right] += x * lower
-
-
 BETA2, EPSILON = 0.999, 1e-8
 
 Moved = tuple[
