@@ -63,6 +63,11 @@ class Rectangle:
         return sheet((*corner, height), (*(2 * along), 0), (*(2 * across), 0))
 
 
+def thinned(points: Points, cell: float) -> Points:
+    """A point of each cubic cell that has some: surfaces nearby and far away count alike."""
+    return points[np.sort(np.unique(np.floor(points / cell), axis=0, return_index=True)[1])]
+
+
 def smallest_rectangle(flat: Flat, percent: float = 2.0, angle: float | None = None) -> Rectangle:
     """The smallest rectangle around all points but few."""
     angles = np.radians(np.arange(0, 90, 2)) if angle is None else [angle]

@@ -216,6 +216,8 @@ def find_panes(
 CELL = 0.05
 """Side of the cells by whose contact points are one thing, over the cameras' distance."""
 MAX_THINGS = 24
+THING = "thing_"
+"""How the names of surfaces from depth maps begin."""
 FOUND = 0.5
 """Share of a thing's points near surfaces from depth maps, above which it needs no box."""
 SLAB = 0.04
@@ -294,7 +296,7 @@ def fit_room(
         things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
         for pane in panes:
             things = [pane.without(thing) for thing in things]
-    parts |= {f"thing_{place}": mesh for place, mesh in enumerate(things)}
+    parts |= {f"{THING}{place}": mesh for place, mesh in enumerate(things)}
     boxes: dict[str, Mesh] = {}
     for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
         box = smallest_rectangle(thing[:, :2])
