@@ -22,9 +22,6 @@ class CaptureChoices:
     diameter: str | None = None
     """True diameter of one glass object at its widest place, such as tumbler=82mm, to find the scale; without a name if
     there is one object. Default: metres with a transforms file; otherwise lengths are relative."""
-    up: Literal["auto", "x", "y", "z"] = "auto"
-    """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
-    largest surface below the cameras."""
 
     def __post_init__(self) -> None:
         if self.longest is not None and not 8 <= self.longest <= 4096:
@@ -124,6 +121,7 @@ def fit(
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
+    say_all(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith("scale: "))
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

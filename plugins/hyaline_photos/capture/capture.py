@@ -1,7 +1,7 @@
 """Pictures and masks of glass as a dataset: cameras, an opaque room, and a stand-in for each object of glass."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
@@ -13,26 +13,22 @@ from datagen.data.config import SPLITS, Imported, Resolution, Split
 from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.machine.processes import allow_triangles
-from datagen.scene.description import SceneObject
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
 from datagen.terminal.command import track
-from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
 from hyaline_import.datasets.layouts import ForeignView, on_background, opened
-from hyaline_import.foreign import z_up_from
 from hyaline_import.importing import Made, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.folder import Folder, Shot, read_capture, read_mask, waiting
-from hyaline_photos.capture.judged import judge_room
+from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask, waiting
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.planes import FAR, LEAST_POINTS, NEAR, Points, find_up, thinned
-from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room
+from hyaline_photos.capture.planes import NEAR, find_up
+from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, lacking
 from hyaline_photos.capture.stereo import find_depths, with_uv
 from hyaline_photos.commands import CaptureChoices
 from hyaline_photos.fit.shapes import perpendicular
@@ -45,8 +41,10 @@ WANTED, LONGEST = 128, (160, 320)
 """Pixels along a glass, and the longer side of the pictures, from which more would not be learned in the same time."""
 FULL = 800
 """Longer side of the pictures of which depth maps are made; larger ones are reduced."""
-MOST_POINTS = 60_000
-"""Points of depth maps that the room is fitted to."""
+BORDERS = 0.3, 10.0
+"""Least and largest depth that is looked for, over the cameras' distance."""
+MAX_LACKING = 0.25
+"""Share of what a depth map shows that the room may lack before the picture is named."""
 MAX_EDGES = 0.9
 """Share of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
 GREY = (0.5, 0.5, 0.5)
@@ -83,28 +81,26 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     seen = [_object_ids(shot, lens) for shot in track(shots, label="masks", total=len(shots))]
     _check_masks(folder, np.stack(seen))
     world, outlines, about_world = _place(folder, shots, lens, seen, choices)
-    every = world.cameras(shots, lens)
     with waiting("panes among the glass"):
-        panes = find_panes(outlines, seen, every)
+        panes = find_panes(outlines, seen, world.cameras(shots, lens))
     flat = {pane.name: pane.outline() for pane in panes}
     outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
-    cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
-    points, middle = world.points(folder.points), np.mean([outline.center for outline in outlines], axis=0)
-    places = every.world_from_camera[:, :3, 3]
-    radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
     full, through = shared_lens(lenses, FULL)[0], [0, *(1 + folder.objects.index(name) for name in flat)]
-    large, is_glass = [], []
+    every, pictures, is_glass = world.cameras(shots, full), [], []
     for shot in track(shots, label="pictures of full size", total=len(shots)):
-        large.append(_picture(shot, full))
+        pictures.append(_picture(shot, full))
         is_glass.append(~np.isin(_object_ids(shot, full), through))
-    borders = _borders(points, every, radius)
-    maps = find_depths(large, is_glass, world.cameras(shots, full), middle, borders)
-    points = thinned(np.concatenate([points, maps.points(MOST_POINTS)]), NEAR * radius)
-    with waiting("the room"):
+    places, middle = every.world_from_camera[:, :3, 3], np.mean([outline.center for outline in outlines], axis=0)
+    radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    maps = find_depths(pictures, is_glass, every, middle, (BORDERS[0] * radius, BORDERS[1] * radius))
+    points = np.concatenate([world.points(folder.points), maps.points(NEAR * radius)])
+    with waiting("surfaces of the room"):
         room = fit_room(points, outlines, places, maps, panes)
-        pictures = {shot.picture.name: _picture(shot, lens) for shot in shots}
-        about_room = judge_room(room.parts, pictures, seen, every, maps)
-    about_world = [*about_world, room.remark, *about_room]
+        lacks = lacking(room.parts, maps)
+    about_world.append(f"{room.remark}; {lacks.mean():.0%} of what depth maps show is missing or elsewhere")
+    if doubtful := [place for place in np.argsort(-lacks) if lacks[place] > MAX_LACKING]:
+        names = ", ".join(f"{shots[place].picture.name} ({lacks[place]:.0%})" for place in doubtful[:NAMED])
+        about_world.append(f"room: lacks more than {MAX_LACKING:.0%} of {len(doubtful)} pictures, most of {names}")
     if (support := room.support) is not None:
         outlines = tuple(outline.standing_on(support) for outline in outlines)
     unit = "mm" if folder.has_unit or choices.diameter else "thousandths of the cameras' distance"
@@ -113,12 +109,13 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         kind = "a pane, which depth maps look through; " if outline.name in flat else ""
         about_world.append(f"{outline.name}: about {sides} {unit} by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
-    unwrapped = {part: mesh for part, mesh in room.parts.items() if part.startswith(THING)}
-    for part in track(list(unwrapped), label="unwrapping surfaces", total=len(unwrapped)):
-        unwrapped[part] = with_uv(unwrapped[part], where=part)
-    with waiting("storing the room"):
-        parts = {**room.parts, **unwrapped}
-        scene, about_scene, _ = scene_from(_save_scene, name, outlines, parts, cameras, where=name)
+    cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
+    parts = {
+        part: with_uv(mesh, where=part) if part.startswith(THING) else mesh
+        for part, mesh in track(room.parts.items(), label="unwrapping", total=len(room.parts))
+    }
+    with waiting("the scene"):
+        scene, about_scene = _scene(name, outlines, parts, cameras)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
@@ -188,15 +185,6 @@ def _check_masks(folder: Folder, seen: UInt8[np.ndarray, "view h w"]) -> None:
             )
 
 
-def _borders(points: Points, cameras: Cameras, radius: float) -> tuple[float, float]:
-    """The least and the largest depth that is looked for: by points, and farther, since walls have few of them."""
-    depths = np.concatenate([cameras[view].project(points)[1] for view in range(len(cameras))])
-    if (depths > 0).sum() < LEAST_POINTS:
-        return 0.4 * radius, FAR * radius
-    near, far = np.percentile(depths[depths > 0], (1, 99.9))
-    return 0.8 * near, max(1.25 * far, FAR * radius)
-
-
 # The world
 
 
@@ -208,9 +196,8 @@ def _place(
     choices: CaptureChoices,
 ) -> tuple[World, tuple[Outline, ...], list[str]]:
     """Turns, scales and moves the cameras' world; the outlines of the glass in ours."""
-    if choices.up != "auto" or folder.has_unit:
-        rotation = z_up_from("z" if choices.up == "auto" else choices.up)
-    else:
+    rotation = np.eye(3)
+    if not folder.has_unit:
         up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
         rotation = np.stack([*-perpendicular(up), up])
     cameras = World(rotation=rotation).cameras(shots, lens)
@@ -246,13 +233,10 @@ def _place(
 # The scene
 
 
-def _save_scene(
-    folder: Path,
-    name: str,
-    outlines: tuple[Outline, ...],
-    parts: dict[str, Mesh],
-    cameras: dict[Split, Cameras],
-) -> None:
+def _scene(
+    name: str, outlines: Sequence[Outline], parts: Mapping[str, Mesh], cameras: dict[Split, Cameras]
+) -> tuple[Scene, list[str]]:
+    """The scene of a room and stand-ins for glass, and remarks."""
     remarks = Remarks()
     glass = [
         SceneObject(
@@ -262,16 +246,11 @@ def _save_scene(
         )
         for outline in outlines
     ]
-    taken, matt = {item.name for item in glass}, Diffuse(color=GREY)
-    opaque = [
-        SceneObject(name=f"room_{part}" if part in taken else part, mesh=mesh, material=matt)
-        for part, mesh in parts.items()
-    ]
-    allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
+    opaque = [SceneObject(name=part, mesh=mesh, material=Diffuse(color=GREY)) for part, mesh in parts.items()]
     names = unique_names([item.name for item in (*glass, *opaque)])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
     mapper = Mapper(metres=1.0, remarks=remarks)
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
     made = Made(objects=objects, without_uv={name for name in names if not name.startswith(THING)})
     scene = unlit_scene(name, made, placed, cameras, how="Captured")
-    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
+    return scene, [f"{line.where}: {line.what}" for line in remarks.lines]

@@ -25,10 +25,9 @@ from PIL import Image
 
 from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.images import mask_pixels
-from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Frame, Transforms, relative_name
+from datagen.data.transforms import Frame, Transforms
 from datagen.disk.errors import HyalineError, shown
-from datagen.disk.storage import check_regular, commit, find_file
+from datagen.disk.storage import check_regular, commit
 from datagen.scene.description import MAX_OBJECTS
 from datagen.terminal.command import say, track
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
@@ -53,8 +52,6 @@ PICTURES, MASKS, FOUND = "images", "masks", "colmap"
 LAYOUT = "capture"
 """Name of the layout in a dataset's record of its import."""
 ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
-POINTS = ("points3d.ply", "sparse_pc.ply")
-"""Files of points beside a transforms file that names none."""
 NAMED = 3
 """Files that an error names."""
 MAX_LACKING = 0.15
@@ -80,8 +77,7 @@ class Folder(ForeignDataset):
     objects: tuple[str, ...]
     """Names of the objects of glass, in the order of a shot's masks."""
     points: Float[np.ndarray, "point 3"]
-    """Points on opaque surfaces in the cameras' world; possibly empty."""
-    points_file: Path | None
+    """COLMAP's, on opaque surfaces in the cameras' world; possibly none."""
     has_unit: bool
     """True if the cameras' world is upright and in metres, as in a transforms file."""
 
@@ -93,8 +89,7 @@ class Folder(ForeignDataset):
     @property
     def files(self) -> list[Path]:
         """Every file whose content becomes a part of the dataset."""
-        parts = [path for shot in self.shots for path in (shot.picture, *shot.masks)]
-        return [*parts, *([self.points_file] if self.points_file else [])]
+        return [path for shot in self.shots for path in (shot.picture, *shot.masks)]
 
 
 def read_capture(root: Path) -> Folder:
@@ -236,27 +231,17 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     if len(found) == 1:
         listed = split_listed(first, listed["train"])
         remarks += about_unlisted(first, listed)
-    points, points_file = _points(root, first.content.get("ply_file_path"))
     return Folder(
         root=root,
         layout=LAYOUT,
         lens=views["train"][0].lens.pinhole,
         views={role: tuple(shot for shot in shots if shot.masks) for role, shots in listed.items()},
         objects=objects,
-        points=points,
-        points_file=points_file,
+        points=np.zeros((0, 3)),
         has_unit=True,
         license=license_line(first.content.get("license")),
         remarks=tuple(remarks),
     )
-
-
-def _points(root: Path, named: object = None) -> tuple[Float[np.ndarray, "point 3"], Path | None]:
-    """The points of a file of this name, or of a usual one, and where they are; none without such a file."""
-    usual = (name for name in POINTS if (root / name).is_file())
-    name = relative_name(named) if isinstance(named, str) else next(usual, None)
-    file = None if name is None else find_file(root, name, where=f"{root}: points")
-    return (np.zeros((0, 3)) if file is None else read_ply_points(file)), file
 
 
 def _with_colmap(
@@ -277,9 +262,6 @@ def _with_colmap(
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
             f"{shown(next(iter(listed)))}; expected those below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
-    points, points_file = colmap_points(root), None
-    if not len(points):
-        points, points_file = _points(root)
     return Folder(
         root=root,
         layout=LAYOUT,
@@ -290,8 +272,7 @@ def _with_colmap(
             "test": tuple(shot for shot in shots if shot.picture in tests),
         },
         objects=objects,
-        points=points,
-        points_file=points_file,
+        points=colmap_points(root),
         has_unit=False,
         remarks=(*remarks, *_left_out("cameras", lost, len(pictures))),
     )

@@ -14,11 +14,11 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numba
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int, Shaped, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from datagen.data.cameras import Cameras
 from datagen.data.meshes import Mesh
@@ -49,6 +49,7 @@ LEAST_CONTRAST = 0.006
 """Standard deviation of brightness (of 1) in a window, below which noise decides."""
 AGREE, LEAST_AGREEING = 0.02, 2
 """Relative tolerance within which other views must find the same depth, and how many must."""
+MOST_POINTS = 60_000
 MOST_VOXELS = 8e6
 MOST_FACES = 20_000
 """Faces of all surfaces; voxels become larger until there are no more, which a minute unwraps."""
@@ -73,14 +74,15 @@ class DepthMaps:
     cameras: Cameras
     depth: Float32[np.ndarray, "view h w"]
 
-    def points(self, count: int) -> Float[np.ndarray, "point 3"]:
-        """Some of the points that the maps show."""
+    def points(self, cell: float) -> Float[np.ndarray, "point 3"]:
+        """Some of the points that the maps show, at most one in each cubic cell: near and far surfaces count alike."""
         views, rows, columns = np.nonzero(self.depth)
-        some = np.random.default_rng(0).permutation(len(views))[:count]
+        some = np.random.default_rng(0).permutation(len(views))[:MOST_POINTS]
         view, row, column = views[some], rows[some], columns[some]
         linear, shift = np.split(projections_of(self.cameras)[view], [3], axis=2)
         ahead = self.depth[view, row, column, None] * np.stack([column + 0.5, row + 0.5, np.ones(len(some))], axis=1)
-        return np.linalg.solve(linear, ahead[..., None] - shift)[..., 0]
+        points = np.linalg.solve(linear, ahead[..., None] - shift)[..., 0]
+        return points[np.unique(np.floor(points / cell), axis=0, return_index=True)[1]]
 
 
 def find_depths(
@@ -108,18 +110,23 @@ def _depths(
     grey: Float32[np.ndarray, "view h w"],
     opaque: Bool[np.ndarray, "view h w"],
     projections: Float[np.ndarray, "view 3 4"],
-    sources: Sequence[Int[np.ndarray, " source"]],
+    sources: Sequence[Int[np.ndarray, " _"]],
     most: float,
     least: float,
 ) -> tuple[Float32[np.ndarray, "view h w"], float]:
     """Depths, of which the inverse is between the least and the most, and the step of the inverse."""
+    from skimage.measure import block_reduce
+
+    known = np.zeros_like(grey)
     if max(grey.shape[1:]) <= SMALLEST:
         step = (most - least) / (PLANES - 1)
         first, offsets = np.full(grey.shape, least, np.float32), step * np.arange(PLANES)
     else:
-        smaller = _quarters(grey).mean(axis=(2, 4)), np.asarray(_quarters(opaque).all(axis=(2, 4)))
-        coarse, step = _depths(*smaller, np.diag([0.5, 0.5, 1.0]) @ projections, sources, most, least)
-        first, step = np.stack([_enlarged(each, grey.shape[1:]) for each in coarse]), step / 2
+        block, half = cast(int, (1, 2, 2)), np.diag([0.5, 0.5, 1.0])
+        smaller = block_reduce(grey, block, np.mean), block_reduce(opaque, block, np.all)
+        coarse, step = _depths(*smaller, half @ projections, sources, most, least)
+        known = coarse.repeat(2, axis=1).repeat(2, axis=2)[:, : grey.shape[1], : grey.shape[2]] * opaque
+        first, step = np.stack([_inverse(each) for each in known]), step / 2
         offsets = step * np.arange(-NEARBY, NEARBY + 1)
 
     def sweep(view: int) -> Float32[np.ndarray, "h w"]:
@@ -140,28 +147,22 @@ def _depths(
     with ThreadPoolExecutor(num_cores()) as pool:  # Compiled code lets go of Python's lock.
         count, label = len(grey), f"depth maps, {grey.shape[2]} pixels wide"
         depth = np.stack(list(track(pool.map(sweep, range(count)), label=label, total=count)))
-        return np.stack(list(pool.map(agreed, range(count)))), step
+        found = np.stack(list(pool.map(agreed, range(count))))
+    return np.where(found > 0, found, known), step  # Plain surfaces show enough in small pictures alone.
 
 
-def _quarters(pictures: Shaped[np.ndarray, "view h w"]) -> Shaped[np.ndarray, "view h2 2 w2 2"]:
-    """Pixels in blocks of two by two."""
-    count, height, width = pictures.shape
-    return pictures[:, : height // 2 * 2, : width // 2 * 2].reshape(count, height // 2, 2, width // 2, 2)
-
-
-def _enlarged(depth: Float32[np.ndarray, "h2 w2"], size: tuple[int, ...]) -> Float32[np.ndarray, "h w"]:
-    """1 / depth in a picture twice as large; where none is known, that of the nearest pixel which has one."""
+def _inverse(depth: Float32[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """1 / depth; where none is known, that of the nearest pixel which has one."""
     from scipy.ndimage import distance_transform_edt
 
     if not depth.any():
-        return np.ones(size, np.float32)
+        return np.ones_like(depth)
     nearest = distance_transform_edt(depth == 0, return_distances=False, return_indices=True)
     assert isinstance(nearest, np.ndarray)
-    rows, columns = (np.minimum(np.arange(n) // 2, m - 1) for n, m in zip(size, depth.shape, strict=True))
-    return (1 / depth[nearest[0], nearest[1]])[rows[:, None], columns]
+    return 1 / depth[nearest[0], nearest[1]]
 
 
-def sources_of(cameras: Cameras, middle: Float[np.ndarray, "3"]) -> list[Int[np.ndarray, " source"]]:
+def sources_of(cameras: Cameras, middle: Float[np.ndarray, "3"]) -> list[Int[np.ndarray, " _"]]:
     """For each view those that see the scene's middle from about `ANGLE_DEG` beside it."""
     away = cameras.world_from_camera[:, :3, 3] - middle
     away /= np.linalg.norm(away, axis=1, keepdims=True)
@@ -197,11 +198,11 @@ def _sweep(grey, opaque, others, others_opaque, turn, shift, first, offsets):
     scores = np.empty((len(offsets), height, width), np.float32)
     for plane in range(len(offsets)):
         depths = np.float32(1) / np.maximum(first + offsets[plane], np.float32(1e-6))
-        best = np.full((3, height, width), np.float32(-1))
+        best = np.full(((len(others) + 1) // 2, height, width), np.float32(-1))
         for source in range(len(others)):
             seen, weight = _warp(others[source], others_opaque[source], opaque, turn[source], shift[source], depths)
             _keep_best(best, _correlation(grey, seen, weight))
-        scores[plane] = (best[0] + best[1] + best[2]) / 3
+        scores[plane] = best.sum(axis=0) / max(len(best), 1)
     depth = np.zeros((height, width), np.float32)
     for row in range(height):
         for column in range(width):
@@ -267,28 +268,20 @@ def _sums(values):
     """The sum over each pixel's window; beyond the border are zeros."""
     height, width = values.shape
     rows, sums = np.zeros_like(values), np.zeros_like(values)
-    for row in range(height):
-        total = np.float32(0)
-        for column in range(-HALF_WINDOW, width):
-            if column + HALF_WINDOW < width:
-                total += values[row, column + HALF_WINDOW]
-            if column - HALF_WINDOW - 1 >= 0:
-                total -= values[row, column - HALF_WINDOW - 1]
-            if column >= 0:
-                rows[row, column] = total
-    for row in range(height):
-        for near in range(max(row - HALF_WINDOW, 0), min(row + HALF_WINDOW + 1, height)):
-            sums[row] += rows[near]
+    for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
+        rows[:, max(-k, 0) : width - max(k, 0)] += values[:, max(k, 0) : width + min(k, 0)]
+    for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
+        sums[max(-k, 0) : height - max(k, 0)] += rows[max(k, 0) : height + min(k, 0)]
     return sums
 
 
 @numba.njit
 def _keep_best(best, scores):
-    """Keeps the three best scores of each pixel, in falling order."""
+    """Keeps the best scores of each pixel, in falling order."""
     for row in range(scores.shape[0]):
         for column in range(scores.shape[1]):
             score = scores[row, column]
-            for place in range(3):
+            for place in range(len(best)):
                 if score > best[place, row, column]:
                     best[place, row, column], score = score, best[place, row, column]
 
@@ -344,37 +337,11 @@ def fuse(
     surface = trimesh.Trimesh(vertices + low, faces, process=True)
     kept = is_wanted(surface.triangles_center)
     surface.update_faces(kept & surface.nondegenerate_faces())
-    cell = voxel
-    while len(surface.faces) > MOST_FACES:
-        cell *= max(1.05, 0.7 * (len(surface.faces) / MOST_FACES) ** 0.5)
-        surface = trimesh.Trimesh(*_clustered(np.asarray(surface.vertices), np.asarray(surface.faces), cell))
+    if len(surface.faces) > MOST_FACES:
+        return fuse(maps, low, high, 1.02 * voxel * (len(surface.faces) / MOST_FACES) ** 0.5, is_wanted)
     pieces = surface.split(only_watertight=False)
     pieces = [piece for piece in pieces if piece.area > LEAST_AREA * voxel**2]
     return [_mesh(piece) for piece in sorted(pieces, key=lambda piece: -piece.area)]
-
-
-def _clustered(
-    vertices: Float[np.ndarray, "vertex 3"], faces: Int[np.ndarray, "face 3"], cell: float
-) -> tuple[Float[np.ndarray, "vertex2 3"], Int[np.ndarray, "face2 3"]]:
-    """A surface with one vertex in each cubic cell, nearest to the planes of its faces there; flat parts stay flat.
-
-    Source: Lindstrom 2000, Out-of-core simplification of large polygonal models.
-    """
-    _, own = np.unique(np.floor(vertices / cell), axis=0, return_inverse=True)
-    corners = vertices[faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.bincount(own)
-    middle = np.stack([np.bincount(own, axis) for axis in vertices.T], axis=1) / size[:, None]
-    squares, pulls = np.zeros((len(size), 3, 3)), np.zeros((len(size), 3))
-    for corner in faces.T:
-        away = ((corners[:, 0] - middle[own[corner]]) * normal).sum(axis=1)
-        np.add.at(squares, own[corner], normal[:, :, None] * normal[:, None])
-        np.add.at(pulls, own[corner], normal * away[:, None])
-    # Along directions that no face bounds, vertices stay in the middle.
-    squares += (1e-3 * np.trace(squares, axis1=1, axis2=2) + 1e-30)[:, None, None] * np.eye(3)
-    moved = middle + np.clip(np.linalg.solve(squares, pulls[..., None])[..., 0], -cell / 2, cell / 2)
-    faces = own[faces]
-    return moved, faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
 
 def _mesh(piece: "trimesh.Trimesh") -> Mesh:
