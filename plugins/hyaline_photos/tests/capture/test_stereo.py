@@ -74,7 +74,7 @@ def test_larger_pictures_find_finer_depths_of_the_same_surfaces(maps: DepthMaps)
 
     assert np.mean([miss(found, view) / miss(maps, view) for view in range(VIEWS)]) < 0.7
     assert np.mean([(found.depth[view] > 0)[seen(large, view)[2]].mean() for view in range(VIEWS)]) > 0.6
-    points = found.points(0.02)
+    points = found.points(1e-6)
     points = points[np.linalg.norm(points, axis=1) < 1]
     on_ball, on_floor = np.abs(np.linalg.norm(points, axis=1) - RADIUS), np.abs(points[:, 2] - FLOOR)
     assert np.mean(np.minimum(on_ball, on_floor) < 0.01) > 0.9
