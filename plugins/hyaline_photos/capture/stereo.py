@@ -265,13 +265,18 @@ def _correlation(grey, seen, weight):
 
 @numba.njit
 def _sums(values):
-    """The sum over each pixel's window; beyond the border are zeros."""
+    """The sum over each pixel's window; 0 where that reaches beyond the border."""
     height, width = values.shape
     rows, sums = np.zeros_like(values), np.zeros_like(values)
-    for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
-        rows[:, max(-k, 0) : width - max(k, 0)] += values[:, max(k, 0) : width + min(k, 0)]
-    for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
-        sums[max(-k, 0) : height - max(k, 0)] += rows[max(k, 0) : height + min(k, 0)]
+    for row in range(height):
+        for column in range(HALF_WINDOW, width - HALF_WINDOW):
+            total = np.float32(0)
+            for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
+                total += values[row, column + k]
+            rows[row, column] = total
+    for row in range(HALF_WINDOW, height - HALF_WINDOW):
+        for k in range(-HALF_WINDOW, HALF_WINDOW + 1):
+            sums[row] += rows[row + k]
     return sums
 
 
