@@ -37,8 +37,6 @@ del sys.argv[:2]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 """
 """Replaces the soft CPU limit that a child would inherit from a confined parent by its own."""
-WAITS = 10
-"""Seconds that a child may take for each CPU second that it may: others may have the cores, or it may wait for ever."""
 
 
 def num_cores() -> int:
@@ -80,11 +78,10 @@ def run_child(words: list[str], said: BinaryIO, *, timeout_s: float | None = Non
 
 
 def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, cpu_s: int) -> dict[str, np.ndarray]:
-    """Runs `python -m MODULE IN.npz OUT.npz` and returns the arrays in OUT.npz.
+    """Runs `python -m MODULE IN.npz OUT.npz` for at most `cpu_s` CPU seconds and returns the arrays in OUT.npz.
 
     Args:
         arrays: the contents of IN.npz.
-        cpu_s: the CPU seconds that it may take.
 
     Raises:
         ChildError: the process died, took too long, or wrote nothing.
@@ -96,9 +93,9 @@ def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, cpu_s: i
         try:
             with said.open("wb") as file:
                 command = ["-c", _START, str(cpu_s), module, str(source), str(target)]
-                status = run_child(command, file, timeout_s=WAITS * cpu_s)
+                status = run_child(command, file, timeout_s=10 * cpu_s)  # Others may have the cores.
         except subprocess.TimeoutExpired:
-            raise ChildError(f"it took more than {WAITS * cpu_s} s") from None
+            raise ChildError(f"it took more than {10 * cpu_s} s") from None
         if status == -signal.SIGXCPU:
             raise ChildError(f"it took more than {cpu_s} CPU seconds")
         if status < 0:
