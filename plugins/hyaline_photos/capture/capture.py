@@ -110,10 +110,10 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         about_world.append(f"{outline.name}: about {sides} {unit} by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
     cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
-    parts = {
-        part: with_uv(mesh, where=part) if part.startswith(THING) else mesh
-        for part, mesh in track(room.parts.items(), label="unwrapping", total=len(room.parts))
-    }
+    with waiting("unwrapping the room"):
+        parts = {
+            part: with_uv(mesh, where=part) if part.startswith(THING) else mesh for part, mesh in room.parts.items()
+        }
     with waiting("the scene"):
         scene, about_scene = _scene(name, outlines, parts, cameras)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
