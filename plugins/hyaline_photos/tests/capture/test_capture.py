@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,7 +23,7 @@ from datagen.data.images import mask_pixels
 from datagen.data.meshes import signed_volume
 from datagen.scene.folder import open_scene
 from datagen.scene.rig import towards
-from hyaline_photos.capture.folder import find_masks, read_mask
+from hyaline_photos.capture.folder import _place_others, find_masks, read_mask
 from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import Rectangle, find_up
 from hyaline_photos.capture.room import Outline, Pane, fit_room
@@ -475,3 +476,28 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
 def test_a_flag_that_cannot_be_is_refused(flags: str, expected: str, folder: Path, tmp_path: Path) -> None:
     answer = call(f"datagen capture '{folder}' --out {tmp_path / 'out'} {flags}")
     assert answer.status == 1 and expected in answer.error
+
+
+def test_a_test_picture_is_placed_before_points_that_training_pictures_show(tmp_path: Path) -> None:
+    colmap = pytest.importorskip("pycolmap", reason="the extra `capture` is not installed")
+    wanted, database = colmap.SyntheticDatasetOptions(), tmp_path / "database.db"
+    wanted.num_rigs, wanted.num_frames_per_rig = 1, 8
+    with colmap.Database.open(database) as opened:
+        truth = colmap.synthesize_dataset(wanted, opened)
+    last = max(image.name for image in truth.images.values())
+    options = colmap.IncrementalPipelineOptions()
+    options.image_names, options.min_model_size = [i.name for i in truth.images.values() if i.name != last], 3
+    found = colmap.incremental_mapping(database, tmp_path, tmp_path, options)[0]
+    points = {number: point.xyz.copy() for number, point in found.points3D.items()}
+    focal = next(iter(found.cameras.values())).params.copy()
+    assert found.find_image_with_name(last) is None
+    _place_others(colmap, found, database, {last})
+    assert all(np.array_equal(point.xyz, points.pop(number)) for number, point in found.points3D.items())
+    assert not points and np.array_equal(next(iter(found.cameras.values())).params, focal)
+
+    def away(model: Any) -> np.ndarray:
+        places = {image.name: image.projection_center() for image in model.images.values()}
+        others = np.array([places[name] for name in sorted(places) if name != last])
+        return np.linalg.norm(others - places[last], axis=1) / np.linalg.norm(others[0] - others[1])
+
+    assert np.allclose(away(found), away(truth), rtol=0.01)
