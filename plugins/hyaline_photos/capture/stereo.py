@@ -52,8 +52,8 @@ AGREE, LEAST_AGREEING = 0.02, 2
 MOST_POINTS = 60_000
 MOST_VOXELS = 8e6
 MOST_FACES = 40_000
-"""Faces of all surfaces; voxels become larger until there are no more. With 20,000, a room of photographs has 0.3 dB
-less; 60,000 may take xatlas minutes."""
+"""Faces of all surfaces; voxels become larger until there are no more. With 60,000, a room of photographs has 0.5 dB
+more than with 20,000, but xatlas takes 3 CPU seconds for a piece of 10,000 and 35 for one of 40,000."""
 TRUNCATION = 3.0
 """Distance in voxels up to which a depth says anything about what is behind it."""
 LEAST_VIEWS = 3.0
