@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64, Int32
+from jaxtyping import Int32
 
 from datagen.data.meshes import Mesh, unfolded, vertex_normals
 from datagen.disk.errors import HyalineError, shown
@@ -91,13 +91,6 @@ def decode_ply(data: bytes, *, where: str) -> tuple[Mesh, bool]:
         uv=uv.astype(np.float32),
     )
     return mesh, uv_names is not None
-
-
-def read_ply_points(path: Path) -> Float64[np.ndarray, "point 3"]:
-    """The positions in a PLY file of points."""
-    data = read_regular(path, at_most=MAX_PLY_BYTES)
-    with _refusing(str(path)):
-        return _positions(_elements(data)["vertex"], str(path)).astype(np.float64)
 
 
 def _stacked(columns: Columns, names: Iterable[str]) -> np.ndarray:

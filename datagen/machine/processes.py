@@ -31,12 +31,12 @@ ROOT = Path(__file__).resolve().parents[2]
 
 _START = """
 import resource, runpy, sys
-_, hard = resource.getrlimit(resource.RLIMIT_CPU)
-resource.setrlimit(resource.RLIMIT_CPU, (hard, hard))
-del sys.argv[0]
+limit, (_, hard) = int(sys.argv[1]), resource.getrlimit(resource.RLIMIT_CPU)
+resource.setrlimit(resource.RLIMIT_CPU, (limit if hard < 0 else min(limit, hard), hard))
+del sys.argv[:2]
 runpy.run_module(sys.argv[0], run_name="__main__", alter_sys=True)
 """
-"""Lifts the soft CPU limit that a child would inherit from a confined parent; the child has its own timeout."""
+"""Replaces the soft CPU limit that a child would inherit from a confined parent by its own."""
 
 
 def num_cores() -> int:
@@ -77,8 +77,8 @@ def run_child(words: list[str], said: BinaryIO, *, timeout_s: float | None = Non
         process.wait()
 
 
-def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, timeout_s: float) -> dict[str, np.ndarray]:
-    """Runs `python -m MODULE IN.npz OUT.npz` and returns the arrays in OUT.npz.
+def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, cpu_s: int) -> dict[str, np.ndarray]:
+    """Runs `python -m MODULE IN.npz OUT.npz` for at most `cpu_s` CPU seconds and returns the arrays in OUT.npz.
 
     Args:
         arrays: the contents of IN.npz.
@@ -92,10 +92,12 @@ def arrays_from_child(module: str, arrays: Mapping[str, np.ndarray], *, timeout_
             np.savez(source, allow_pickle=False, **arrays)
         try:
             with said.open("wb") as file:
-                command = ["-c", _START, module, str(source), str(target)]
-                status = run_child(command, file, timeout_s=timeout_s)
+                command = ["-c", _START, str(cpu_s), module, str(source), str(target)]
+                status = run_child(command, file, timeout_s=10 * cpu_s)  # Others may have the cores.
         except subprocess.TimeoutExpired:
-            raise ChildError(f"it took more than {timeout_s:.0f} s") from None
+            raise ChildError(f"it took more than {10 * cpu_s} s") from None
+        if status == -signal.SIGXCPU:
+            raise ChildError(f"it took more than {cpu_s} CPU seconds")
         if status < 0:
             raise ChildError(f"it was ended by signal {-status} (9: the system does that where memory runs out)")
         if status != 0 or not target.is_file():

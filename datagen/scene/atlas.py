@@ -97,9 +97,9 @@ def _unwrap_in_child(surfaces: dict[str, Arrays]) -> dict[str, Arrays]:
     arrays: dict[str, np.ndarray] = {}
     for index, surface in enumerate(surfaces.values()):
         arrays |= {f"{index}.{name}": values for name, values in surface.items()}
-    timeout_s = 60 + sum(len(surface["faces"]) for surface in surfaces.values()) / 200
+    cpu_s = 60 + sum(len(surface["faces"]) for surface in surfaces.values()) // 200
     try:
-        answers = arrays_from_child("datagen.scene.atlas", arrays, timeout_s=timeout_s)
+        answers = arrays_from_child("datagen.scene.atlas", arrays, cpu_s=cpu_s)
     except ChildError as error:
         where = ", ".join(surfaces)
         raise HyalineError(

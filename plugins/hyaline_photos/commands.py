@@ -16,29 +16,28 @@ from model.settings import RUNS, SEED
 class CaptureChoices:
     """The flags of `datagen capture`."""
 
-    longest: int = 256
-    """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light."""
+    longest: int | None = None
+    """Longer side of the dataset's pictures in pixels; larger pictures are reduced, averaging linear light. Default:
+    160 to 320, so that glass is about 128 pixels long."""
     diameter: str | None = None
-    """True diameter in metres of one glass object at its widest place, such as tumbler=0.08, to find the scale.
-    Default: metres with a transforms file; otherwise the cameras are put 1 m away."""
-    up: Literal["auto", "x", "y", "z"] = "auto"
-    """The axis of the cameras' world that points up. auto: z with a transforms file; otherwise perpendicular to the
-    largest surface below the cameras."""
+    """True diameter of one glass object at its widest place, such as tumbler=82mm, to find the scale; without a name if
+    there is one object. Default: metres with a transforms file; otherwise lengths are relative."""
 
     def __post_init__(self) -> None:
-        if not 8 <= self.longest <= 4096:
+        if self.longest is not None and not 8 <= self.longest <= 4096:
             raise HyalineError(f"--longest: is {self.longest}; expected 8 to 4,096 pixels")
         if self.diameter is not None:
             self.known_diameter()
 
-    def known_diameter(self) -> tuple[str, float]:
-        """The object of `diameter`, and its metres."""
+    def known_diameter(self) -> tuple[str | None, float]:
+        """The object of `diameter` (None if unnamed), and its metres."""
         from datagen.scene.description import OBJECT_NAME  # Not before: help needs no NumPy.
 
-        match = re.fullmatch(rf"({OBJECT_NAME})=(\d*\.?\d+)", self.diameter or "")
-        if match is None or not 0 < float(match[2]) < 100:
-            raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and metres, such as tumbler=0.08")
-        return match[1], float(match[2])
+        match = re.fullmatch(rf"(?:({OBJECT_NAME})=)?(\d*\.?\d+)(mm|cm|m|)", self.diameter or "")
+        metres = float(match[2]) * {"mm": 1e-3, "cm": 1e-2}.get(match[3], 1.0) if match else 0.0
+        if match is None or not 0 < metres < 100:
+            raise HyalineError(f"--diameter: is {self.diameter!r}; expected an object and its size, as in tumbler=82mm")
+        return match[1], metres
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,6 +121,7 @@ def fit(
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
+    say_all(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith("scale: "))
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

@@ -35,8 +35,8 @@ OFFSETS = (0.001, 0.01)
 CHARTED_THICKNESS = 0.2
 """Least thickness in the atlas layout, relative to the length, so that a slab's rim has texels."""
 
-TIMEOUT_S = 180.0
-"""Time limit of one wrap; a few seconds are usual."""
+CPU_S = 180
+"""CPU seconds of one wrap; a few seconds are usual."""
 
 
 def fit_wraps(solids: tuple[Solid, ...], paddings: tuple[float, ...]) -> tuple[Mesh, ...]:
@@ -82,7 +82,7 @@ def alpha_wrap(
     """
     try:
         wrap = arrays_from_child(
-            "proxies.kinds.wrap", {"corners": corners, "sizes": np.array([alpha, offset])}, timeout_s=TIMEOUT_S
+            "proxies.kinds.wrap", {"corners": corners, "sizes": np.array([alpha, offset])}, cpu_s=CPU_S
         )
     except ChildError as error:
         remedy = "`apt install libgl1`" if "libGL" in str(error) else f"`{install_command('proxies')}`"

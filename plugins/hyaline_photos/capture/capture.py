@@ -10,29 +10,26 @@ from jaxtyping import Float, UInt8
 
 from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
-from datagen.data.images import mask_pixels, png_bytes
+from datagen.data.images import png_bytes
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
-from datagen.machine.processes import allow_triangles
-from datagen.scene.description import SceneObject
+from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
-from datagen.terminal.command import say
-from hyaline_import.confined_import import save_answer, scene_from
+from datagen.terminal.command import track
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
 from hyaline_import.datasets.layouts import ForeignView, on_background, opened
-from hyaline_import.foreign import z_up_from
 from hyaline_import.importing import Made, unique_names
 from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.folder import Folder, Shot, read_capture
+from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask, waiting
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
-from hyaline_photos.capture.planes import LEAST_POINTS, find_up
-from hyaline_photos.capture.room import Outline, find_outline, find_panes, fit_room
-from hyaline_photos.capture.stereo import find_depths
+from hyaline_photos.capture.planes import NEAR, find_up
+from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, lacking
+from hyaline_photos.capture.stereo import find_depths, with_uv
 from hyaline_photos.commands import CaptureChoices
 from hyaline_photos.fit.shapes import perpendicular
 
@@ -40,6 +37,16 @@ IOR = 1.5
 """Of the glass, until `model fit` finds it."""
 DISTANCE = 1.0
 """Metres from the cameras to the glass if the scale is unknown."""
+WANTED, LONGEST = 128, (160, 320)
+"""Pixels along a glass, and the longer side of the pictures, from which more would not be learned in the same time."""
+FULL = 800
+"""Longer side of the pictures of which depth maps are made; larger ones are reduced."""
+BORDERS = 0.3, 10.0
+"""Least and largest depth that is looked for, over the cameras' distance."""
+MAX_LACKING = 0.25
+"""Share of what a depth map shows that the room may lack before the picture is named."""
+MAX_EDGES = 0.9
+"""Share of all pictures' edges that the masks of one object may cover: a table top may nearly fill them."""
 GREY = (0.5, 0.5, 0.5)
 """Colour of the room in scene.json; renderers learn what it looks like."""
 
@@ -65,34 +72,50 @@ class World:
 
 
 def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
-    """Plans the dataset of a folder: cameras, scene, splits and remarks, without the pictures' contents."""
+    """Plans the dataset of a folder: cameras, scene, splits and remarks, all from training pictures and their masks."""
     folder = read_capture(root)
-    lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
-    ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
-    world, outlines, about_world = _place(folder, lens, ids, choices)
-    shots = folder.shots
-    every, seen = world.cameras(shots, lens), [ids[shot.picture] for shot in shots]
-    panes = find_panes(outlines, seen, every)
+    views, about_splits = split_views(folder)
+    shots = cast(tuple[Shot, ...], views["train"])
+    lenses = [shot.lens for shot in folder.shots]
+    lens, about_lens = shared_lens(lenses, choices.longest or _longest(shots))
+    seen = [_object_ids(shot, lens) for shot in track(shots, label="masks", total=len(shots))]
+    _check_masks(folder, np.stack(seen))
+    world, outlines, about_world = _place(folder, shots, lens, seen, choices)
+    with waiting("panes among the glass"):
+        panes = find_panes(outlines, seen, world.cameras(shots, lens))
     flat = {pane.name: pane.outline() for pane in panes}
     outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
-    views, about_splits = split_views(folder)
-    cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
-    points, maps = world.points(folder.points), None
-    if len(points) >= LEAST_POINTS:
-        say(f"comparing {len(shots)} pictures for the depths of opaque surfaces, which takes half a second for each")
-        through = [0, *(1 + folder.objects.index(name) for name in flat)]
-        is_glass = [~np.isin(picture, through) for picture in seen]
-        maps = find_depths([_picture(shot, lens) for shot in shots], is_glass, every, points)
-    room = fit_room(points, outlines, every.world_from_camera[:, :3, 3], maps, panes)
-    about_world = [*about_world, room.remark]
+    full, through = shared_lens(lenses, FULL)[0], [0, *(1 + folder.objects.index(name) for name in flat)]
+    every, pictures, is_glass = world.cameras(shots, full), [], []
+    for shot in track(shots, label="pictures of full size", total=len(shots)):
+        pictures.append(_picture(shot, full))
+        is_glass.append(~np.isin(_object_ids(shot, full), through))
+    places, middle = every.world_from_camera[:, :3, 3], np.mean([outline.center for outline in outlines], axis=0)
+    radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    maps = find_depths(pictures, is_glass, every, middle, (BORDERS[0] * radius, BORDERS[1] * radius))
+    points = np.concatenate([world.points(folder.points), maps.points(NEAR * radius)])
+    with waiting("surfaces of the room"):
+        room = fit_room(points, outlines, places, maps, panes)
+        lacks = lacking(room.parts, maps)
+    about_world.append(f"{room.remark}; {lacks.mean():.0%} of what depth maps show is missing or elsewhere")
+    if doubtful := [place for place in np.argsort(-lacks) if lacks[place] > MAX_LACKING]:
+        names = ", ".join(f"{shots[place].picture.name} ({lacks[place]:.0%})" for place in doubtful[:NAMED])
+        about_world.append(f"room: lacks more than {MAX_LACKING:.0%} of {len(doubtful)} pictures, most of {names}")
     if (support := room.support) is not None:
         outlines = tuple(outline.standing_on(support) for outline in outlines)
+    unit = "mm" if folder.has_unit or choices.diameter else "thousandths of the cameras' distance"
     for outline in outlines:
-        sides = ", ".join(f"{2000 * radius:.0f}" for radius in outline.radii)
+        sides = ", ".join(f"{2000 * half:.0f}" for half in outline.radii)
         kind = "a pane, which depth maps look through; " if outline.name in flat else ""
-        about_world.append(f"{outline.name}: about {sides} mm by its masks; {kind}an ellipsoid until `model fit`")
+        about_world.append(f"{outline.name}: about {sides} {unit} by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
-    scene, about_scene, _ = scene_from(_save_scene, name, outlines, room.parts, cameras, where=name)
+    cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
+    with waiting("unwrapping the room"):
+        parts = {
+            part: with_uv(mesh, where=part) if part.startswith(THING) else mesh for part, mesh in room.parts.items()
+        }
+    with waiting("the scene"):
+        scene, about_scene = _scene(name, outlines, parts, cameras)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
     cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
@@ -108,7 +131,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
 
     def files(split: Split, index: int) -> dict[str, bytes]:
         shot = cast(Shot, views[split][index])
-        found = object_id[ids[shot.picture]]
+        found = object_id[_object_ids(shot, lens)]
         return {
             ".png": png_bytes(_picture(shot, lens)),
             ".mask.png": png_bytes(np.where(found > 0, 255, 0).astype(np.uint8)),
@@ -134,31 +157,53 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     found = np.zeros((lens.height, lens.width), np.uint8)
     masks = []
     for path in shot.masks:
-        mask = mask_pixels(opened(path, (shot.lens.width, shot.lens.height)))
+        mask = read_mask(path, (shot.lens.width, shot.lens.height))
         masks.append(redrawn_mask(mask, shot.lens, lens))
     for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
         found[masks[place]] = 1 + place
     return found
 
 
+def _longest(shots: Sequence[Shot]) -> int:
+    """Longer side of the pictures in which glass is about `WANTED` pixels long."""
+    shares = []
+    for shot in shots[:: max(1, len(shots) // 12)]:
+        size = shot.lens.width, shot.lens.height
+        places = [np.nonzero(read_mask(path, size)) for path in shot.masks]
+        shares += [max(np.ptp(rows), np.ptp(columns)) / max(size) for rows, columns in places if len(rows)]
+    return int(np.clip(WANTED / max(np.median(shares), 1e-3), *LONGEST)) if shares else LONGEST[1]
+
+
+def _check_masks(folder: Folder, seen: UInt8[np.ndarray, "view h w"]) -> None:
+    """Refuses inverted masks."""
+    edges = np.concatenate([seen[:, [0, -1]].reshape(-1), seen[:, :, [0, -1]].reshape(-1)])
+    for place, name in enumerate(folder.objects, start=1):
+        if (share := float((edges == place).mean())) > MAX_EDGES:
+            raise HyalineError(
+                f"{folder.root}: masks/{name}: its masks show {share:.0%} of the pictures' edges; expected white where "
+                "the object is seen, black around it: invert them, or take pictures from farther away"
+            )
+
+
 # The world
 
 
 def _place(
-    folder: Folder, lens: Lens, ids: Mapping[Path, UInt8[np.ndarray, "h w"]], choices: CaptureChoices
+    folder: Folder,
+    shots: Sequence[Shot],
+    lens: Lens,
+    seen: Sequence[UInt8[np.ndarray, "h w"]],
+    choices: CaptureChoices,
 ) -> tuple[World, tuple[Outline, ...], list[str]]:
     """Turns, scales and moves the cameras' world; the outlines of the glass in ours."""
-    shots = folder.shots
-    if choices.up != "auto" or folder.has_unit:
-        rotation = z_up_from("z" if choices.up == "auto" else choices.up)
-    else:
+    rotation = np.eye(3)
+    if not folder.has_unit:
         up = find_up(folder.points, np.stack([shot.world_from_camera for shot in shots]))
         rotation = np.stack([*-perpendicular(up), up])
-    turned, seen = World(rotation=rotation), [ids[shot.picture] for shot in shots]
-    cameras = turned.cameras(shots, lens)
+    cameras = World(rotation=rotation).cameras(shots, lens)
     outlines = [
         find_outline(name, place, seen, cameras, where=f"{folder.root}: masks/{name}")
-        for place, name in enumerate(folder.objects, start=1)
+        for place, name in enumerate(track(folder.objects, label="places of glass", total=len(folder.objects)), start=1)
     ]
     middle = np.mean([outline.center for outline in outlines], axis=0)
     bottom = min(outline.center[2] - outline.radii[2] for outline in outlines)
@@ -166,6 +211,7 @@ def _place(
     if choices.diameter is not None:
         name, metres = choices.known_diameter()
         radii = {outline.name: outline.radii for outline in outlines}
+        name = next(iter(radii)) if name is None and len(radii) == 1 else name
         if name not in radii:
             raise HyalineError(f"--diameter: {name} is not an object; expected one of {', '.join(radii)}")
         scale = metres / (radii[name][0] + radii[name][1])
@@ -174,7 +220,10 @@ def _place(
     else:
         places = cameras.world_from_camera[:, :3, 3]
         scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
-        lines = [f"scale: is unknown; the cameras were put {DISTANCE:g} m away from the glass, --diameter sets it"]
+        lines = [
+            f"scale: is unknown, so all lengths are relative; the cameras were put {DISTANCE:g} m away from the "
+            "glass, --diameter sets it"
+        ]
     # A transforms file's world keeps its origin; otherwise it is below the glass.
     offset = np.zeros(3) if folder.has_unit else -scale * np.array([middle[0], middle[1], bottom])
     world = World(rotation=rotation, scale=scale, offset=offset)
@@ -184,13 +233,10 @@ def _place(
 # The scene
 
 
-def _save_scene(
-    folder: Path,
-    name: str,
-    outlines: tuple[Outline, ...],
-    parts: dict[str, Mesh],
-    cameras: dict[Split, Cameras],
-) -> None:
+def _scene(
+    name: str, outlines: Sequence[Outline], parts: Mapping[str, Mesh], cameras: dict[Split, Cameras]
+) -> tuple[Scene, list[str]]:
+    """The scene of a room and stand-ins for glass, and remarks."""
     remarks = Remarks()
     glass = [
         SceneObject(
@@ -200,15 +246,11 @@ def _save_scene(
         )
         for outline in outlines
     ]
-    taken, matt = {item.name for item in glass}, Diffuse(color=GREY)
-    opaque = [
-        SceneObject(name=f"room_{part}" if part in taken else part, mesh=mesh, material=matt)
-        for part, mesh in parts.items()
-    ]
-    allow_triangles(sum(len(item.mesh.faces) for item in (*glass, *opaque)))
+    opaque = [SceneObject(name=part, mesh=mesh, material=Diffuse(color=GREY)) for part, mesh in parts.items()]
     names = unique_names([item.name for item in (*glass, *opaque)])
     objects = [dataclasses.replace(item, name=new) for item, new in zip((*glass, *opaque), names, strict=True)]
     mapper = Mapper(metres=1.0, remarks=remarks)
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
-    scene = unlit_scene(name, Made(objects=objects, without_uv=set(names)), placed, cameras, how="Captured")
-    save_answer(folder, scene, [f"{line.where}: {line.what}" for line in remarks.lines])
+    made = Made(objects=objects, without_uv={name for name in names if not name.startswith(THING)})
+    scene = unlit_scene(name, made, placed, cameras, how="Captured")
+    return scene, [f"{line.where}: {line.what}" for line in remarks.lines]

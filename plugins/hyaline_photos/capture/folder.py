@@ -5,31 +5,35 @@
     FOLDER/transforms.json           cameras as NeRF tools write them (or transforms_{train,val,test}.json), or
     FOLDER/sparse/0/                 a model of COLMAP, binary or text, or neither
 
-COLMAP finds cameras and points that are not there; this needs the extra `capture`. Glass is masked: features on it move
-with the light, not with the surface.
+COLMAP finds cameras that are not there, from the training pictures alone; this needs the extra `capture`. Glass is
+masked: features on it move with the light, not with the surface.
 """
 
+import contextlib
 import tempfile
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from PIL import Image
 
 from datagen.data.config import MAX_VIEWS, license_line
 from datagen.data.images import mask_pixels
-from datagen.data.ply import read_ply_points
-from datagen.data.transforms import Frame, Transforms, relative_name
+from datagen.data.transforms import Frame, Transforms
 from datagen.disk.errors import HyalineError, shown
-from datagen.disk.storage import check_regular, commit, find_file
+from datagen.disk.storage import check_regular, commit
 from datagen.scene.description import MAX_OBJECTS
-from datagen.terminal.command import say
+from datagen.terminal.command import say, track
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
+from hyaline_import.datasets.import_dataset import OURS
 from hyaline_import.datasets.layouts import (
+    EVERY,
     ROLES,
     ForeignDataset,
     ForeignView,
@@ -38,7 +42,6 @@ from hyaline_import.datasets.layouts import (
     find_named,
     opened,
     picture_size,
-    split_evenly,
     split_listed,
     transforms_in,
 )
@@ -49,10 +52,14 @@ PICTURES, MASKS, FOUND = "images", "masks", "colmap"
 LAYOUT = "capture"
 """Name of the layout in a dataset's record of its import."""
 ENDINGS = (".png", ".jpg", ".jpeg", ".webp")
-POINTS = ("points3d.ply", "sparse_pc.ply")
-"""Files of points beside a transforms file that names none."""
 NAMED = 3
 """Files that an error names."""
+MAX_LACKING = 0.15
+"""Share of the pictures that may lack a mask; they are left out."""
+MAX_SPECK = 0.003
+"""Area of a speck or pinhole over that of its mask."""
+EVERY_S = 8.0
+"""Seconds between two lines of a step that reports nothing itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -70,8 +77,7 @@ class Folder(ForeignDataset):
     objects: tuple[str, ...]
     """Names of the objects of glass, in the order of a shot's masks."""
     points: Float[np.ndarray, "point 3"]
-    """Points on opaque surfaces in the cameras' world; possibly empty."""
-    points_file: Path | None
+    """COLMAP's, on opaque surfaces in the cameras' world; possibly none."""
     has_unit: bool
     """True if the cameras' world is upright and in metres, as in a transforms file."""
 
@@ -83,29 +89,39 @@ class Folder(ForeignDataset):
     @property
     def files(self) -> list[Path]:
         """Every file whose content becomes a part of the dataset."""
-        parts = [path for shot in self.shots for path in (shot.picture, *shot.masks)]
-        return [*parts, *([self.points_file] if self.points_file else [])]
+        return [path for shot in self.shots for path in (shot.picture, *shot.masks)]
 
 
 def read_capture(root: Path) -> Folder:
-    """Lists the contents of a folder without decoding pictures; finds cameras and points that it lacks."""
+    """Lists the contents of a folder without decoding pictures; finds cameras that it lacks."""
     if not root.is_dir():
         raise HyalineError(f"{root}: is not a folder; expected one with {PICTURES}/ and {MASKS}/OBJECT/")
-    folder = _read(root)
-    if not len(folder.points):
-        find_points(folder)
-        folder = _read(root)
-    return folder
-
-
-def _read(root: Path) -> Folder:
     if files := transforms_in(root):
         return _with_transforms(root, files)
     pictures = find_pictures(root)
-    objects, masks = find_masks(root, pictures)
+    objects, masks, remarks = find_masks(root, pictures)
     if not has_colmap(root):
-        find_cameras(root, pictures, masks)
-    return _with_colmap(root, pictures, objects, masks)
+        find_cameras(root, masks)
+    return _with_colmap(root, pictures, objects, masks, remarks)
+
+
+@contextlib.contextmanager
+def waiting(label: str) -> Iterator[None]:
+    """Says what the block does, and every few seconds that it still does it: libraries report nothing."""
+    done, start = threading.Event(), time.monotonic()
+
+    def remind() -> None:
+        while not done.wait(EVERY_S):
+            say(f"{label}: {time.monotonic() - start:.0f} s")
+
+    say(f"{label} ...")
+    thread = threading.Thread(target=remind, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 def find_pictures(root: Path) -> list[Path]:
@@ -131,8 +147,11 @@ Masks = dict[Path, tuple[Path, ...]]
 """For each picture the masks of all objects."""
 
 
-def find_masks(root: Path, pictures: Sequence[Path]) -> tuple[tuple[str, ...], Masks]:
-    """Names of the objects, and masks by the pictures' paths below images/, with or without their endings."""
+def find_masks(root: Path, pictures: Sequence[Path]) -> tuple[tuple[str, ...], Masks, list[str]]:
+    """Names of the objects, masks by the pictures' paths below images/, with or without their endings, and remarks.
+
+    A picture without a mask for each object is left out: what it lacks may be glass.
+    """
     folder = root / MASKS
     folders = sorted(path for path in folder.glob("[!.]*") if path.is_dir()) if folder.is_dir() else []
     if not 1 <= len(folders) < MAX_OBJECTS:
@@ -152,12 +171,41 @@ def find_masks(root: Path, pictures: Sequence[Path]) -> tuple[tuple[str, ...], M
             else:
                 check_regular(path, root, where=str(root))
                 found[picture] += (path,)
-        if lacking:
+        if len(lacking) > MAX_LACKING * len(found):
             raise HyalineError(
                 f"{one}: has no mask for {len(lacking)} of {len(found)} pictures ({', '.join(lacking[:NAMED])}); "
                 "expected one for each, black where the object is not seen"
             )
-    return tuple(unique_names([path.name for path in folders])), found
+    lost = [name_of(root, picture) for picture, masks in found.items() if len(masks) < len(folders)]
+    whole = {picture: masks for picture, masks in found.items() if len(masks) == len(folders)}
+    return tuple(unique_names([path.name for path in folders])), whole, _left_out("masks", lost, len(pictures))
+
+
+def _left_out(what: str, names: Sequence[str], count: int) -> list[str]:
+    """A line on pictures without masks or cameras."""
+    some = f"{', '.join(names[:NAMED])}{', ...' if len(names) > NAMED else ''}"
+    return [f"{what}: {len(names)} of {count} pictures have none and were left out ({some})"] * bool(names)
+
+
+def read_mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"]:
+    """True where a mask shows its object; without the specks and pinholes that segmentation networks leave."""
+    from scipy import ndimage
+
+    mask = mask_pixels(opened(path, size))
+    for value in (True, False):
+        parts = np.asarray(ndimage.label(mask == value)[0])  # pyright: ignore[reportIndexIssue]
+        is_small = np.bincount(parts.reshape(-1)) < MAX_SPECK * mask.sum()
+        is_small[0] = False  # It counts the pixels of the other value.
+        mask = mask ^ is_small[parts]
+    return mask
+
+
+def tests_among(pictures: Sequence[Path]) -> set[Path]:
+    """The pictures that nothing is found from: those that `datagen export` named as tests, or else every eighth."""
+    named = [OURS.fullmatch(path.stem) for path in pictures]
+    if all(named):
+        return {path for path, match in zip(pictures, named, strict=True) if match and match[1] != "train"}
+    return set(pictures[::EVERY])
 
 
 def name_of(root: Path, picture: Path) -> str:
@@ -174,43 +222,34 @@ def _with_transforms(root: Path, found: dict[Role, Transforms]) -> Folder:
     frames: list[tuple[Role, Transforms, Frame]]
     frames = [(role, file, frame) for role, file in found.items() for frame in file.frames]
     pictures = [find_named(root, frame, "file_path") for _, _, frame in frames]
-    objects, masks = find_masks(root, pictures)
+    objects, masks, remarks = find_masks(root, pictures)
     views: dict[Role, list[Shot]] = {role: [] for role in ROLES}
     for (role, file, frame), picture in zip(frames, pictures, strict=True):
-        lens, pose, own = lens_of_frame(file, frame, picture_size(picture)), file.pose(frame), masks[picture]
+        lens, pose, own = lens_of_frame(file, frame, picture_size(picture)), file.pose(frame), masks.get(picture, ())
         views[role].append(Shot(picture=picture, mask=None, world_from_camera=pose, lens=lens, masks=own))
     listed: dict[Role, tuple[Shot, ...]] = {role: tuple(shots) for role, shots in views.items()}
-    remarks = []
     if len(found) == 1:
         listed = split_listed(first, listed["train"])
-        remarks = about_unlisted(first, listed)
-    points, points_file = _points(root, first.content.get("ply_file_path"))
+        remarks += about_unlisted(first, listed)
     return Folder(
         root=root,
         layout=LAYOUT,
         lens=views["train"][0].lens.pinhole,
-        views={**listed},
+        views={role: tuple(shot for shot in shots if shot.masks) for role, shots in listed.items()},
         objects=objects,
-        points=points,
-        points_file=points_file,
+        points=np.zeros((0, 3)),
         has_unit=True,
         license=license_line(first.content.get("license")),
         remarks=tuple(remarks),
     )
 
 
-def _points(root: Path, named: object = None) -> tuple[Float[np.ndarray, "point 3"], Path | None]:
-    """The points of a file of this name, or of a usual one, and where they are; none without such a file."""
-    usual = (name for name in POINTS if (root / name).is_file())
-    name = relative_name(named) if isinstance(named, str) else next(usual, None)
-    file = None if name is None else find_file(root, name, where=f"{root}: points")
-    return (np.zeros((0, 3)) if file is None else read_ply_points(file)), file
-
-
-def _with_colmap(root: Path, pictures: list[Path], objects: tuple[str, ...], masks: Masks) -> Folder:
-    listed = colmap_images(root)
+def _with_colmap(
+    root: Path, pictures: list[Path], objects: tuple[str, ...], masks: Masks, remarks: list[str]
+) -> Folder:
+    listed, tests = colmap_images(root), tests_among(pictures)
     shots, lost = [], []
-    for picture in pictures:
+    for picture in masks:
         name = name_of(root, picture)
         if name not in listed:
             lost.append(name)
@@ -223,25 +262,19 @@ def _with_colmap(root: Path, pictures: list[Path], objects: tuple[str, ...], mas
             f"{root}: its model of COLMAP has cameras for {len(shots)} of {len(pictures)} pictures, by names such as "
             f"{shown(next(iter(listed)))}; expected those below {PICTURES}/, such as {name_of(root, pictures[0])}"
         )
-    remarks = []
-    if lost:
-        remarks.append(
-            f"cameras: {len(lost)} of {len(pictures)} pictures have none and were left out "
-            f"({', '.join(lost[:NAMED])}{', ...' if len(lost) > NAMED else ''})"
-        )
-    points, points_file = colmap_points(root), None
-    if not len(points):
-        points, points_file = _points(root)
     return Folder(
         root=root,
         layout=LAYOUT,
         lens=shots[0].lens.pinhole,
-        views={**split_evenly(shots)},
+        views={
+            "train": tuple(shot for shot in shots if shot.picture not in tests),
+            "val": (),
+            "test": tuple(shot for shot in shots if shot.picture in tests),
+        },
         objects=objects,
-        points=points,
-        points_file=points_file,
+        points=colmap_points(root),
         has_unit=False,
-        remarks=tuple(remarks),
+        remarks=(*remarks, *_left_out("cameras", lost, len(pictures))),
     )
 
 
@@ -258,28 +291,39 @@ LEAST_SHARE = 0.5
 """Share of the pictures whose cameras must be found."""
 LEAST_SEEN = 20
 """Points that a picture must show: cameras by fewer are often wrong."""
-MODEL, KNOWN = "SIMPLE_RADIAL", "OPENCV"
-"""COLMAP's models of lenses that are found, and that are known."""
+MODEL = "SIMPLE_RADIAL"
+"""COLMAP's model of the lens."""
 
 
-def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
-    """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them."""
+def find_cameras(root: Path, masks: Masks) -> None:
+    """Writes a model with the cameras of pictures to FOLDER/colmap/sparse/0, where the next run finds them.
+
+    The lens, the points and the cameras of training pictures come from these alone; then those of test pictures are
+    placed before the points.
+    """
     colmap = _colmap(f"{root}: has no cameras (transforms.json, or COLMAP's sparse/0)")
+    pictures = list(masks)
+    tests = {f"{place:05d}.png" for place, path in enumerate(pictures) if path in tests_among(pictures)}
     say(f"{root}: has no cameras; finding them in {len(pictures)} pictures, which takes minutes")
     with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
         folder = Path(scratch)
-        times = _write_pictures(folder, [(path, masks[path]) for path in pictures])
-        database = _matched(colmap, folder, model=MODEL)
+        times = _write_pictures(folder, masks)
+        database = _matched(colmap, folder)
         options = colmap.IncrementalPipelineOptions()
+        options.image_names = sorted({path.name for path in (folder / "images").iterdir()} - tests)
         options.min_model_size = 3
         # Small pictures have few features.
         options.mapper.init_min_num_inliers, options.mapper.abs_pose_min_num_inliers = 50, 15
-        models = colmap.incremental_mapping(database, folder / "images", folder, options)
+        with waiting("cameras of training pictures"):
+            models = colmap.incremental_mapping(database, folder / "images", folder, options)
         found = max(models.values(), key=lambda model: model.num_reg_images(), default=None)
-        for image in list(found.images.values()) if found else []:
-            image.name = name_of(root, pictures[int(Path(image.name).stem)])
-            if image.num_points3D < LEAST_SEEN:
-                found.deregister_frame(image.frame_id)  # pyright: ignore[reportOptionalMemberAccess]
+        if found:
+            for image in list(found.images.values()):
+                if image.num_points3D < LEAST_SEEN:
+                    found.deregister_frame(image.frame_id)
+            _place_others(colmap, found, database, tests)
+            for image in found.images.values():
+                image.name = name_of(root, pictures[int(Path(image.name).stem)])
         count = found.num_reg_images() if found else 0
         if not found or count < max(3, LEAST_SHARE * len(pictures)):
             raise HyalineError(
@@ -295,32 +339,25 @@ def find_cameras(root: Path, pictures: list[Path], masks: Masks) -> None:
     say(f"{root}: {count} cameras and {len(found.points3D):,} points were found, and kept in {root / FOUND}")
 
 
-def find_points(folder: Folder) -> None:
-    """Writes points of opaque surfaces, seen by cameras that are known, to FOLDER/points3d.ply.
-
-    Without the extra `capture`, there are none.
-    """
-    try:
-        colmap = _colmap("")
-    except HyalineError:
-        return
-    shots = folder.shots
-    say(f"{folder.root}: has no points for the room; finding them in {len(shots)} pictures, which takes minutes")
-    with tempfile.TemporaryDirectory(prefix="hyaline-capture-") as scratch:
-        work = Path(scratch)
-        times = _write_pictures(work, [(shot.picture, shot.masks) for shot in shots])
-        database = _matched(colmap, work, model=KNOWN)
-        known = _known(colmap, database, shots, times)
-        found = colmap.triangulate_points(known, database, work / "images", work)
-    points = np.array([point.xyz for point in found.points3D.values()]).reshape(-1, 3)
-    if not len(points):
-        return
-    import trimesh
-
-    data = trimesh.PointCloud(points).export(file_type="ply")
-    assert isinstance(data, bytes), "a binary PLY"
-    commit(folder.root / POINTS[0], data)
-    say(f"{folder.root}: {len(points):,} points were found, and kept in {folder.root / POINTS[0]}")
+def _place_others(colmap: ModuleType, found: Any, database: Path, names: set[str]) -> None:
+    """Adds to a model the cameras of pictures that took no part in it; neither its points nor its lens change."""
+    known = [found.images[number] for number in found.reg_image_ids()]
+    with colmap.Database.open(database) as opened_database:
+        for image in opened_database.read_all_images():
+            if image.name not in names or image.camera_id not in found.cameras:
+                continue
+            places, points = opened_database.read_keypoints(image.image_id)[:, :2], {}
+            for other in known:
+                pair = opened_database.read_two_view_geometry(image.image_id, other.image_id)
+                for own, their in pair.inlier_matches.tolist():
+                    if other.points2D[their].has_point3D():
+                        points[own, other.points2D[their].point3D_id] = found.points3D[other.points2D[their].point3D_id]
+            seen = np.array([places[own] for own, _ in points], np.float64).reshape(-1, 2)
+            there = np.array([point.xyz for point in points.values()]).reshape(-1, 3)
+            answer = colmap.estimate_and_refine_absolute_pose(seen, there, found.cameras[image.camera_id])
+            if answer is not None and answer["num_inliers"] >= LEAST_SEEN:
+                placed = colmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
+                found.add_image_with_trivial_frame(placed, answer["cam_from_world"])
 
 
 def _colmap(why: str) -> ModuleType:
@@ -333,63 +370,40 @@ def _colmap(why: str) -> ModuleType:
     return pycolmap
 
 
-def _write_pictures(folder: Path, pictures: Sequence[tuple[Path, Sequence[Path]]]) -> float:
+def _write_pictures(folder: Path, pictures: Masks) -> float:
     """Pictures and masks by their numbers, as COLMAP takes them, all made larger or smaller alike; by how much."""
-    longest = max(max(picture_size(path)) for path, _ in pictures)
+    longest = max(max(picture_size(path)) for path in pictures)
     times = LARGE / longest if longest > LARGE else float(np.ceil(SMALL / longest)) if longest < SMALL else 1.0
     for name in ("images", "masks"):
         (folder / name).mkdir()
-    for place, (path, masks) in enumerate(pictures):
+    for place, (path, masks) in enumerate(track(pictures.items(), label="reading", total=len(pictures))):
         picture = opened(path).convert("RGB")
         size = (round(times * picture.width), round(times * picture.height))
         picture.resize(size, Image.Resampling.LANCZOS).save(folder / "images" / f"{place:05d}.png")
         seen = np.zeros((picture.height, picture.width), bool)
         for mask in masks:
-            seen |= mask_pixels(opened(mask, picture.size))
+            seen |= read_mask(mask, picture.size)
         hidden = Image.fromarray(np.where(seen, 0, 255).astype(np.uint8)).resize(size)
         hidden.save(folder / "masks" / f"{place:05d}.png.png")
     return times
 
 
-def _matched(colmap: ModuleType, folder: Path, *, model: str) -> Path:
+def _matched(colmap: ModuleType, folder: Path) -> Path:
     """The database of features and matches of all pairs of pictures."""
     database = folder / "database.db"
     reader = colmap.ImageReaderOptions()
-    reader.camera_model, reader.mask_path = model, folder / "masks"
+    reader.camera_model, reader.mask_path = MODEL, folder / "masks"
     features = colmap.FeatureExtractionOptions()
     features.sift.max_num_features = MOST_FEATURES
     sizes = {picture_size(path) for path in (folder / "images").iterdir()}
-    found = colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO
     options = {
-        "camera_mode": colmap.CameraMode.PER_IMAGE if model == KNOWN else found,
+        "camera_mode": colmap.CameraMode.SINGLE if len(sizes) == 1 else colmap.CameraMode.AUTO,
         "reader_options": reader,
         "extraction_options": features,
         "device": colmap.Device.cpu,
     }
-    colmap.extract_features(database, folder / "images", **options)
-    colmap.match_exhaustive(database, device=colmap.Device.cpu)
+    with waiting("features of all pictures"):
+        colmap.extract_features(database, folder / "images", **options)
+    with waiting("matches of all pairs of pictures"):
+        colmap.match_exhaustive(database, device=colmap.Device.cpu)
     return database
-
-
-def _known(colmap: ModuleType, database: Path, shots: Sequence[Shot], times: float) -> object:
-    """A model of COLMAP that holds cameras and no points."""
-    known = colmap.Reconstruction()
-    with colmap.Database.open(database) as opened_database:
-        for image in opened_database.read_all_images():
-            shot = shots[int(Path(image.name).stem)]
-            lens = shot.lens
-            k1, k2 = (*lens.radial, 0.0, 0.0)[:2]
-            camera = colmap.Camera(
-                camera_id=image.camera_id,
-                model=KNOWN,
-                width=round(times * lens.width),
-                height=round(times * lens.height),
-                params=[*(times * f for f in lens.focal), *(times * c for c in lens.center), k1, k2, *lens.tangential],
-            )
-            known.add_camera_with_trivial_rig(camera)
-            pose = shot.world_from_camera
-            rotation = (pose[:3, :3] * [1, -1, -1]).T
-            camera_from_world = np.concatenate([rotation, -rotation @ pose[:3, 3:]], axis=1)
-            placed = colmap.Image(name=image.name, camera_id=image.camera_id, image_id=image.image_id)
-            known.add_image_with_trivial_frame(placed, colmap.Rigid3d(camera_from_world))
-    return known

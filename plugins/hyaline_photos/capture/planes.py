@@ -65,17 +65,13 @@ class Rectangle:
 
 def smallest_rectangle(flat: Flat, percent: float = 2.0, angle: float | None = None) -> Rectangle:
     """The smallest rectangle around all points but few."""
-    angles = np.radians(np.arange(0, 90, 2)) if angle is None else [angle]
-    best = None
-    for turn in angles:
-        c, s = np.cos(turn), np.sin(turn)
-        axes = np.array([[c, s], [-s, c]])
+
+    def at(turn: float) -> Rectangle:
+        axes = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
         low, high = np.percentile(flat @ axes.T, (percent, 100 - percent), axis=0)
-        if best is None or np.prod(high - low) < np.prod(2 * np.array(best.half)):
-            center = (low + high) / 2 @ axes
-            best = Rectangle(center=tuple(center), half=tuple((high - low) / 2), angle=float(turn))
-    assert best is not None
-    return best
+        return Rectangle(center=tuple((low + high) / 2 @ axes), half=tuple((high - low) / 2), angle=float(turn))
+
+    return min(map(at, np.radians(np.arange(0, 90, 2)) if angle is None else [angle]), key=lambda it: np.prod(it.half))
 
 
 def box_on(base: Rectangle, low: float, high: float) -> Mesh:
@@ -223,27 +219,3 @@ def floor_within(points: Points, walls: Sequence[Wall], middle: np.ndarray) -> R
                 ends[int(slope < 0), axis] = wall.offset / slope
     low, high = ends
     return Rectangle(center=tuple((low + high) / 2 @ base.axes), half=tuple((high - low) / 2), angle=base.angle)
-
-
-def floor_around(ground: Rectangle, walls: Sequence[Wall], middle: np.ndarray, reach: float) -> list[Rectangle]:
-    """Up to four rectangles around the floor, out to some distance from the middle but not beyond walls.
-
-    Each becomes a part of its own, so that its large area takes no texels from the floor.
-    """
-    axes = ground.axes
-    low, high = (np.array(ground.center) @ axes.T + sign * np.array(ground.half) for sign in (-1, 1))
-    outer = np.array([np.minimum(low, middle[:2] @ axes.T - reach), np.maximum(high, middle[:2] @ axes.T + reach)])
-    for axis, place in ((axis, place) for axis in range(2) for place in range(2)):
-        if any((1 - 2 * place) * (wall.normal @ axes[axis]) > 0.95 for wall in walls):
-            outer[place, axis] = (low, high)[place][axis]
-    corners = (
-        (outer[0], (low[0], outer[1, 1])),
-        ((high[0], outer[0, 1]), outer[1]),
-        ((low[0], outer[0, 1]), (high[0], low[1])),
-        ((low[0], high[1]), (high[0], outer[1, 1])),
-    )
-    return [
-        Rectangle(center=tuple((start + end) / 2 @ axes), half=tuple((end - start) / 2), angle=ground.angle)
-        for start, end in (np.array(pair) for pair in corners)
-        if (end - start).min() > 0
-    ]

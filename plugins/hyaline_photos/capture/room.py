@@ -1,16 +1,15 @@
 """Fits an opaque room to points and depth maps: a floor, the support of the glass, walls, and things; finds the places
 of glass by its masks.
 
-Things are the surfaces that depth maps show, and boxes around points where they show none. Points are in metres with z
-up. Of every surface only its front counts, which a texture is learned for; what no points show (plain walls) is left
-to the sky.
+Things are the surfaces that depth maps show. Points are in metres with z up. Of every surface only its front counts,
+which a texture is learned for; what no depth map shows (plain walls) is left to the sky.
 
 Upright ellipsoids replace the true meshes of glass until `model fit` finds them. Panes are level objects so thin that
 they hardly displace the view through them: depth maps look through them. Thick or round glass shows its surroundings
 elsewhere, so it is left out there.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +18,7 @@ from jaxtyping import Bool, Float, UInt8
 from datagen.data.cameras import Camera, Cameras
 from datagen.data.meshes import Mesh
 from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.modelling import sheet
 from hyaline_photos.capture.planes import (
     FAR,
@@ -32,7 +32,6 @@ from hyaline_photos.capture.planes import (
     Wall,
     box_on,
     find_walls,
-    floor_around,
     floor_within,
     smallest_rectangle,
     wall_mesh,
@@ -67,10 +66,6 @@ class Outline:
     name: str
     center: tuple[float, float, float]
     radii: tuple[float, float, float]
-
-    def around(self, points: Float[np.ndarray, "point 3"], *, times: float) -> Bool[np.ndarray, " point"]:
-        """True for points in the ellipsoid after scaling it by a factor."""
-        return (((points - self.center) / (times * np.array(self.radii))) ** 2).sum(axis=1) < 1
 
     def moved(self, scale: float, offset: Float[np.ndarray, "3"]) -> "Outline":
         """The same after scaling the world and moving it."""
@@ -216,8 +211,10 @@ def find_panes(
 CELL = 0.05
 """Side of the cells by whose contact points are one thing, over the cameras' distance."""
 MAX_THINGS = 24
-FOUND = 0.5
-"""Share of a thing's points near surfaces from depth maps, above which it needs no box."""
+THING = "thing_"
+"""How the names of surfaces from depth maps begin."""
+STRIDE, ELSEWHERE = 4, 0.1
+"""Pixels between those of depth maps that a room is compared with, and the relative difference that counts as none."""
 SLAB = 0.04
 """Thickness of a table top over its narrow side."""
 
@@ -244,7 +241,7 @@ def fit_room(
     Args:
         glass: all objects of glass.
         places: of the cameras.
-        maps: depths of opaque surfaces; without them, things are boxes.
+        maps: depths of opaque surfaces; without them, there are no things.
         panes: the objects that are panes.
     """
     middle = np.mean([outline.center for outline in glass], axis=0)
@@ -254,10 +251,6 @@ def fit_room(
     standing = [outline for outline in glass if outline.name not in flat] or glass
     whole = points
     points = points[np.linalg.norm(points - middle, axis=1) < 20 * radius]
-    for outline in glass:
-        # Features on glass are no room. The ellipsoid of a pane or a plate holds what is on it, too.
-        if outline.radii[2] > 0.5 * max(outline.radii[:2]):
-            points = points[~outline.around(points, times=1.25)]
     near, few = NEAR * radius, max(LEAST_POINTS, LEAST_SHARE * len(points))
     levels = _levels(points, near, few, below=float(places[:, 2].min()))
     if not levels:
@@ -273,7 +266,7 @@ def fit_room(
     if support > floor + 4 * near and not is_pane:
         on = np.abs(rest[:, 2] - support) < near
         top = smallest_rectangle(next(_things(rest[on], CELL * radius, least=1))[:, :2], 1.0)
-        parts["table"] = _board(top, support, below=floor, points=rest, near=near)
+        parts["table"] = box_on(top, support - SLAB * 2 * min(top.half), support)
         rest = rest[~(top.holds(rest[:, :2], margin=near) & (rest[:, 2] < support + 2 * near))]
     walls, rest = find_walls(rest, places, middle, radius, few)
     parts |= {f"wall_{place}": wall_mesh(wall, walls, floor) for place, wall in enumerate(walls)}
@@ -294,21 +287,27 @@ def fit_room(
         things = fuse(maps, low, high, near / 2, is_thing)[:MAX_THINGS]
         for pane in panes:
             things = [pane.without(thing) for thing in things]
-    parts |= {f"thing_{place}": mesh for place, mesh in enumerate(things)}
-    boxes: dict[str, Mesh] = {}
-    for thing in _things(_far_from(things, rest, CELL * radius, 2 * near), CELL * radius):
-        box = smallest_rectangle(thing[:, :2])
-        foot, head = np.percentile(thing[:, 2], (2, 98)).tolist()
-        base = support if foot > support - 2 * near else floor
-        # Points at its foot may be missing; something on a glass table has no surface below it.
-        bottom = base if foot - base < 0.5 * (head - foot) else foot
-        holds_camera = (box.holds(places[:, :2]) & (places[:, 2] < head)).any()
-        if head - bottom > 2 * near and min(box.half) > near / 2 and not holds_camera:
-            boxes[f"box_{len(boxes)}"] = box_on(box, bottom, head)
-    parts |= dict(list(boxes.items())[: MAX_THINGS - len(things)])
+    parts |= {f"{THING}{place}": mesh for place, mesh in enumerate(things)}
     kinds = f"a floor, {'a table, ' * (top is not None)}{len(walls)} walls and {len(parts) - 1} parts in all"
     remark = f"room: {kinds} were fitted to {len(points):,} points"
     return Room(parts=parts, support=support, remark=remark)
+
+
+def lacking(parts: Mapping[str, Mesh], maps: DepthMaps) -> Float[np.ndarray, " view"]:
+    """Share of what each depth map shows that a room lacks or has elsewhere; 0 where it shows nothing."""
+    use_mitsuba()
+    from datagen.trace.peel import Peeler
+
+    peeler, shares = Peeler(tuple(parts.values())), []
+    for view, depth in enumerate(maps.depth):
+        camera, found = maps.cameras[view], depth[::STRIDE, ::STRIDE]
+        origin, directions = camera.rays()
+        directions = directions[::STRIDE, ::STRIDE][found > 0]
+        hits = peeler.trace(origin, directions, 1)
+        along = hits.t[0] * (directions @ -camera.world_from_camera[:3, 2])
+        is_there = (hits.shape[0] >= 0) & (np.abs(along - found[found > 0]) < ELSEWHERE * along)
+        shares.append(1 - is_there.mean() if len(is_there) else 0.0)
+    return np.array(shares)
 
 
 # Levels
@@ -330,13 +329,15 @@ def _support(
 
 
 def _floors(points: Points, floor: float, walls: Sequence[Wall], middle: np.ndarray, radius: float) -> dict[str, Mesh]:
-    """The floor as far as points show it, and what lies around it unless something is below."""
+    """The floor as far as points show it, and what lies around it and before the walls unless something is below."""
     near = NEAR * radius
     ground = floor_within(points[np.abs(points[:, 2] - floor) < 2 * near], walls, middle)
-    around: list[Rectangle] = []
+    parts = {"floor": ground.sheet(floor)}
     if (points[:, 2] < floor - 4 * near).mean() < MAX_BEHIND:
-        around = floor_around(ground, walls, middle, FAR * radius)
-    return {"floor": ground.sheet(floor)} | {f"floor_{place}": part.sheet(floor) for place, part in enumerate(around)}
+        corners = middle + FAR * radius * np.array([(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)])
+        # A part of its own, a little lower, so that its large area takes no texels from the floor.
+        parts["floor_around"] = floor_within(corners, walls, middle).sheet(floor - GAP)
+    return parts
 
 
 def _levels(points: Points, near: float, few: float, *, below: float) -> list[float]:
@@ -355,17 +356,6 @@ def _levels(points: Points, near: float, few: float, *, below: float) -> list[fl
     return sorted(found)
 
 
-def _far_from(meshes: Sequence[Mesh], points: Points, cell: float, near: float) -> Points:
-    """The points of things that meshes do not show."""
-    from scipy.spatial import KDTree
-
-    if not meshes:
-        return points
-    surface = KDTree(np.concatenate([mesh.vertices for mesh in meshes]))
-    others = [thing for thing in _things(points, cell) if (surface.query(thing)[0] < near).mean() < FOUND]
-    return np.concatenate([points[:0], *others])
-
-
 def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[Points]:
     """Points that are one thing: in cells that touch; things of few points are left out."""
     from scipy.sparse import coo_array
@@ -381,11 +371,3 @@ def _things(points: Points, cell: float, least: int = LEAST_POINTS) -> Iterator[
     for index in np.argsort(-sizes, kind="stable"):
         if sizes[index] >= least:
             yield points[label == index]
-
-
-def _board(top: Rectangle, height: float, *, below: float, points: Points, near: float) -> Mesh:
-    """A table: solid to the floor where points show its sides, a thin board otherwise."""
-    under = (points[:, 2] > below + 3 * near) & (points[:, 2] < height - 6 * near)
-    sides = under & top.holds(points[:, :2], margin=near)
-    low = below if sides.sum() >= LEAST_POINTS else height - SLAB * 2 * min(top.half)
-    return box_on(top, low, height)

@@ -229,8 +229,11 @@ class _Work:
     def _learn_room(self) -> dict[str, State]:
         pixels, beside = self._pixels({}, room.FINE), np.flatnonzero(self._beside_glass())
         state = self._learn(pixels, beside)
-        self._show("room", room.load_room(state, pixels, beside), {})
-        return state
+        drawn = room.load_room(state, pixels, beside)
+        decibels = drawn.decibels(self._beside_glass())
+        say(f"  {room.in_words(decibels)}")
+        self._show("room", drawn, {})
+        return {**state, "decibels": decibels.tolist()}
 
     def _learn_again(self, found: Objects) -> dict[str, State]:
         pixels = self._pixels(found, room.FINE)

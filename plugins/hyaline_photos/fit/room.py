@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int
+from jaxtyping import Bool, Float32, Float64, Int
 from torch import Tensor
 
 from datagen.data.dataset import Dataset
@@ -53,6 +53,8 @@ STEEPNESS = 4
 """Exponent of a pixel's weight. True glass (the bottle of random-7104), drawn through textures that never saw glass,
 has a loss of 0.006 where more than 95 % of a pixel's light is known, 0.02 at 85 %, and 0.07 below 60 %."""
 COUNTED_BRANCHES = 4
+JUDGED, NAMED = 400, 5
+"""Pixels of a picture that tell how well the room shows it, and how many of the worst pictures are named."""
 LEAST_TRUST = 1e-6
 """Weight of every pixel, so that all count alike where pictures show nothing beside the glass."""
 
@@ -195,6 +197,16 @@ class Room:
             rays = [self.renderer.radiance(pixels.take(part, None)) for part in parts]
             return torch.cat([srgb_curve(part.mean(dim=1)).clamp(0, 1) for part in rays]).numpy()
 
+    def decibels(self, is_beside: Bool[np.ndarray, "view h w"]) -> Float64[np.ndarray, " view"]:
+        """PSNR of `JUDGED` pixels beside the glass in each training picture; infinite where it has none."""
+        found, rng = np.full(len(is_beside), np.inf), np.random.default_rng(0)
+        for view, flat in enumerate(is_beside.reshape(len(is_beside), -1)):
+            rows = view * flat.size + rng.permutation(np.flatnonzero(flat))[:JUDGED]
+            if len(rows):
+                truth = self.pixels.rgb[torch.from_numpy(rows)].numpy() / np.float32(255)
+                found[view] = -10 * np.log10(max(np.mean((self.draw(rows) - truth) ** 2), 1e-10))
+        return found
+
     def misses(self, object_ids: Sequence[int], rows: Int[np.ndarray, " pixel"], guesses: Sequence[Glass]) -> Misses:
         """The loss of some pixels as a function of the glass that replaces these objects.
 
@@ -215,6 +227,12 @@ class Room:
             return weights[:, None] * penalty(drawn - truth)
 
         return miss
+
+
+def in_words(decibels: Float64[np.ndarray, " view"]) -> str:
+    """How well a room shows the training pictures, and which of them worst."""
+    worst = ", ".join(f"train/{view:04d} ({decibels[view]:.1f})" for view in np.argsort(decibels)[:NAMED])
+    return f"{np.median(decibels):.1f} dB beside the glass of pictures (median); least in {worst}"
 
 
 def room_state(renderer: LightPathRenderer) -> dict[str, State]:

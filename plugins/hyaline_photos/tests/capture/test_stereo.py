@@ -7,19 +7,22 @@ import pytest
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.scene.mending import atlas_fault
 from datagen.scene.rig import towards
-from hyaline_photos.capture.room import Outline, fit_room
-from hyaline_photos.capture.stereo import DepthMaps, find_depths, fuse
+from hyaline_photos.capture.room import Outline, fit_room, lacking
+from hyaline_photos.capture.stereo import DepthMaps, faces_apart, find_depths, fuse
 
 RADIUS, FLOOR = 0.25, -0.25
 """A ball around the origin, on a floor."""
 SIDE, VIEWS = 64, 16
+BORDERS = (0.7, 3.0)
+"""Least and largest depth."""
 
 
-def around() -> Cameras:
+def around(side: int = SIDE) -> Cameras:
     aways = [1.2 * np.array(towards(360 * view / VIEWS, 30 + 15 * (view % 2))) for view in range(VIEWS)]
     places = [look_at(away, (0.0, 0.0, 0.0)) for away in aways]
-    return Lens(fov_x=0.8, width=SIDE, height=SIDE).cameras(np.stack(places))
+    return Lens(fov_x=0.8, width=side, height=side).cameras(np.stack(places))
 
 
 def seen(cameras: Cameras, view: int) -> tuple[Float32[np.ndarray, "h w"], Float[np.ndarray, "h w 3"], np.ndarray]:
@@ -46,8 +49,7 @@ def maps() -> DepthMaps:
     cameras = around()
     places = [seen(cameras, view)[1] for view in range(VIEWS)]
     nothing = [np.zeros((SIDE, SIDE), bool)] * VIEWS
-    some = np.concatenate([place.reshape(-1, 3)[::37] for place in places])
-    return find_depths([painted(place) for place in places], nothing, cameras, some)
+    return find_depths([painted(place) for place in places], nothing, cameras, np.zeros(3), BORDERS)
 
 
 def test_depths_are_those_of_ball_and_floor(maps: DepthMaps) -> None:
@@ -59,6 +61,25 @@ def test_depths_are_those_of_ball_and_floor(maps: DepthMaps) -> None:
         assert (found > 0)[is_ball].mean() > 0.5
 
 
+def test_larger_pictures_find_finer_depths_of_the_same_surfaces(maps: DepthMaps) -> None:
+    large = around(4 * SIDE)
+    places = [seen(large, view)[1] for view in range(VIEWS)]
+    nothing = [np.zeros((4 * SIDE, 4 * SIDE), bool)] * VIEWS
+    found = find_depths([painted(place) for place in places], nothing, large, np.zeros(3), BORDERS)
+
+    def miss(some: DepthMaps, view: int) -> float:
+        expected, _, _ = seen(some.cameras, view)
+        shown = some.depth[view] > 0
+        return float(np.median(np.abs(some.depth[view] - expected)[shown] / expected[shown]))
+
+    assert np.mean([miss(found, view) / miss(maps, view) for view in range(VIEWS)]) < 0.7
+    assert np.mean([(found.depth[view] > 0)[seen(large, view)[2]].mean() for view in range(VIEWS)]) > 0.6
+    points = found.points(1e-6)
+    points = points[np.linalg.norm(points, axis=1) < 1]
+    on_ball, on_floor = np.abs(np.linalg.norm(points, axis=1) - RADIUS), np.abs(points[:, 2] - FLOOR)
+    assert np.mean(np.minimum(on_ball, on_floor) < 0.01) > 0.9
+
+
 def test_neither_glass_nor_plain_surfaces_get_depths(maps: DepthMaps) -> None:
     cameras = around()
     places = [seen(cameras, view)[1] for view in range(VIEWS)]
@@ -66,9 +87,7 @@ def test_neither_glass_nor_plain_surfaces_get_depths(maps: DepthMaps) -> None:
     pictures = [painted(place) for place in places]
     for picture, place in zip(pictures, places, strict=True):
         picture[place[..., 0] > 0.5] = 200
-    found = find_depths(
-        pictures, is_glass, cameras, np.concatenate([place[::9, ::9].reshape(-1, 3) for place in places])
-    )
+    found = find_depths(pictures, is_glass, cameras, np.zeros(3), BORDERS)
     assert not found.depth[np.stack(is_glass)].any()
     plain = np.stack([place[..., 0] > 0.62 for place in places])  # Half a window away from what is painted.
     assert plain.sum() > 500
@@ -89,25 +108,28 @@ def test_the_fused_surface_is_the_balls(maps: DepthMaps) -> None:
     assert np.linalg.norm(normals, axis=1).sum() / 2 > 0.4 * 4 * math.pi * RADIUS**2
 
 
+def test_each_face_can_have_a_chart_of_its_own(maps: DepthMaps) -> None:
+    (ball,) = fuse(maps, np.full(3, -0.35), np.full(3, 0.35), 0.03, lambda place: place[:, 2] > FLOOR + 0.05)
+    apart = faces_apart(ball)
+    assert atlas_fault(ball) is not None and atlas_fault(apart) is None
+    assert np.array_equal(apart.vertices[apart.faces], ball.vertices[ball.faces])
+
+
 def test_nothing_is_fused_where_no_view_saw_anything() -> None:
     cameras = around()
     empty = DepthMaps(cameras=cameras, depth=np.zeros((VIEWS, SIDE, SIDE), np.float32))
     assert fuse(empty, np.full(3, -0.3), np.full(3, 0.3), 0.02, lambda place: place[:, 2] > -1) == []
 
 
-def test_a_thing_is_its_surface_where_depth_maps_show_it_and_a_box_elsewhere(maps: DepthMaps) -> None:
+def test_a_thing_is_its_surface_where_depth_maps_show_it(maps: DepthMaps) -> None:
     rng = np.random.default_rng(0)
     away = rng.normal(size=(600, 3))
     ball = RADIUS * away / np.linalg.norm(away, axis=1, keepdims=True)
     floor = np.concatenate([rng.uniform(-1, 1, (900, 2)), np.full((900, 1), FLOOR)], axis=1)
-    unseen = np.array((0.6, 0.6, FLOOR)) + rng.uniform(0, 0.15, (200, 3))
     glass = [Outline(name="glass", center=(-0.6, 0.0, FLOOR + 0.05), radii=(0.05, 0.05, 0.05))]
     places = maps.cameras.world_from_camera[:, :3, 3]
-    points = np.concatenate([ball, floor, unseen])
-    with_maps = {name: mesh.vertices for name, mesh in fit_room(points, glass, places, maps).parts.items()}
-    assert {"thing_0", "box_0"} <= with_maps.keys()
-    assert np.abs(np.linalg.norm(with_maps["thing_0"], axis=1) - RADIUS).mean() < 0.006
-    assert np.abs(with_maps["box_0"].mean(axis=0)[:2] - 0.675).max() < 0.03
-    assert "box_1" not in with_maps
-    without = fit_room(points, glass, places).parts.keys()
-    assert {"box_0", "box_1"} <= without and "thing_0" not in without
+    room = fit_room(np.concatenate([ball, floor]), glass, places, maps)
+    assert np.abs(np.linalg.norm(room.parts["thing_0"].vertices, axis=1) - RADIUS).mean() < 0.006
+    assert np.mean(lacking(room.parts, maps)) < 0.05
+    assert np.mean(lacking({"floor": room.parts["floor"]}, maps)) > 0.1
+    assert not any(name.startswith("thing") for name in fit_room(np.concatenate([ball, floor]), glass, places).parts)

@@ -99,3 +99,18 @@ def test_pixels_that_show_a_floor_are_trusted_only_after_some_of_them_were_count
     assert mean_trust(others, floor) < 0.05
     assert mean_trust(others, others) > 0.7
     assert mean_trust(np.concatenate([others, floor[::2]]), floor[1::2]) > 0.7
+
+
+def test_decibels_of_each_picture_are_those_of_its_pixels_beside_glass(dataset: Dataset) -> None:
+    materials = tuple(item.material for item in open_scene(dataset).objects)
+    pixels = room.load_pixels(dataset, open_scene(dataset), read_meshes(dataset, TRUTH), materials, room.COARSE)
+    renderer = LightPathRenderer(dataclasses.replace(pixels.config, texture_sizes=(8,) * len(materials)))
+    drawn = room.load_room(room.room_state(renderer), pixels, np.arange(len(pixels.rgb)))
+    is_beside = np.zeros((len(pixels.cameras), 24, 24), bool)
+    is_beside[1:, 5:17] = True  # Fewer pixels than are drawn of a picture at most.
+    found = drawn.decibels(is_beside)
+    for view in range(1, len(found)):
+        rows = 24 * 24 * view + np.flatnonzero(is_beside[view])
+        error = np.square(drawn.draw(rows) - pixels.rgb.numpy()[rows] / np.float32(255)).mean()
+        assert found[view] == pytest.approx(-10 * np.log10(error), abs=0.01)
+    assert found[0] == np.inf and f"train/{found.argmin():04d} ({found.min():.1f})" in room.in_words(found)
