@@ -31,7 +31,7 @@ from hyaline_import.source import scene_name
 from hyaline_photos.capture.folder import Folder, Shot, read_capture
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import LEAST_POINTS, find_up
-from hyaline_photos.capture.room import Outline, find_outline, find_panes, fit_room
+from hyaline_photos.capture.room import Outline, find_outline, find_panes, fit_room, is_shown
 from hyaline_photos.capture.stereo import find_depths
 from hyaline_photos.commands import CaptureChoices
 from hyaline_photos.fit.shapes import perpendicular
@@ -69,6 +69,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     folder = read_capture(root)
     lens, about_lens = shared_lens([shot.lens for shot in folder.shots], choices.longest)
     ids = {shot.picture: _object_ids(shot, lens) for shot in folder.shots}
+    folder, ids, about_unseen = _without_unseen(folder, ids)
     world, outlines, about_world = _place(folder, lens, ids, choices)
     shots = folder.shots
     every, seen = world.cameras(shots, lens), [ids[shot.picture] for shot in shots]
@@ -103,7 +104,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         has_masks=True,
         has_depth=False,
         has_objects=True,
-        remarks=(*folder.remarks, *about_lens, *about_splits, *about_world, *about_scene),
+        remarks=(*folder.remarks, *about_lens, *about_unseen, *about_splits, *about_world, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
@@ -139,6 +140,21 @@ def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
     for place in sorted(range(len(masks)), key=lambda place: -int(masks[place].sum())):
         found[masks[place]] = 1 + place
     return found
+
+
+def _without_unseen(
+    folder: Folder, ids: Mapping[Path, UInt8[np.ndarray, "h w"]]
+) -> tuple[Folder, Mapping[Path, UInt8[np.ndarray, "h w"]], list[str]]:
+    """Leaves out objects that too few pictures show to find their places, such as a drink deep in its glass."""
+    indices = range(1, len(folder.objects) + 1)
+    places = [[int((picture == index).sum()) for picture in ids.values()] for index in indices]
+    is_kept = np.array([is_shown(sizes) or not any(sizes) for sizes in places])
+    if is_kept.all() or not is_kept.any():
+        return folder, ids, []
+    renumbered = np.concatenate([[0], np.where(is_kept, is_kept.cumsum(), 0)]).astype(np.uint8)
+    kept = tuple(name for name, kept in zip(folder.objects, is_kept) if kept)
+    lines = [f"{name}: left out; too few pictures show it" for name in folder.objects if name not in kept]
+    return dataclasses.replace(folder, objects=kept), {path: renumbered[each] for path, each in ids.items()}, lines
 
 
 # The world

@@ -55,8 +55,8 @@ MAX_OUTSIDE = 0.1
 MAX_HIDDEN = 0.35
 """The same, with views that see another object of glass there, which may be in front of it."""
 MIN_SHOWN = 0.5
-"""Least share of the views that show the object at a point of it, of those at its best point, where other glass hides it
-in more views than that."""
+"""Least share of the views that show the object at a point of it, relative to its best point, where other glass hides
+it in more views than that."""
 ROOMY = 1.6
 """Side of the first grid over the object's estimated size."""
 MAX_THICKNESS = 0.1
@@ -88,6 +88,11 @@ class Outline:
         low = height + GAP
         center, radii = (*self.center[:2], (low + high) / 2), (*self.radii[:2], (high - low) / 2)
         return replace(self, center=center, radii=radii)
+
+
+def is_shown(pixels: Sequence[int]) -> bool:
+    """Whether enough pictures show an object, by the number of pixels in each."""
+    return sum(count >= LEAST_PIXELS for count in pixels) >= LEAST_VIEWS
 
 
 def find_outline(

@@ -442,3 +442,23 @@ def test_without_cameras_and_pycolmap_it_says_what_to_install(
 def test_a_flag_that_cannot_be_is_refused(flags: str, expected: str, folder: Path, tmp_path: Path) -> None:
     answer = call(f"datagen capture '{folder}' --out {tmp_path / 'out'} {flags}")
     assert answer.status == 1 and expected in answer.error
+
+
+@pytest.mark.full
+def test_glasses_with_drinks_that_are_seen_only_through_their_openings_get_places(tmp_path: Path) -> None:
+    data, shots, root = tmp_path / "drinks", tmp_path / "shots", tmp_path / "captured"
+    size = "--resolution 80 --views 24 --test-views 1 --spp 1 --test-spp 1"
+    for words in (
+        f"datagen build --scene drinks {size} --out {data}",
+        f"datagen export {data} --format capture --out {shots}",
+        f"datagen capture {shots} --out {root}",
+    ):
+        answer = call(words)
+        assert answer.status == 0, answer.error
+    captured, truth = open_dataset(root), open_scene(open_dataset(data))
+    true = {item.name: item.mesh.vertices for item in truth.objects}
+    found = {item.name: item.mesh.vertices for item in open_scene(captured).objects}
+    for drink, vessel in (("whisky", "tumbler"), ("wine", "wine_glass")):
+        for name, most in ((drink, 0.04), (vessel, 0.02)):
+            middles = [(each.min(axis=0) + each.max(axis=0))[:2] / 2 for each in (found[name], true[name])]
+            assert np.linalg.norm(middles[0] - middles[1]) < most, name
