@@ -98,7 +98,8 @@ def choose_outside(
     # About an axis, views contradict each other that do not as views of any shape.
     overruled_too = overruled_about(rays, up) if mask_errors else np.zeros(0, int)
     around = rays.only(~np.isin(rays.view, overruled_too))
-    say(f"    overruled views: {len(overruled)}, and {len(overruled_too)} more if it is round")
+    if mask_errors:
+        say(f"    overruled views: {len(overruled)}, and {len(overruled_too)} more if it is round")
     hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
     support = None
     if hull.radii.any():
