@@ -47,8 +47,8 @@ class FitChoices:
     unknown: tuple[str, ...] = ()
     """An object of unknown shape and material. May be repeated. Default: all glass seen first, except panes."""
     mask_errors: int | None = None
-    """Wrong pixels to expect at the edges of masks: a ray counts as missing an object only if this many neighbouring
-    rays miss it as well. Default: 2 for imported or captured masks, otherwise 0."""
+    """Percentage of the pictures whose masks may be wrong about a place, for instance because something hides the glass
+    there. 0: masks are exact. Default: 5 for imported or captured masks, otherwise 0."""
     steps: int = 800
     """Training steps for the room's textures."""
     skip: tuple[Literal["grid", "search", "again"], ...] = ()
@@ -59,8 +59,8 @@ class FitChoices:
     """Seed of all random numbers."""
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or (self.mask_errors or 0) < 0:
-            raise UsageError("--steps, --mask-errors: expected at least 1 and 0")
+        if self.steps < 1 or not 0 <= (self.mask_errors or 0) < 50:
+            raise UsageError("--steps, --mask-errors: expected at least 1, and 0 to 49 %")
         if not SEED[0] <= self.seed <= SEED[1]:
             raise UsageError(f"--seed: is {self.seed}; expected {SEED[0]} to {SEED[1]}")
 

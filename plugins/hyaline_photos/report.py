@@ -45,6 +45,8 @@ class FitObject:
     """`point` and `direction` of the axis of a round one."""
     numbers: dict[str, dict[str, float] | None]
     """`value`, `low` and `high` by name: ior, wall, floor, ...; None: does not apply."""
+    overruled: tuple[str, ...] = ()
+    """Pictures whose masks lack parts of it that the others show."""
 
 
 def find_fits(
@@ -81,6 +83,9 @@ def _read_fit(folder: Path, content: dict[str, Json], dataset: Dataset) -> tuple
         for item, measured in zip(objects, measure(dataset, geometry, objects), strict=True)
     }
     note = f"Runs on what was found: `--geometry {geometry}`."
+    for item in objects:
+        if item.overruled:
+            note += f" Left out for {item.name}, since other pictures show more of it: {', '.join(item.overruled)}."
     page = PartPage(
         title=folder.name,
         note=note if knows_truth(dataset) else f"{note} The true glass is unknown.",

@@ -28,7 +28,7 @@ from hyaline_import.source import scene_name
 from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask, waiting
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import NEAR, find_up
-from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, lacking
+from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, is_shown, lacking
 from hyaline_photos.capture.stereo import find_depths, with_uv
 from hyaline_photos.commands import CaptureChoices
 from hyaline_photos.fit.shapes import perpendicular
@@ -80,6 +80,11 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     lens, about_lens = shared_lens(lenses, choices.longest or _longest(shots))
     seen = [_object_ids(shot, lens) for shot in track(shots, label="masks", total=len(shots))]
     _check_masks(folder, np.stack(seen))
+    folder, about_unseen = _without_unseen(folder, seen)
+    if about_unseen:
+        views, _ = split_views(folder)
+        shots = cast(tuple[Shot, ...], views["train"])
+        seen = [_object_ids(shot, lens) for shot in shots]
     world, outlines, about_world = _place(folder, shots, lens, seen, choices)
     with waiting("panes among the glass"):
         panes = find_panes(outlines, seen, world.cameras(shots, lens))
@@ -126,7 +131,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         has_masks=True,
         has_depth=False,
         has_objects=True,
-        remarks=(*folder.remarks, *about_lens, *about_splits, *about_world, *about_scene),
+        remarks=(*folder.remarks, *about_lens, *about_unseen, *about_splits, *about_world, *about_scene),
     )
 
     def files(split: Split, index: int) -> dict[str, bytes]:
@@ -183,6 +188,20 @@ def _check_masks(folder: Folder, seen: UInt8[np.ndarray, "view h w"]) -> None:
                 f"{folder.root}: masks/{name}: its masks show {share:.0%} of the pictures' edges; expected white where "
                 "the object is seen, black around it: invert them, or take pictures from farther away"
             )
+
+
+def _without_unseen(folder: Folder, seen: Sequence[UInt8[np.ndarray, "h w"]]) -> tuple[Folder, list[str]]:
+    """Leaves out objects that too few pictures show to find their places, such as a drink deep in its glass."""
+    sizes = [[int((ids == place).sum()) for ids in seen] for place in range(1, len(folder.objects) + 1)]
+    kept = [place for place, each in enumerate(sizes) if is_shown(each) or not any(each)]
+    if len(kept) in (0, len(sizes)):
+        return folder, []
+    lines = [f"{name}: left out; too few pictures show it" for i, name in enumerate(folder.objects) if i not in kept]
+    views = {
+        role: tuple(dataclasses.replace(shot, masks=tuple(cast(Shot, shot).masks[i] for i in kept)) for shot in shots)
+        for role, shots in folder.views.items()
+    }
+    return dataclasses.replace(folder, views=views, objects=tuple(folder.objects[i] for i in kept)), lines
 
 
 # The world

@@ -53,6 +53,9 @@ MAX_OUTSIDE = 0.1
 """Share of the views that may see no glass at a point of an object: masks err, and opaque things hide glass."""
 MAX_HIDDEN = 0.35
 """The same, with views that see another object of glass there, which may be in front of it."""
+MIN_SHOWN = 0.5
+"""Least share of the views that show the object at a point of it, relative to its best point, where other glass hides
+it in more views than that."""
 ROOMY = 1.6
 """Side of the first grid over the object's estimated size."""
 MAX_THICKNESS = 0.1
@@ -80,6 +83,11 @@ class Outline:
         low = height + GAP
         center, radii = (*self.center[:2], (low + high) / 2), (*self.radii[:2], (high - low) / 2)
         return replace(self, center=center, radii=radii)
+
+
+def is_shown(pixels: Sequence[int]) -> bool:
+    """Whether enough pictures show an object, by the number of pixels in each."""
+    return sum(count >= LEAST_PIXELS for count in pixels) >= LEAST_VIEWS
 
 
 def find_outline(
@@ -142,7 +150,11 @@ def _is_inside(
         yes += shown & (found == index)
         empty += shown & (found == 0)
         views += shown
-    return (yes >= LEAST_VIEWS) & (empty <= MAX_OUTSIDE * views) & (views - yes <= MAX_HIDDEN * views)
+    inside = (yes >= LEAST_VIEWS) & (empty <= MAX_OUTSIDE * views)
+    if (is_open := inside & (views - yes <= MAX_HIDDEN * views)).any():
+        return is_open
+    # A drink, or glass behind other glass: views that show that first deny nothing.
+    return inside & (yes >= MIN_SHOWN * yes[inside].max(initial=0))
 
 
 # Panes

@@ -87,7 +87,7 @@ def fit_box(rays: NearRays, up: Float[np.ndarray, "3"], support: float | None = 
     rays = dataclasses.replace(rays, reach=np.where(rays.hits, np.inf, rays.reach))
     edge = rays.at_edges().thinned(RAYS)
     few = rays.only(np.sort(rng.permutation(len(rays.hits))[:COARSE_RAYS]))
-    center, radius = find_center(rays)
+    center, radius = find_center(rays, up)
     axes = np.stack([*perpendicular(up), up])
     start = Box(center=center, axes=axes, half_sizes=np.full(3, radius / 2), rounding=0.1 * radius)
 

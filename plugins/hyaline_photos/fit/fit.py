@@ -8,6 +8,7 @@ again     the textures once more, from all pixels with the glass that was found,
 
 FIT/fit.json         sealed, written first: what was asked; in the end the objects that were found
 FIT/STAGE.pt         what a stage found, with the digest of what it was found from
+FIT/outside-NAME.pt  the same of the outside of one object
 FIT/STAGE.png        a picture of it, for stages that draw
 """
 
@@ -42,16 +43,7 @@ from datagen.trace.surface_tables import Limits
 from hyaline_photos.commands import FitChoices
 from hyaline_photos.fit import room
 from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.found import (
-    FoundGlass,
-    Objects,
-    digest,
-    from_state,
-    in_words,
-    summary,
-    to_state,
-    write_geometry,
-)
+from hyaline_photos.fit.found import Objects, digest, from_state, in_words, pictures, summary, to_state, write_geometry
 from hyaline_photos.fit.kinds import choose_outside, choose_shown, find_holders, merged, with_drink
 from hyaline_photos.fit.search import find_absorption, guess, guesses, in_even_views, refine
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
@@ -91,7 +83,8 @@ class FitFolder:
             refuse_others(self.root, FIT)
             begin(self.root, FIT, self.head)
         elif overwrite:
-            remove_files(self.root, [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")])
+            files = [f"{stage}.{ending}" for stage in STAGES for ending in ("pt", "png")]
+            remove_files(self.root, [*files, *(path.name for path in self.root.glob("outside-*.pt"))])
             commit_sealed(path, self.head)
         else:
             before = load_sealed(path)
@@ -146,10 +139,10 @@ def fit(dataset: Dataset, geometry: str, choices: FitChoices, out: Path, *, over
     check_has_meshes(dataset)
     scene, meshes = open_scene(dataset), read_meshes(dataset, TRUTH)
     assumed = {item.name: MATT for item in scene.objects if choices.room == "matt" and not item.material.is_glass}
-    mask_errors = choices.mask_errors if choices.mask_errors is not None else 2 * (dataset.imported is not None)
+    mask_errors = choices.mask_errors if choices.mask_errors is not None else 5 * (dataset.imported is not None)
     unknown = find_unknown(dataset, scene, choices.unknown)
     sightings = read_sightings(dataset, meshes, unknown, is_exact=mask_errors == 0)
-    shown = choose_shown(dataset, sightings, mask_errors=mask_errors, must_be_all=bool(choices.unknown))
+    shown = choose_shown(dataset, sightings, must_be_all=bool(choices.unknown))
     if shown != unknown:
         sightings = read_sightings(dataset, meshes, shown, is_exact=mask_errors == 0)
     if not any(map(is_there, known_meshes(meshes, sightings.unknown))):
@@ -255,20 +248,27 @@ class _Work:
         apart = [each for each in sightings.unknown if each not in {*holders, *holders.values()}]
         # What others may stand on, such as a table top, comes first.
         for object_id in sorted(apart, key=lambda each: -int(self.sightings.sees(each).sum())):
-            found |= self._found_if_shown(object_id, sightings)
+            found |= self._outside(object_id, found, partial(self._found_if_shown, object_id, sightings))
             if object_id in found and isinstance(found[object_id].glass, Box):
                 sightings = with_known(sightings, object_id, found[object_id].glass.mesh())
         for inside, vessel in holders.items():
-            outside = self._found_if_shown(vessel, merged(sightings, {inside: vessel})).get(vessel)
-            glass = outside and with_drink(outside.glass, sightings, inside, vessel)
-            if outside and glass:
-                found[vessel] = dataclasses.replace(outside, glass=glass, drink_id=inside)
-                say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
-            else:
-                found |= self._found_if_shown(vessel, sightings) | self._found_if_shown(inside, sightings)
+            found |= self._outside(vessel, found, partial(self._found_with_drink, vessel, inside, sightings))
         if not found:
             raise HyalineError(f"{self.dataset.root}: masks show the shape of none of the unknown objects")
         return dict(sorted(found.items()))
+
+    def _outside(self, object_id: int, before: Objects, make: Callable[[], Objects]) -> Objects:
+        """What is found of one object, kept if the next one is interrupted."""
+        return self._stage(f"outside-{self._name(object_id)}", before, make)
+
+    def _found_with_drink(self, vessel: int, inside: int, sightings: Sightings) -> Objects:
+        """The outside of a vessel with its drink; of both if the inner object is none."""
+        outside = self._found_if_shown(vessel, merged(sightings, {inside: vessel})).get(vessel)
+        glass = outside and with_drink(outside.glass, sightings, inside, vessel)
+        if outside and glass:
+            say(f"  {self._name(inside)}: drink in {self._name(vessel)}")
+            return {vessel: dataclasses.replace(outside, glass=glass, drink_id=inside)}
+        return self._found_if_shown(vessel, sightings) | self._found_if_shown(inside, sightings)
 
     def _found_if_shown(self, object_id: int, sightings: Sightings) -> Objects:
         """The outside of an object, by its id; empty where masks do not show it and nobody asked for it by name."""
@@ -276,14 +276,16 @@ class _Work:
         below = (*known_meshes(self.meshes, self.sightings.unknown), *sightings.found)
         stands_on = partial(height_below, below, UP)
         try:
-            glass, wrong = choose_outside(sightings, object_id, UP, mask_errors=self.mask_errors, stands_on=stands_on)
+            found = choose_outside(sightings, object_id, UP, mask_errors=self.mask_errors, stands_on=stands_on)
         except HyalineError as error:
             if self.choices.unknown:
                 raise HyalineError(f"{name}: {error}") from None
             say(f"  taken as known: {name}: {error}")
             return {}
-        say(f"  {name}: {glass.kind}; {wrong:.2%} of the pixels at its mask's edge are wrong")
-        return {object_id: FoundGlass(glass=glass, unexplained=wrong)}
+        say(f"  {name}: {found.glass.kind}; {found.unexplained:.2%} of the pixels at its mask's edge are wrong")
+        if found.overruled:
+            say(f"  {name}: left out, lacking parts that others show: {', '.join(pictures(self.dataset, found))}")
+        return {object_id: found}
 
     def _scan(self, textures: dict[str, State], found: Objects) -> Objects:
         found, drawn = dict(found), self._room(textures, found)

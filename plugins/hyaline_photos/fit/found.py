@@ -29,6 +29,8 @@ class FoundGlass:
     """Share of the rays at the mask's edge that the outside explains wrongly."""
     drink_id: int | None = None
     """Id of the drink inside it."""
+    overruled: tuple[int, ...] = ()
+    """Training views that were left out, because their masks lack parts of it that the others show."""
     numbers: dict[str, Found] = field(default_factory=dict)
 
     def ids(self, object_id: int) -> tuple[int, ...]:
@@ -110,12 +112,18 @@ def summary(dataset: Dataset, found: Objects) -> dict[str, Json]:
         if isinstance(glass, Revolution):
             axis = {"point": glass.axis.point.tolist(), "direction": glass.axis.direction.tolist()}
         own = {"kind": glass.kind, "axis": axis, "unexplained": item.unexplained, "numbers": _json(numbers, pixel)}
-        objects.append({"name": dataset.objects[object_id - 1].name, **own})
+        overruled: Json = [*pictures(dataset, item)]
+        objects.append({"name": dataset.objects[object_id - 1].name, **own, "overruled": overruled})
         if item.drink_id is not None:
             inside = _json({key.removeprefix("drink_"): each for key, each in of_drink.items()}, pixel)
             name = dataset.objects[item.drink_id - 1].name
             objects.append({"name": name, "kind": "drink", "axis": axis, "numbers": inside})
     return {"objects": objects}
+
+
+def pictures(dataset: Dataset, item: FoundGlass) -> list[str]:
+    """The pictures that were left out, by their paths in the dataset."""
+    return [dataset.view("train", view).file(".png") for view in item.overruled]
 
 
 def _json(numbers: dict[str, Found], pixel: float) -> dict[str, Json]:

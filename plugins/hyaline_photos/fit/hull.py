@@ -1,4 +1,5 @@
-"""Glass of any shape from masks: its visual hull, carved on a grid, then smoothed as far as the masks allow."""
+"""Glass of any shape from masks: its visual hull, carved on a grid, then smoothed as far as the masks allow; and the
+views whose masks contradict the others, for instance because something opaque hides a part of the glass."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from datagen.disk.errors import HyalineError
 from datagen.scene.atlas import unwrap
 from hyaline_photos.fit.outside import find_center
 from hyaline_photos.fit.shapes import Glass
-from hyaline_photos.fit.views import NearRays, Sightings, closest, pull, rays_near, unexplained
+from hyaline_photos.fit.views import NearRays, Sightings, closest, outvoted, pull, rays_near, unexplained
 
 COARSE, FINEST = 40, 200
 """Cells along the first grid, and most along the second one."""
@@ -44,6 +45,10 @@ SMOOTH = (0.7, 1.0, 1.5, 2.2)
 which its normals are 1.5 instead of 2.3 degrees off."""
 LEFT_OUT = 4
 """One of this many views is left out for that."""
+PIXELS_OFF = 2.0
+"""Pixels by which a mask's edge may be wrong."""
+TESTED_RAYS, TESTED_PLACES = 4000, 32
+"""Rays through masks that views are compared by, and places along each."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,6 +94,22 @@ def carve(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"], supp
     return HullShape(surface=smoothed(rays, _scale_of_bumps(rays, smoothed)))
 
 
+# Views
+
+
+def overruled_views(sightings: Sightings, object_id: int, up: Float[np.ndarray, "3"]) -> Int[np.ndarray, " overruled"]:
+    """Views whose masks lack parts of an object of any shape that the other views show (`outvoted`)."""
+    rays = rays_near(sightings, object_id)
+    center, radius = find_center(rays, up)
+    rng, hits = np.random.default_rng(0), np.flatnonzero(rays.hits)
+    rays = rays.only(np.sort(rng.permutation(hits)[:TESTED_RAYS]))
+    middle = ((center - rays.origins) * rays.directions).sum(axis=1)
+    points = rays.at(middle[:, None] + radius * np.linspace(-1, 1, TESTED_PLACES)).reshape(-1, 3)
+    told = np.stack([depths(points).astype(np.float32) for depths in _depths(sightings, object_id)])
+    told = told.reshape(len(told), -1, TESTED_PLACES) + PIXELS_OFF * rays.pixel_angle * float(np.median(middle))
+    return np.flatnonzero(sightings.sees(object_id).any(axis=(1, 2)))[outvoted(told)]
+
+
 # Carving
 
 
@@ -104,7 +125,7 @@ def _carved(
     from skimage.measure import marching_cubes
 
     views = _depths(sightings, object_id)
-    center, radius = find_center(rays)
+    center, radius = find_center(rays, up)
 
     def depth_inside(points: Float64[np.ndarray, "point 3"]) -> Float64[np.ndarray, " point"]:
         depth = _depth_inside(views, points)

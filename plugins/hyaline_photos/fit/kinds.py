@@ -6,6 +6,7 @@ seen only through an opening, such as marbles, are mistaken for drinks.
 
 import contextlib
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -16,12 +17,22 @@ from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
 from datagen.terminal.command import say
 from hyaline_photos.fit.boxes import fit_box
-from hyaline_photos.fit.hull import HullShape, carve
-from hyaline_photos.fit.outside import Hull, crossings, find_ball, find_center, find_hull, find_outside, find_solid
+from hyaline_photos.fit.found import FoundGlass
+from hyaline_photos.fit.hull import HullShape, carve, overruled_views
+from hyaline_photos.fit.outside import (
+    Hull,
+    crossings,
+    find_ball,
+    find_center,
+    find_hull,
+    find_outside,
+    find_solid,
+    overruled_about,
+)
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.search import USUAL, WALLS
 from hyaline_photos.fit.shapes import Glass, Revolution
-from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, unexplained
+from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, unexplained, without_views
 
 STANDS = 0.1
 """Largest gap between an object's lowest point, as masks show it, and its support, relative to its radius."""
@@ -35,13 +46,14 @@ LEAST_VIEWS = 3
 """Training pictures that must show an object first; fewer never give its shape."""
 GOOD, GOOD_FOR_WRONG_MASKS = 0.012, 0.03
 """Share of edge pixels that a shape may get wrong before other kinds are tried; where masks may be wrong, too."""
-BALL, OUTLINE, HULL = 0.0, 1.0, 3.0
-"""Complexity of a ball, of a box or an outline about an axis, and of a hull."""
+BALL, OUTLINE, HULL, HULL_FOR_WRONG_MASKS = 0.0, 1.0, 3.0, 6.0
+"""Complexity of a ball, of a box or an outline about an axis, and of a hull; of that where masks may be wrong, too: it
+follows their errors."""
 SIMPLER = 0.006
 """Share of edge pixels that a unit of complexity has to explain."""
 
 
-def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, must_be_all: bool) -> tuple[int, ...]:
+def choose_shown(dataset: Dataset, sightings: Sightings, *, must_be_all: bool) -> tuple[int, ...]:
     """Ids of the unknown objects whose shape pictures show: enough views see them first, and rays pass beside them.
 
     Args:
@@ -55,7 +67,7 @@ def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, mu
         if object_id in holders or object_id in holders.values():
             return True  # The rays beside a drink meet its vessel.
         edge = rays_near(sightings, object_id).at_edges()
-        return bool(edge.hits.any() and (~edge.hits).sum() > mask_errors)
+        return bool(edge.hits.any() and (~edge.hits).any())
 
     shown = tuple(filter(is_shown, sightings.unknown))
     names = ", ".join(dataset.objects[each - 1].name for each in sightings.unknown if each not in shown)
@@ -71,35 +83,54 @@ def choose_shown(dataset: Dataset, sightings: Sightings, *, mask_errors: int, mu
 
 def choose_outside(
     sightings: Sightings, object_id: int, up: Float64[np.ndarray, "3"], *, mask_errors: int, stands_on: StandsOn
-) -> tuple[Glass, float]:
-    """The outside of one object, a ball, about an axis, a box, or a hull of any shape; and the share of the rays at the
-    mask's edge that meet it and should miss it, or the other way round.
+) -> FoundGlass:
+    """The outside of one object: a ball, about an axis, a box, or a hull of any shape.
+
+    Args:
+        mask_errors: percentage of the views whose masks may be wrong about a place.
 
     Raises:
         HyalineError: the masks do not show it.
     """
+    overruled = overruled_views(sightings, object_id, up) if mask_errors else np.zeros(0, int)
+    sightings = without_views(sightings, object_id, overruled)
     rays = rays_near(sightings, object_id)
-    hull = find_hull(rays, up, order=mask_errors)
+    # About an axis, views contradict each other that do not as views of any shape.
+    overruled_too = overruled_about(rays, up) if mask_errors else np.zeros(0, int)
+    around = rays.only(~np.isin(rays.view, overruled_too))
+    if mask_errors:
+        say(f"    overruled views: {len(overruled)}, and {len(overruled_too)} more if it is round")
+    hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
     support = None
     if hull.radii.any():
         lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
         support = _support(hull.axis.point + lowest * hull.axis.direction, STANDS * radius, radius, stands_on)
-    tried = [(*each, unexplained(each[1].mesh(), rays)) for each in _round(rays, hull, up, support)]
-    good = GOOD_FOR_WRONG_MASKS if mask_errors else GOOD
-    if min((wrong for *_, wrong in tried), default=1.0) > good:
-        middle, radius = find_center(rays)
+    tried: list[tuple[float, Glass, float]] = []
+
+    def judge(complexity: float, glass: Glass, rays: NearRays = rays) -> None:
+        tried.append((complexity, glass, unexplained(glass.mesh(), rays)))
+        say(f"    {glass.kind}: {tried[-1][2]:.2%} of the pixels at its mask's edge are wrong")
+
+    def is_poor() -> bool:
+        return min((wrong for *_, wrong in tried), default=1.0) > (GOOD_FOR_WRONG_MASKS if mask_errors else GOOD)
+
+    for complexity, glass in _round(around, hull, up, support):
+        judge(complexity, glass, around)
+    if is_poor():
+        middle, radius = find_center(rays, up)
         below = _support(middle - radius * up, radius, radius, stands_on) if support is None else support
-        box = fit_box(rays, up, below)
-        tried += [] if box is None else [(OUTLINE, box, unexplained(box.mesh(), rays))]
-    if min((wrong for *_, wrong in tried), default=1.0) > good:
+        if (box := fit_box(rays, up, below)) is not None:
+            judge(OUTLINE, box)
+    if is_poor():
         with contextlib.suppress(HyalineError):  # Nothing is inside all masks.
-            carved = carve(sightings, object_id, up, support)
-            tried.append((HULL, carved, unexplained(carved.mesh(), rays)))
+            judge(HULL_FOR_WRONG_MASKS if mask_errors else HULL, carve(sightings, object_id, up, support))
     if not tried:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
     _, glass, wrong = min(tried, key=lambda each: each[2] + each[0] * SIMPLER)
     # Unwrapping takes longer than carving, and most hulls are only tried.
-    return (glass.unwrapped() if isinstance(glass, HullShape) else glass), wrong
+    glass = glass.unwrapped() if isinstance(glass, HullShape) else glass
+    overruled = np.union1d(overruled, overruled_too) if isinstance(glass, Revolution) else overruled
+    return FoundGlass(glass=glass, unexplained=wrong, overruled=tuple(overruled.tolist()))
 
 
 def _round(

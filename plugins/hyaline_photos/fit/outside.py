@@ -12,7 +12,7 @@ from scipy import interpolate, optimize
 
 from datagen.disk.errors import HyalineError
 from hyaline_photos.fit.shapes import OUTSIDE, POINTS, Axis, Revolution, evenly, spread
-from hyaline_photos.fit.views import NearRays
+from hyaline_photos.fit.views import MOST_OVERRULED, NearRays, outvoted
 
 FINE = 501
 """Heights of a profile."""
@@ -20,6 +20,12 @@ WORTH_A_TILT = 0.003
 """Share of a mask's rays that a tilted axis has to explain beyond those that an upright one does."""
 COARSE, COARSE_RAYS = 129, 20_000
 """Heights, and most rays, while the axis is searched."""
+VOTING, VOTING_RAYS = 65, 8000
+"""The same while views are compared."""
+PIXELS_OFF = 1.5
+"""Pixels by which a mask's edge may then be wrong."""
+FAR_AWAY = 1e3
+"""Metres that stand for infinity."""
 REACH = 1.1
 """Half the length of axis on which an object is looked for, in parts of its radius."""
 INSIDE_RAYS = 20_000
@@ -27,7 +33,10 @@ INSIDE_RAYS = 20_000
 RAYS_AT_ONCE = 16_384
 """Rays that are looked at together at all heights, which takes 0.3 GB."""
 WRONG_RAYS = 0.003
-"""Share of the rays that meet an object that need not be explained where masks may be wrong."""
+"""Share of the rays that meet an object, of each view, that need not be explained where masks may be wrong."""
+TOO_LONG = 0.3
+"""Share of the views whose masks may go on beyond an object's end. It is not small: nearly all views show an end, and
+the largest errors of many masks are large."""
 STRAY_RAYS = 0.0005
 """The same for exact masks: without it, a few rays over a rim lengthened a wine glass by a spike of 4 mm."""
 THREAD = 0.1
@@ -37,6 +46,8 @@ LEAST_BESIDE = 0.02
 FAR = 0.5
 """Cap on the distance between a ray and a hull, relative to the object's size; it limits the effect of wrong mask
 pixels."""
+TALL, MOST_SHORTENED = 0.1, 0.3
+"""Share of the views that may show less of an object's reach, and the least factor by which a view shortens it."""
 SLOW = 1e-4
 """Cosine of rays that are taken to be perpendicular to the axis."""
 ROUND = 0.015
@@ -88,14 +99,14 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     has to explain more of the mask than an upright one.
 
     Args:
-        order: how many rays at each height may miss the object by mistake.
+        order: how many views may be wrong about each height: something may hide the object there.
 
     Raises:
         HyalineError: the masks do not show its edge.
     """
-    center, radius = find_center(rays)
+    center, radius = find_center(rays, up)
     edge = rays.at_edges().thinned(COARSE_RAYS)
-    if (~edge.hits).sum() <= max(order, LEAST_BESIDE * len(edge.hits)) or not edge.hits.any():
+    if (~edge.hits).sum() <= LEAST_BESIDE * len(edge.hits) or not edge.hits.any():
         raise HyalineError("masks do not show its shape: hardly any ray passes beside it")
     upright, coarse = Axis(point=center, direction=up), np.linspace(-radius, radius, COARSE)
     heights = np.linspace(-REACH * radius, REACH * radius, FINE)
@@ -114,6 +125,34 @@ def find_hull(rays: NearRays, up: Float64[np.ndarray, "3"], *, order: int) -> Hu
     return min(hulls, key=lambda hull: hull.unexplained + (hull is hulls[1]) * WORTH_A_TILT)
 
 
+def overruled_about(rays: NearRays, up: Float64[np.ndarray, "3"]) -> Int[np.ndarray, " overruled"]:
+    """Views whose masks lack parts that an upright object of revolution has by the other views (`outvoted`).
+
+    Raises:
+        HyalineError: the masks do not show its edge.
+    """
+    center, radius = find_center(rays, up)
+    edge = rays.at_edges().thinned(VOTING_RAYS)
+    if edge.hits.all() or not edge.hits.any():
+        raise HyalineError("masks do not show its shape: hardly any ray passes beside it")
+    heights, order = np.linspace(-radius, radius, VOTING), int(MOST_OVERRULED * len(np.unique(edge.view)))
+    upright = Axis(point=center, direction=up)
+
+    def lack(shift: np.ndarray) -> float:
+        return _lack(edge, upright.moved(np.zeros(2), shift * radius), heights, order=order) / radius
+
+    simplex = np.concatenate([np.zeros((1, 2)), 0.1 * np.eye(2)])
+    options = {"xatol": 1e-3, "fatol": 1e-6, "maxfev": 40, "initial_simplex": simplex}
+    shift = optimize.minimize(lack, simplex[0], method="Nelder-Mead", options=options).x
+    rho = crossings(edge, upright.moved(np.zeros(2), shift * radius), heights)
+    bounds, views = _least_by_view(rho[~edge.hits], edge.view[~edge.hits])
+    bounds[:, ~np.isfinite(_bounds(bounds, heights, order=order))] = 0
+    # A pixel's width, by which a mask's edge may be wrong.
+    far = float(np.median(np.linalg.norm(edge.origins - center, axis=1)))
+    met = np.minimum(rho[edge.hits], FAR_AWAY) - PIXELS_OFF * edge.pixel_angle * far
+    return views[outvoted((bounds[:, None] - met[: VOTING_RAYS // 4]).astype(np.float32))]
+
+
 def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"], *, order: int) -> Hull:
     """The hull about a known axis, no longer than the rays that meet the object need it to be."""
     num_hits, is_inside = int(rays.hits.sum()), rays.hits & ~rays.is_edge
@@ -122,23 +161,26 @@ def hull_about(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height
     rays = rays.only(~is_inside | (np.cumsum(is_inside) % each == 0))
     weight = np.where(rays.is_edge, 1, each)[rays.hits]
     parts = [rays.only(slice(at, at + RAYS_AT_ONCE)) for at in range(0, len(rays.hits), RAYS_AT_ONCE)]
-    nearest = np.zeros((0, len(heights)))
+    nearest, views = np.zeros((0, len(heights))), np.zeros(0, int)
     for part in parts:
         nearest = np.concatenate([nearest, crossings(part, axis, heights)[~part.hits]])
-        nearest = np.partition(nearest, order, axis=0)[: order + 1] if len(nearest) > order + 1 else nearest
+        nearest, views = _least_by_view(nearest, np.concatenate([views, part.view[~part.hits]]))
     bounds = _bounds(nearest, heights, order=order)
     radii = np.where(np.isfinite(bounds), bounds, 0)
     spans = [_span_inside(part, axis, heights, radii) for part in parts]
     explained, lowest, highest = (np.concatenate(each) for each in zip(*spans, strict=True))
     kept, unexplained = np.zeros_like(radii), 1.0
     if explained.any():
-        lowest, highest = lowest[explained], highest[explained]
-        # Some rays miss: where masks may be wrong, and where a rim is rounder than the spacing of heights.
-        loose, last = round(WRONG_RAYS * num_hits), len(heights) - 1
-        step = float(heights[1] - heights[0])
-        at_top, at_bottom = (loose, loose) if order else (round(STRAY_RAYS * num_hits), 0)
-        top = last - _end(radii[::-1], last - lowest, spare=at_top, loose=loose, step=step)
-        bottom = _end(radii, highest, spare=at_bottom, loose=loose, step=step)
+        lowest, highest, view = lowest[explained], highest[explained], rays.view[rays.hits][explained]
+        last = len(heights) - 1
+        if order:
+            top, bottom = last - _end_by_views(last - lowest, view), _end_by_views(highest, view)
+        else:
+            # Some rays miss where a rim is rounder than the spacing of heights.
+            loose, step = round(WRONG_RAYS * num_hits), float(heights[1] - heights[0])
+            spare = round(STRAY_RAYS * num_hits)
+            top = last - _end(radii[::-1], last - lowest, spare=spare, loose=loose, step=step)
+            bottom = _end(radii, highest, spare=0, loose=loose, step=step)
         kept[bottom : top + 1] = radii[bottom : top + 1]
         unexplained = float(weight[~explained].sum() / num_hits)
     return Hull(axis=axis, heights=heights, radii=kept, bounds=bounds, unexplained=unexplained, is_exact=order == 0)
@@ -157,8 +199,8 @@ def _span_inside(
 def _end(
     radii: Float64[np.ndarray, " height"], needed: Int[np.ndarray, " ray"], *, spare: int, loose: int, step: float
 ) -> int:
-    """Where a hull ends: at most `spare` rays meet it only before that place. A thread along the axis is cut off if at
-    most `loose` rays meet nothing else: they passed over the edge of a flat end.
+    """Where a hull of exact masks ends: at most `spare` rays meet it only before that place. A thread along the axis is
+    cut off if at most `loose` rays meet nothing else: they passed over the edge of a flat end.
 
     Args:
         radii: at heights that are `step` metres apart.
@@ -168,6 +210,12 @@ def _end(
     first, radii = int(ends[0]), radii / step
     threads = [int(place) for place in ends if radii[first:place].sum() < THREAD * (place - first) ** 2]
     return max(threads, default=first)
+
+
+def _end_by_views(needed: Int[np.ndarray, " ray"], view: Int[np.ndarray, " ray"]) -> int:
+    """The same where masks may be wrong, some of them by too much at that end: views vote."""
+    ends = [np.quantile(needed[view == each], WRONG_RAYS, method="lower") for each in np.unique(view)]
+    return int(np.quantile(ends, TOO_LONG, method="lower"))
 
 
 def crossings(rays: NearRays, axis: Axis, heights: Float64[np.ndarray, " height"]) -> Float[np.ndarray, "ray height"]:
@@ -192,16 +240,25 @@ def along_and_across(
 
 
 def _bounds(
-    rho: Float[np.ndarray, "miss height"], heights: Float64[np.ndarray, " height"], *, order: int
+    rho: Float[np.ndarray, "view height"], heights: Float64[np.ndarray, " height"], *, order: int
 ) -> Float[np.ndarray, " height"]:
-    """The least distance from the axis of the rays that miss the object, but for `order` of them.
+    """The least distance from the axis of the views' rays that miss the object, but for `order` views.
 
     Infinite beyond the search range, a ball around the axis's point. Below a table's surface the only rays are distant
     ones, and a wine glass on it was 35 cm wide just below its foot.
     """
+    order = min(order, len(rho) - 1)
     least = np.partition(rho, order, axis=0)[order]
     reach = np.abs(heights).max()
     return np.where(least**2 + heights**2 <= reach**2, least, np.inf)
+
+
+def _least_by_view(
+    rho: Float[np.ndarray, "miss height"], view: Int[np.ndarray, " miss"]
+) -> tuple[Float[np.ndarray, "view height"], Int[np.ndarray, " view"]]:
+    """The least of each view's rays, which are sorted by views; and these views."""
+    starts = np.flatnonzero(np.diff(view, prepend=-1))
+    return np.minimum.reduceat(rho, starts, axis=0), view[starts]
 
 
 def _closest(
@@ -224,26 +281,27 @@ def _closest(
 def _lack(rays: NearRays, axis: Axis, heights: np.ndarray, *, order: int) -> float:
     """Mean distance in metres by which rays that meet the object miss its hull."""
     rho = crossings(rays, axis, heights)
-    radii = _bounds(rho[~rays.hits], heights, order=order)
+    radii = _bounds(_least_by_view(rho[~rays.hits], rays.view[~rays.hits])[0], heights, order=order)
     radii = np.where(np.isfinite(radii), radii, 0)
     place, least = _closest(rays, axis, heights)
     gaps = np.minimum((rho[rays.hits] - radii).min(axis=1), least - radii[place]).clip(0)
     return float(np.minimum(gaps, FAR * heights[-1]).mean())
 
 
-def find_center(rays: NearRays) -> tuple[Float64[np.ndarray, "3"], float]:
+def find_center(rays: NearRays, up: Float[np.ndarray, "3"]) -> tuple[Float64[np.ndarray, "3"], float]:
     """The point nearest to the rays through the middles of the masks, and how far the object reaches from it."""
-    middles = []
-    for view in np.unique(rays.view[rays.hits]):
-        these = rays.hits & (rays.view == view)
-        direction = rays.directions[these].mean(axis=0)
-        middles.append((rays.origins[these][0], direction / np.linalg.norm(direction)))
-    o, d = (np.stack(column) for column in zip(*middles, strict=True))
+    hits = rays.only(rays.hits)
+    views = [hits.only(hits.view == view) for view in np.unique(hits.view)]
+    o = np.stack([each.origins[0] for each in views])
+    d = np.stack([each.directions.mean(axis=0) for each in views])
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
     across = np.eye(3) - d[:, :, None] * d[:, None, :]
     center = np.linalg.solve(across.sum(axis=0), np.einsum("vij,vj->i", across, o))
-    to_center = center - rays.origins[rays.hits]
-    far = np.linalg.norm(np.cross(to_center, rays.directions[rays.hits]), axis=1)
-    return center, float(np.quantile(far, 0.999)) * 1.05
+    far = [np.linalg.norm(np.cross(center - each.origins, each.directions), axis=1) for each in views]
+    # Cameras that look down show an object shorter than it is.
+    shown = [np.linalg.norm(np.cross(up, each.directions), axis=1).clip(MOST_SHORTENED) for each in views]
+    tall = np.quantile([np.quantile(each / part, 0.999) for each, part in zip(far, shown, strict=True)], TALL)
+    return center, 1.05 * float(max(np.quantile(np.concatenate(far), 0.999), tall))
 
 
 # Outlines

@@ -19,6 +19,11 @@ from datagen.terminal.command import choose
 
 DOUBT = 3
 """Largest error in pixels of the outlines of known surfaces, where masks are not exact."""
+MOST_OVERRULED = 0.25
+"""Largest share of the views that others overrule."""
+DENIED = 0.003
+"""Share of the rays through masks for which an overruled view leaves no room. Of 74 photographs, the 13 in which a toy
+hid the foot of a glass left none for 1.1 to 4.2 %, each of the others for less than 0.1 %."""
 MARGIN = 4
 """Pixels around a mask whose rays bound the object; those farther out bound it less."""
 
@@ -116,6 +121,13 @@ def with_known(sightings: Sightings, object_id: int, mesh: Mesh) -> Sightings:
         unknown=tuple(each for each in sightings.unknown if each != object_id),
         found=(*sightings.found, mesh),
     )
+
+
+def without_views(sightings: Sightings, object_id: int, views: Int[np.ndarray, " left_out"]) -> Sightings:
+    """The same where some views do not show an object, and so say nothing of its outline."""
+    first = sightings.first.copy()
+    first[views] = np.where(first[views] == object_id, 0, first[views])
+    return dataclasses.replace(sightings, first=first)
 
 
 def doubted(
@@ -289,6 +301,30 @@ def closest(
         best = distance(t).argmin(axis=1)
         low, found, high = (t[row, np.clip(best + side, 0, count - 1)] for side in (-1, 0, 1))
     return found
+
+
+def outvoted(told: Float[np.ndarray, "view ray place"]) -> Int[np.ndarray, " overruled"]:
+    """Views whose masks lack parts of the object that the other views show, for instance because something hides them.
+
+    Views are believed one after the other, beginning with those that deny the least. One that would leave no room for
+    the object along some rays through masks is overruled. A view that alone sees past a rim leaves room below it.
+
+    Args:
+        told: how far inside the object places along such rays may be by each view, in metres; negative outside.
+    """
+    most = int(MOST_OVERRULED * len(told))
+    inside = np.partition(told, most, axis=0)[most]
+
+    def denied(each: Float[np.ndarray, "ray place"]) -> float:
+        return float(((inside > 0).any(axis=1) & ~(np.minimum(inside, each) > 0).any(axis=1)).mean())
+
+    overruled = []
+    for view in np.argsort([denied(each) for each in told], stable=True):
+        if denied(told[view]) > DENIED and len(overruled) < most:
+            overruled.append(view)
+        else:
+            inside = np.minimum(inside, told[view])
+    return np.sort(np.array(overruled, int))
 
 
 def unexplained(mesh: Mesh, rays: NearRays) -> float:

@@ -501,3 +501,23 @@ def test_a_test_picture_is_placed_before_points_that_training_pictures_show(tmp_
         return np.linalg.norm(others - places[last], axis=1) / np.linalg.norm(others[0] - others[1])
 
     assert np.allclose(away(found), away(truth), rtol=0.01)
+
+
+@pytest.mark.full
+def test_glasses_with_drinks_that_are_seen_only_through_their_openings_get_places(tmp_path: Path) -> None:
+    data, shots, root = tmp_path / "drinks", tmp_path / "shots", tmp_path / "captured"
+    size = "--resolution 80 --views 24 --test-views 1 --spp 1 --test-spp 1"
+    for words in (
+        f"datagen build --scene drinks {size} --out {data}",
+        f"datagen export {data} --format capture --out {shots}",
+        f"datagen capture {shots} --out {root}",
+    ):
+        answer = call(words)
+        assert answer.status == 0, answer.error
+    captured, truth = open_dataset(root), open_scene(open_dataset(data))
+    true = {item.name: item.mesh.vertices for item in truth.objects}
+    found = {item.name: item.mesh.vertices for item in open_scene(captured).objects}
+    for drink, vessel in (("whisky", "tumbler"), ("wine", "wine_glass")):
+        for name, most in ((drink, 0.04), (vessel, 0.02)):
+            middles = [(each.min(axis=0) + each.max(axis=0))[:2] / 2 for each in (found[name], true[name])]
+            assert np.linalg.norm(middles[0] - middles[1]) < most, name

@@ -37,9 +37,10 @@ LYING = moved(turned(turned(a_cylinder(0.03, 0.08), (0, 1, 0), 90), (0, 0, 1), 3
 )
 def test_the_kind_is_the_one_whose_silhouettes_fit(meets: Meets, kind: str) -> None:
     sightings = sightings_of(meets, views=20, size=48)
-    glass, wrong = choose_outside(sightings, 1, UP, mask_errors=0, stands_on=on_the_table)
+    found = choose_outside(sightings, 1, UP, mask_errors=0, stands_on=on_the_table)
+    glass = found.glass
     assert glass.kind == kind
-    assert wrong < 0.03
+    assert found.unexplained < 0.03 and not found.overruled
     assert glass.mesh().vertices[:, 2].min() > -1e-3  # Nothing shows that it does not reach into the table.
     mesh, again = glass.mesh(), from_state(to_state(glass)).mesh()
     assert np.array_equal(mesh.vertices, again.vertices)
@@ -51,7 +52,7 @@ def test_a_known_thing_that_is_placed_in_front_of_what_the_masks_show_does_not_c
     sightings = sightings_of(block((0.0, 0.0, 0.031), (0.04, 0.02, 0.03), turn), views=20, size=48)
     is_hidden = (sightings.first > 0) & (np.arange(48) > 27)
     sightings = dataclasses.replace(sightings, depth=np.where(is_hidden, np.float32(0.5), sightings.depth))
-    glass, wrong = choose_outside(sightings, 1, UP, mask_errors=2, stands_on=on_the_table)
-    assert wrong < 0.03
-    assert glass.kind == "box"
-    assert signed_volume(glass.mesh()) == pytest.approx(0.08 * 0.04 * 0.06, rel=0.03)
+    found = choose_outside(sightings, 1, UP, mask_errors=5, stands_on=on_the_table)
+    assert found.unexplained < 0.03
+    assert found.glass.kind == "box"
+    assert signed_volume(found.glass.mesh()) == pytest.approx(0.08 * 0.04 * 0.06, rel=0.03)
