@@ -5,10 +5,27 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene import modelling as m
 from datagen.scene.builtin import GAP, put_enlarged, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, SolidTexture
+from datagen.scene.modelling import (
+    Part,
+    ball,
+    curved,
+    cylinder,
+    deformed,
+    filleted,
+    knot,
+    lathe,
+    merged,
+    moved,
+    rotation,
+    rounded_box,
+    transformed,
+    tube,
+    turned,
+    walled,
+)
 
 RUG_TOP = 0.009
 TABLE_TOP = 0.74
@@ -57,7 +74,7 @@ def _room() -> list[SceneObject]:
     planks = SolidTexture(pattern="wood", colors=((0.56, 0.40, 0.26), (0.36, 0.23, 0.13)), scale=0.19, axis="y")
     art = SolidTexture(pattern="checker", colors=((0.80, 0.62, 0.24), (0.10, 0.22, 0.34)), scale=0.36)
     weave = SolidTexture(pattern="checker", colors=((0.62, 0.55, 0.46), (0.24, 0.30, 0.40)), scale=0.30)
-    rug = m.moved(m.cylinder(1.3, RUG_TOP - GAP, bevel=0.003, segments=96), (0.0, 0.1, GAP))
+    rug = moved(cylinder(1.3, RUG_TOP - GAP, bevel=0.003, segments=96), (0.0, 0.1, GAP))
     return [
         slab("floor", (7.0, 7.0, 0.05), (0.6, -0.6, -0.025), Plastic(color=planks, roughness=0.35)),
         # The back wall extends behind the left one, so that no camera in the room sees out through the corner.
@@ -80,43 +97,43 @@ def _furniture() -> list[SceneObject]:
 
 def _table_frame() -> Mesh:
     low, high = RUG_TOP + GAP, TABLE_TOP - 0.018 - GAP
-    leg = m.cylinder(0.016, high - low, top_radius=0.027, bevel=0.003)
-    parts: list[m.Part] = [(leg, (x, y, low)) for x in (-0.42, 0.42) for y in (-0.27, 0.27)]
+    leg = cylinder(0.016, high - low, top_radius=0.027, bevel=0.003)
+    parts: list[Part] = [(leg, (x, y, low)) for x in (-0.42, 0.42) for y in (-0.27, 0.27)]
     for side in (-1, 1):
-        parts.append((m.rounded_box((0.82, 0.018, 0.05), bevel=0.003), (0, side * 0.27, high - 0.035)))
-        parts.append((m.rounded_box((0.018, 0.52, 0.05), bevel=0.003), (side * 0.42, 0, high - 0.035)))
-    return m.merged(parts)
+        parts.append((rounded_box((0.82, 0.018, 0.05), bevel=0.003), (0, side * 0.27, high - 0.035)))
+        parts.append((rounded_box((0.018, 0.52, 0.05), bevel=0.003), (side * 0.42, 0, high - 0.035)))
+    return merged(parts)
 
 
 def _chair() -> Mesh:
     """A chair facing -y, its seat's centre above the origin; coarse proxies fill the holes of its slatted back."""
-    board = m.rounded_box((0.42, 0.035, 0.022), bevel=0.006)
-    parts: list[m.Part] = [(board, (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
-    parts += [(m.rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
-    parts += [(m.cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
+    board = rounded_box((0.42, 0.035, 0.022), bevel=0.006)
+    parts: list[Part] = [(board, (0, y, 0.45)) for y in np.linspace(-0.18, 0.18, 8)]
+    parts += [(rounded_box((0.025, 0.40, 0.035), bevel=0.005), (x, 0, 0.43)) for x in (-0.17, 0.17)]
+    parts += [(cylinder(0.013, 0.435, top_radius=0.02), (x, -0.17, 0)) for x in (-0.17, 0.17)]
     for x in (-0.19, 0.19):
         path = np.array([(x, 0.20, 0.003), (x, 0.185, 0.25), (x, 0.185, 0.45), (x, 0.215, 0.75), (x, 0.26, 1.0)])
-        parts.append(m.tube(m.curved([tuple(p) for p in path], count=16), 0.017, segments=20))
+        parts.append(tube(curved([tuple(p) for p in path], count=16), 0.017, segments=20))
     for height, back in ((0.56, 0.193), (0.96, 0.25)):
-        parts.append((m.rounded_box((0.38, 0.02, 0.05), bevel=0.006), (0, back, height)))
-    slat = m.turned(m.rounded_box((0.026, 0.010, 0.40), bevel=0.004), (1, 0, 0), -8.2)
+        parts.append((rounded_box((0.38, 0.02, 0.05), bevel=0.006), (0, back, height)))
+    slat = turned(rounded_box((0.026, 0.010, 0.40), bevel=0.004), (1, 0, 0), -8.2)
     parts += [(slat, (x, 0.2215, 0.76)) for x in np.linspace(-0.12, 0.12, 5)]
-    return m.transformed(m.merged(parts), m.rotation((0, 0, 1), 14.0), (-0.22, 0.80, RUG_TOP + GAP))
+    return transformed(merged(parts), rotation((0, 0, 1), 14.0), (-0.22, 0.80, RUG_TOP + GAP))
 
 
 def _glassware() -> list[SceneObject]:
     clear = Dielectric(ior=1.5)
-    tumbler_side = m.filleted([(0, 0, 0), (0.033, 0, 0.006), (0.035, 0.050, 0), (0.0385, 0.105, 0)], segments=6)
-    tumbler = m.lathe(m.walled(tumbler_side, wall=0.0028, floor=0.011))
-    foot = m.filleted([(0, 0, 0), (0.036, 0, 0.0012), (0.036, 0.0026, 0.0012), (0.016, 0.0052, 0.02)])
-    bowl = m.curved(
+    tumbler_side = filleted([(0, 0, 0), (0.033, 0, 0.006), (0.035, 0.050, 0), (0.0385, 0.105, 0)], segments=6)
+    tumbler = lathe(walled(tumbler_side, wall=0.0028, floor=0.011))
+    foot = filleted([(0, 0, 0), (0.036, 0, 0.0012), (0.036, 0.0026, 0.0012), (0.016, 0.0052, 0.02)])
+    bowl = curved(
         [(0.0052, 0.012), (0.0038, 0.03), (0.0038, 0.075), (0.0075, 0.098), (0.030, 0.118), (0.0425, 0.150),
          (0.0405, 0.180), (0.0345, 0.212)],
         count=40,
     )  # fmt: skip
-    wine_glass = m.lathe(m.walled([*foot, *map(tuple, bowl.tolist())], wall=0.0019, floor=0.1045), segments=72)
+    wine_glass = lathe(walled([*foot, *map(tuple, bowl.tolist())], wall=0.0019, floor=0.1045), segments=72)
     return [
-        _on_table("glass_ball", m.moved(m.ball(0.058, subdivisions=4), (0, 0, 0.058)), clear, 0.07, -0.18),
+        _on_table("glass_ball", moved(ball(0.058, subdivisions=4), (0, 0, 0.058)), clear, 0.07, -0.18),
         _on_table("tumbler", tumbler, clear, 0.35, 0.03),
         _on_table("wine_glass", wine_glass, clear, -0.06, 0.0),
     ]
@@ -127,15 +144,15 @@ def _things() -> list[SceneObject]:
     marble = SolidTexture(pattern="marble", colors=((0.78, 0.76, 0.74), (0.12, 0.20, 0.38)), scale=0.11)
     glaze = SolidTexture(pattern="speckle", colors=((0.85, 0.50, 0.12), (0.45, 0.10, 0.05)), scale=0.017)
     cloth = SolidTexture(pattern="stripes", colors=((0.16, 0.30, 0.52), (0.75, 0.70, 0.55)), scale=0.05, axis="x")
-    body = m.filleted([(0, 0, 0), (0.036, 0, 0.006), (0.040, 0.092, 0)], segments=5)
-    handle = m.curved([(0.0365, 0.022), (0.056, 0.024), (0.066, 0.047), (0.058, 0.070), (0.0372, 0.074)], count=24)
+    body = filleted([(0, 0, 0), (0.036, 0, 0.006), (0.040, 0.092, 0)], segments=5)
+    handle = curved([(0.0365, 0.022), (0.056, 0.024), (0.066, 0.047), (0.058, 0.070), (0.0372, 0.074)], count=24)
     path = np.stack([handle[:, 0], np.zeros(24), handle[:, 1]], axis=-1)
-    mug = m.merged([m.lathe(m.walled(body, wall=0.0045, floor=0.006)), m.tube(path, 0.0048, segments=20)])
-    outline = m.curved(
+    mug = merged([lathe(walled(body, wall=0.0045, floor=0.006)), tube(path, 0.0048, segments=20)])
+    outline = curved(
         [(0.030, 0.0), (0.052, 0.035), (0.060, 0.085), (0.040, 0.150), (0.020, 0.195), (0.027, 0.225)], count=32
     )
-    vase = m.lathe(m.walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.004, floor=0.006), crease_deg=30)
-    trefoil = np.add(m.knot(0.036, 0.015, count=180), (0, 0, 0.0236))
+    vase = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.004, floor=0.006), crease_deg=30)
+    trefoil = np.add(knot(0.036, 0.015, count=180), (0, 0, 0.0236))
     brass = Conductor(color=(0.90, 0.66, 0.33), roughness=0.18)
     books = [
         ("book_blue", (0.21, 0.150, 0.030), 12.0, Diffuse(color=cloth)),
@@ -144,16 +161,16 @@ def _things() -> list[SceneObject]:
     ]
     stacked, height = [], 0.0
     for name, size, angle, material in books:
-        book = m.moved(m.turned(m.rounded_box(size, bevel=0.002), (0, 0, 1), angle), (0, 0, height + size[2] / 2))
+        book = moved(turned(rounded_box(size, bevel=0.002), (0, 0, 1), angle), (0, 0, height + size[2] / 2))
         stacked.append(_on_table(name, book, material, -0.31, 0.16))
         height += size[2] + GAP / GENEROUS
-    pear = m.moved(m.deformed(m.ball(0.036), _pear), (0, 0, height))
+    pear = moved(deformed(ball(0.036), _pear), (0, 0, height))
     return [
         *stacked,
         _on_table("pear", pear, Plastic(color=glaze, roughness=0.12), -0.31, 0.16),
-        _on_table("mug", m.turned(mug, (0, 0, 1), -60), Plastic(color=stripes, roughness=0.1), -0.30, -0.20),
+        _on_table("mug", turned(mug, (0, 0, 1), -60), Plastic(color=stripes, roughness=0.1), -0.30, -0.20),
         _on_table("vase", vase, Plastic(color=marble, roughness=0.08), 0.14, 0.20),
-        _on_table("knot", m.tube(trefoil, 0.0085, segments=20, is_loop=True), brass, 0.36, -0.19),
+        _on_table("knot", tube(trefoil, 0.0085, segments=20, is_loop=True), brass, 0.36, -0.19),
     ]
 
 

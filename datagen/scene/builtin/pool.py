@@ -5,10 +5,23 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene import modelling as m
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
+from datagen.scene.modelling import (
+    ball,
+    deformed,
+    filleted,
+    grid_faces,
+    lathe,
+    merged,
+    moved,
+    rounded_box,
+    shaded,
+    tube,
+    turned,
+    walled,
+)
 
 INNER, WALL, RIM, BOTTOM = 0.80, 0.05, 0.33, 0.20
 """The basin in metres: inner width, thickness of its walls, height of its rim and of its bottom."""
@@ -61,33 +74,29 @@ def _basin() -> list[SceneObject]:
     )
     slabs = SolidTexture(pattern="speckle", colors=((0.56, 0.52, 0.46), (0.40, 0.36, 0.31)), scale=0.05)
     outer = INNER + 2 * WALL
-    parts = [
-        m.moved(m.rounded_box((outer - 0.02, outer - 0.02, BOTTOM - GAP), bevel=0.004), (0, 0, (BOTTOM + GAP) / 2))
-    ]
+    parts = [moved(rounded_box((outer - 0.02, outer - 0.02, BOTTOM - GAP), bevel=0.004), (0, 0, (BOTTOM + GAP) / 2))]
     for turn in range(4):
         # Each wall ends slightly inside the next one's side.
-        wall = m.moved(
-            m.rounded_box((outer - WALL + 0.002, WALL, RIM - GAP), bevel=0.006), (-WALL / 2, 0, (RIM + GAP) / 2)
-        )
-        parts.append(m.turned(m.moved(wall, (0, (INNER + WALL) / 2, 0)), (0, 0, 1), 90 * turn))
+        wall = moved(rounded_box((outer - WALL + 0.002, WALL, RIM - GAP), bevel=0.006), (-WALL / 2, 0, (RIM + GAP) / 2))
+        parts.append(turned(moved(wall, (0, (INNER + WALL) / 2, 0)), (0, 0, 1), 90 * turn))
     return [
         slab("ground", (7.0, 7.0, 0.05), (0, 0, -0.025), Diffuse(color=slabs)),
-        SceneObject(name="basin", mesh=m.merged(parts), material=Plastic(color=tiles, roughness=0.15)),
+        SceneObject(name="basin", mesh=merged(parts), material=Plastic(color=tiles, roughness=0.15)),
     ]
 
 
 def _glass() -> list[SceneObject]:
     clear = Dielectric(ior=1.5)
     frosted = RoughDielectric(ior=1.5, roughness=0.15, absorption=(1.0, 5.0, 6.0))
-    outline = m.filleted([(0, 0, 0), (0.055, 0, 0.01), (0.062, 0.15, 0)], segments=6)
-    tumbler = m.lathe(m.walled(outline, wall=0.006, floor=0.02), segments=96)
-    block = m.turned(m.rounded_box((0.10, 0.10, 0.30), bevel=0.008), (0, 0, 1), 28)
+    outline = filleted([(0, 0, 0), (0.055, 0, 0.01), (0.062, 0.15, 0)], segments=6)
+    tumbler = lathe(walled(outline, wall=0.006, floor=0.02), segments=96)
+    block = turned(rounded_box((0.10, 0.10, 0.30), bevel=0.008), (0, 0, 1), 28)
     water = Dielectric(ior="water", absorption=(1.1, 0.25, 0.12), priority=-1)
     return [
         SceneObject(name="water", mesh=_water(), material=water),
-        _in_basin("glass_ball", m.ball(0.115), clear, -0.12, -0.10),
+        _in_basin("glass_ball", ball(0.115), clear, -0.12, -0.10),
         _in_basin("frosted_block", block, frosted, 0.19, 0.14),
-        SceneObject(name="tumbler", mesh=m.moved(tumbler, (0.435, -0.18, RIM + GAP)), material=clear),
+        SceneObject(name="tumbler", mesh=moved(tumbler, (0.435, -0.18, RIM + GAP)), material=clear),
     ]
 
 
@@ -102,12 +111,12 @@ def _things() -> list[SceneObject]:
     return [
         *(
             _in_basin(
-                f"pebble_{index}", m.deformed(m.ball(r), lambda p: p * [1.25, 0.95, 0.62]), Plastic(color=color), x, y
+                f"pebble_{index}", deformed(ball(r), lambda p: p * [1.25, 0.95, 0.62]), Plastic(color=color), x, y
             )
             for index, (x, y, r, color) in enumerate(pebbles)
         ),
-        _in_basin("coral_ball", m.ball(0.05), coral, -0.02, 0.22),
-        _in_basin("ring", m.tube(ring, 0.011, segments=20, is_loop=True), brass, 0.02, 0.02),
+        _in_basin("coral_ball", ball(0.05), coral, -0.02, 0.22),
+        _in_basin("ring", tube(ring, 0.011, segments=20, is_loop=True), brass, 0.02, 0.02),
     ]
 
 
@@ -119,7 +128,7 @@ def _water() -> Mesh:
     top = np.stack([x, y, LEVEL + _ripples(x, y)], axis=-1)
     bottom = np.stack([x, y, np.full_like(x, BOTTOM - REACH)], axis=-1)
     at = np.arange(count * count).reshape(count, count)
-    surface = m.grid_faces(count, count)
+    surface = grid_faces(count, count)
     border = np.concatenate([at[:-1, 0], at[-1, :-1], at[:0:-1, -1], at[0, :0:-1]])
     following, below = np.roll(border, -1), count * count
     sides = np.concatenate(
@@ -127,7 +136,7 @@ def _water() -> Mesh:
          np.stack([following, border + below, following + below], axis=-1)]
     )  # fmt: skip
     faces = np.concatenate([surface, surface[:, ::-1] + below, sides])
-    return m.shaded(np.concatenate([top, bottom]), faces, crease_deg=40)
+    return shaded(np.concatenate([top, bottom]), faces, crease_deg=40)
 
 
 def _ripples(x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -5,10 +5,25 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene import modelling as m
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
+from datagen.scene.modelling import (
+    ball,
+    convex_hull,
+    cylinder,
+    filleted,
+    knot,
+    lathe,
+    merged,
+    moved,
+    rounded_box,
+    shaded,
+    transformed,
+    tube,
+    turned,
+    walled,
+)
 
 BENCH_TOP = 0.75
 SHEET = 0.005
@@ -63,9 +78,9 @@ def make() -> Scene:
 def _bench() -> list[SceneObject]:
     walnut = SolidTexture(pattern="wood", colors=((0.24, 0.14, 0.08), (0.11, 0.06, 0.035)), scale=0.07, axis="y")
     below = BENCH_TOP - 0.06
-    floor = m.moved(m.cylinder(4.0, 0.05, bevel=0.004, segments=128), (0, 0, -0.05))
-    sheet = m.turned(m.rounded_box((0.86, 0.70, SHEET - GAP), bevel=0.0008), (0, 0, 1), -6)
-    sheet = m.moved(sheet, (0, 0, BENCH_TOP + (SHEET + GAP) / 2))
+    floor = moved(cylinder(4.0, 0.05, bevel=0.004, segments=128), (0, 0, -0.05))
+    sheet = turned(rounded_box((0.86, 0.70, SHEET - GAP), bevel=0.0008), (0, 0, 1), -6)
+    sheet = moved(sheet, (0, 0, BENCH_TOP + (SHEET + GAP) / 2))
     return [
         SceneObject(name="floor", mesh=floor, material=Diffuse(color=(0.06, 0.065, 0.08))),
         slab("bench", (1.9, 1.4, 0.06), (0, 0, BENCH_TOP - 0.03), Plastic(color=walnut, roughness=0.3), bevel=0.006),
@@ -75,14 +90,14 @@ def _bench() -> list[SceneObject]:
 
 
 def _glass() -> list[SceneObject]:
-    goblet_side = m.filleted([(0, 0, 0), (0.034, 0, 0.002), (0.040, 0.016, 0.004), (0.047, 0.105, 0)], segments=2)
-    tumbler = m.lathe(m.walled(goblet_side, wall=0.005, floor=0.022), segments=14, crease_deg=8)
-    frosted = m.cylinder(0.030, 0.115, bevel=0.004, segments=72)
+    goblet_side = filleted([(0, 0, 0), (0.034, 0, 0.002), (0.040, 0.016, 0.004), (0.047, 0.105, 0)], segments=2)
+    tumbler = lathe(walled(goblet_side, wall=0.005, floor=0.022), segments=14, crease_deg=8)
+    frosted = cylinder(0.030, 0.115, bevel=0.004, segments=72)
     return [
-        _on_bench("prism", m.turned(prism(0.085, 0.16), (0, 0, 1), 53), FANCY, -0.13, 0.12),
-        _on_bench("prism_lying", m.turned(_lying(0.062, 0.15), (0, 0, 1), -30), FLINT, 0.00, -0.24),
-        _on_bench("lens", m.turned(_lens(0.062, 0.075), (0, 0, 1), -48), Dielectric(ior="bk7"), 0.01, 0.20),
-        _on_bench("brilliant", m.transformed(brilliant(), 0.052 * np.eye(3), (0, 0, 0)), DIAMOND, 0.13, -0.11),
+        _on_bench("prism", turned(prism(0.085, 0.16), (0, 0, 1), 53), FANCY, -0.13, 0.12),
+        _on_bench("prism_lying", turned(_lying(0.062, 0.15), (0, 0, 1), -30), FLINT, 0.00, -0.24),
+        _on_bench("lens", turned(_lens(0.062, 0.075), (0, 0, 1), -48), Dielectric(ior="bk7"), 0.01, 0.20),
+        _on_bench("brilliant", transformed(brilliant(), 0.052 * np.eye(3), (0, 0, 0)), DIAMOND, 0.13, -0.11),
         _on_bench("crystal_ball", _cut_ball(0.058), CRYSTAL, 0.13, 0.04),
         _on_bench("tumbler", tumbler, CRYSTAL, 0.29, 0.04),
         _on_bench("frosted", frosted, RoughDielectric(ior=1.5, roughness=0.12, absorption=(9.0, 2.0, 3.5)), 0.17, 0.20),
@@ -94,37 +109,37 @@ DIAMOND = Dielectric(ior="diamond", dispersion="measured")
 
 def _things() -> list[SceneObject]:
     stripes = SolidTexture(pattern="stripes", colors=((0.85, 0.82, 0.74), (0.08, 0.09, 0.12)), scale=0.022, axis="z")
-    path = m.knot(0.040, 0.016, count=320)
-    block = m.turned(m.rounded_box((0.05, 0.05, 0.11), bevel=0.004), (0, 0, 1), 30)
+    path = knot(0.040, 0.016, count=320)
+    block = turned(rounded_box((0.05, 0.05, 0.11), bevel=0.004), (0, 0, 1), 30)
     brass = Conductor(color=(0.92, 0.68, 0.36), roughness=0.15)
     red = Plastic(color=(0.62, 0.05, 0.04), roughness=0.08)
     return [
         _on_bench("screen", _screen(), Diffuse(color=(0.03, 0.03, 0.035)), -0.23, 0.20),
-        _on_bench("knot", m.tube(path, 0.009, segments=32, is_loop=True), brass, 0.33, -0.13),
+        _on_bench("knot", tube(path, 0.009, segments=32, is_loop=True), brass, 0.33, -0.13),
         _on_bench("striped_block", block, Plastic(color=stripes, roughness=0.1), -0.34, 0.00),
-        _on_bench("red_ball", m.ball(0.036), red, 0.20, -0.24),
+        _on_bench("red_ball", ball(0.036), red, 0.20, -0.24),
     ]
 
 
 def _screen() -> Mesh:
     """A board across the beam with a slit in front of the prism; the colours fall into its shadow."""
     height, slit, sill = 0.175, 0.045, 0.12
-    left = m.moved(m.rounded_box((0.32, 0.008, height), bevel=0.002), (-0.16 - slit / 2, 0, height / 2))
-    right = m.moved(m.rounded_box((0.08, 0.008, height), bevel=0.002), (0.04 + slit / 2, 0, height / 2))
-    lintel = m.rounded_box((slit + 0.01, 0.006, height - sill), bevel=0.002)
-    return m.turned(m.merged([left, right, m.moved(lintel, (0, 0, (height + sill) / 2 - 0.001))]), (0, 0, 1), 46.8)
+    left = moved(rounded_box((0.32, 0.008, height), bevel=0.002), (-0.16 - slit / 2, 0, height / 2))
+    right = moved(rounded_box((0.08, 0.008, height), bevel=0.002), (0.04 + slit / 2, 0, height / 2))
+    lintel = rounded_box((slit + 0.01, 0.006, height - sill), bevel=0.002)
+    return turned(merged([left, right, moved(lintel, (0, 0, (height + sill) / 2 - 0.001))]), (0, 0, 1), 46.8)
 
 
 def prism(side: float, height: float) -> Mesh:
     """An upright column over an equilateral triangle centred on the origin."""
     angles = np.radians([90, 210, 330])
     corners = side / np.sqrt(3) * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    return m.convex_hull(np.array([(x, y, z) for x, y in corners for z in (0.0, height)]), crease_deg=2)
+    return convex_hull(np.array([(x, y, z) for x, y in corners for z in (0.0, height)]), crease_deg=2)
 
 
 def _lying(side: float, length: float) -> Mesh:
     """A prism lying on one of its sides."""
-    return m.turned(m.moved(prism(side, length), (0, 0, -length / 2)), (1, 0, 0), 90)
+    return turned(moved(prism(side, length), (0, 0, -length / 2)), (1, 0, 0), 90)
 
 
 def _lens(radius: float, curvature: float) -> Mesh:
@@ -134,13 +149,13 @@ def _lens(radius: float, curvature: float) -> Mesh:
     outline = [(curvature * np.sin(a), z) for a, z in zip(angle, bulge)]
     below = [(r, -z) for r, z in outline]
     profile = [(float(r), float(z)) for r, z in [*below, *outline[::-1]]]
-    return m.turned(m.lathe(profile, segments=128), (1, 0, 0), 90)
+    return turned(lathe(profile, segments=128), (1, 0, 0), 90)
 
 
 def _cut_ball(radius: float) -> Mesh:
     """A ball of flat facets."""
-    shape = m.ball(radius, subdivisions=2)
-    return m.shaded(shape.vertices.astype(np.float64), shape.faces, crease_deg=3)
+    shape = ball(radius, subdivisions=2)
+    return shaded(shape.vertices.astype(np.float64), shape.faces, crease_deg=3)
 
 
 def brilliant() -> Mesh:
@@ -157,7 +172,7 @@ def brilliant() -> Mesh:
         # Stars and halves: the corners between the facets of crown and pavilion.
         points.append((*_around(0.775, angle + half), (1 - 0.775 * np.cos(half)) * np.tan(crown)))
         points.append((*_around(0.24, angle + half), -girdle - (1 - 0.24 * np.cos(half) ** 0.5) * np.tan(pavilion)))
-    return m.turned(m.convex_hull(np.array(points, np.float64), crease_deg=2), (1, 0, 0), 180)
+    return turned(convex_hull(np.array(points, np.float64), crease_deg=2), (1, 0, 0), 180)
 
 
 def _around(radius: float, angle: float) -> tuple[float, float]:

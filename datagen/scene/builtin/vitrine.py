@@ -5,10 +5,24 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene import modelling as m
 from datagen.scene.builtin import GAP, put_on, slab
 from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
 from datagen.scene.materials import Conductor, Diffuse, Plastic, SolidTexture, ThinDielectric
+from datagen.scene.modelling import (
+    ball,
+    curved,
+    deformed,
+    filleted,
+    knot,
+    lathe,
+    merged,
+    moved,
+    rounded_box,
+    sheet,
+    tube,
+    turned,
+    walled,
+)
 
 PLINTH_TOP = 0.90
 WIDTH, DEPTH, HEIGHT = 0.86, 0.52, 0.52
@@ -60,13 +74,11 @@ def _room() -> list[SceneObject]:
     first = SolidTexture(pattern="stripes", colors=((0.75, 0.30, 0.16), (0.82, 0.70, 0.46)), scale=0.30, axis="x")
     second = SolidTexture(pattern="marble", colors=((0.12, 0.28, 0.42), (0.85, 0.78, 0.62)), scale=0.45)
     paintings = [
-        m.moved(m.rounded_box((0.9, 0.03, 1.2), bevel=0.005), (-0.55, 2.18, 1.55)),
-        m.moved(m.rounded_box((0.03, 1.4, 0.9), bevel=0.005), (-2.20, 0.15, 1.50)),
+        moved(rounded_box((0.9, 0.03, 1.2), bevel=0.005), (-0.55, 2.18, 1.55)),
+        moved(rounded_box((0.03, 1.4, 0.9), bevel=0.005), (-2.20, 0.15, 1.50)),
     ]
-    outline = m.curved([(0.09, 0.0), (0.19, 0.20), (0.21, 0.45), (0.11, 0.78), (0.07, 0.92), (0.10, 1.02)], count=24)
-    urn = m.lathe(
-        m.walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.012, floor=0.02), segments=72, crease_deg=30
-    )
+    outline = curved([(0.09, 0.0), (0.19, 0.20), (0.21, 0.45), (0.11, 0.78), (0.07, 0.92), (0.10, 1.02)], count=24)
+    urn = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.012, floor=0.02), segments=72, crease_deg=30)
     bands = SolidTexture(pattern="stripes", colors=((0.72, 0.66, 0.52), (0.10, 0.30, 0.28)), scale=0.17, axis="z")
     return [
         slab("floor", (7.0, 7.0, 0.05), (0.6, -0.6, -0.025), Plastic(color=terrazzo, roughness=0.3)),
@@ -74,7 +86,7 @@ def _room() -> list[SceneObject]:
         slab("left_wall", (0.08, 6.2, 3.4), (-2.26, -0.95, 1.701), Diffuse(color=(0.66, 0.44, 0.36))),
         SceneObject(name="painting_stripes", mesh=paintings[0], material=Diffuse(color=first)),
         SceneObject(name="painting_marble", mesh=paintings[1], material=Diffuse(color=second)),
-        SceneObject(name="urn", mesh=m.moved(urn, (1.15, 1.45, GAP)), material=Plastic(color=bands, roughness=0.2)),
+        SceneObject(name="urn", mesh=moved(urn, (1.15, 1.45, GAP)), material=Plastic(color=bands, roughness=0.2)),
         slab("plinth", (1.0, 0.66, PLINTH_TOP - GAP), (0, 0, (PLINTH_TOP + GAP) / 2), varnish, bevel=0.008),
     ]
 
@@ -83,22 +95,22 @@ def _case() -> list[SceneObject]:
     base = PLINTH_TOP + GAP + BAR / 2
     brass = Conductor(color=(0.86, 0.66, 0.36), roughness=0.22)
     return [
-        SceneObject(name="case_frame", mesh=m.moved(_frame(), (0, 0, base)), material=brass),
-        SceneObject(name="case_panes", mesh=m.moved(_panes(), (0, 0, base)), material=ThinDielectric(ior=1.5)),
+        SceneObject(name="case_frame", mesh=moved(_frame(), (0, 0, base)), material=brass),
+        SceneObject(name="case_panes", mesh=moved(_panes(), (0, 0, base)), material=ThinDielectric(ior=1.5)),
     ]
 
 
 def _frame() -> Mesh:
     """Twelve bars of three thicknesses that end inside each other, so that no two faces lie in one plane."""
     x, y = WIDTH / 2, DEPTH / 2
-    post = m.rounded_box((BAR, BAR, HEIGHT + BAR), bevel=0.002)
-    parts = [m.moved(post, (i * x, j * y, HEIGHT / 2)) for i in (-1, 1) for j in (-1, 1)]
-    along_x = m.rounded_box((WIDTH, BAR - 0.002, BAR - 0.002), bevel=0.002)
-    along_y = m.rounded_box((BAR - 0.003, DEPTH, BAR - 0.003), bevel=0.002)
+    post = rounded_box((BAR, BAR, HEIGHT + BAR), bevel=0.002)
+    parts = [moved(post, (i * x, j * y, HEIGHT / 2)) for i in (-1, 1) for j in (-1, 1)]
+    along_x = rounded_box((WIDTH, BAR - 0.002, BAR - 0.002), bevel=0.002)
+    along_y = rounded_box((BAR - 0.003, DEPTH, BAR - 0.003), bevel=0.002)
     for z in (0, HEIGHT):
-        parts += [m.moved(along_x, (0, side * y, z)) for side in (-1, 1)]
-        parts += [m.moved(along_y, (side * x, 0, z)) for side in (-1, 1)]
-    return m.merged(parts)
+        parts += [moved(along_x, (0, side * y, z)) for side in (-1, 1)]
+        parts += [moved(along_y, (side * x, 0, z)) for side in (-1, 1)]
+    return merged(parts)
 
 
 def _panes() -> Mesh:
@@ -107,13 +119,13 @@ def _panes() -> Mesh:
     x, y, z = WIDTH / 2 - inset, DEPTH / 2 - inset, HEIGHT - inset
     width, depth, height = (2 * x, 0, 0), (0, 2 * y, 0), (0, 0, z - inset)
     cells = (4, 4)
-    return m.merged(
+    return merged(
         [
-            m.sheet((-x, -DEPTH / 2, inset), width, height, cells=cells),
-            m.sheet((x, DEPTH / 2, inset), (-2 * x, 0, 0), height, cells=cells),
-            m.sheet((WIDTH / 2, -y, inset), depth, height, cells=cells),
-            m.sheet((-WIDTH / 2, y, inset), (0, -2 * y, 0), height, cells=cells),
-            m.sheet((-x, -y, HEIGHT), width, depth, cells=cells),
+            sheet((-x, -DEPTH / 2, inset), width, height, cells=cells),
+            sheet((x, DEPTH / 2, inset), (-2 * x, 0, 0), height, cells=cells),
+            sheet((WIDTH / 2, -y, inset), depth, height, cells=cells),
+            sheet((-WIDTH / 2, y, inset), (0, -2 * y, 0), height, cells=cells),
+            sheet((-x, -y, HEIGHT), width, depth, cells=cells),
         ]
     )
 
@@ -122,24 +134,22 @@ def _sculptures() -> list[SceneObject]:
     chess = SolidTexture(pattern="checker", colors=((0.80, 0.74, 0.60), (0.10, 0.10, 0.14)), scale=0.048)
     veined = SolidTexture(pattern="marble", colors=((0.10, 0.30, 0.22), (0.75, 0.80, 0.70)), scale=0.16)
     spots = SolidTexture(pattern="speckle", colors=((0.86, 0.62, 0.10), (0.30, 0.08, 0.20)), scale=0.030)
-    path = m.knot(0.068, 0.028, lobes=5, count=220)
-    upright = m.turned(m.tube(path, 0.0125, segments=20, is_loop=True), (1, 0, 0), 78)
+    path = knot(0.068, 0.028, lobes=5, count=220)
+    upright = turned(tube(path, 0.0125, segments=20, is_loop=True), (1, 0, 0), 78)
     heights = [(0.048, float(z)) for z in np.linspace(0, 0.34, 48)]
-    pillar = m.deformed(m.lathe([(0.0, 0.0), *heights, (0.0, 0.34)], segments=64), _twist)
-    bowl_side = m.filleted([(0, 0, 0), (0.040, 0, 0.004), (0.046, 0.012, 0.02), (0.105, 0.075, 0.03), (0.112, 0.10, 0)])
-    bowl = m.lathe(m.walled(bowl_side, wall=0.006, floor=0.008), segments=72)
+    pillar = deformed(lathe([(0.0, 0.0), *heights, (0.0, 0.34)], segments=64), _twist)
+    bowl_side = filleted([(0, 0, 0), (0.040, 0, 0.004), (0.046, 0.012, 0.02), (0.105, 0.075, 0.03), (0.112, 0.10, 0)])
+    bowl = lathe(walled(bowl_side, wall=0.006, floor=0.008), segments=72)
     balls = ((0.060, 0.060), (0.046, 0.150), (0.034, 0.217), (0.024, 0.266))
-    totem = m.merged([m.moved(m.ball(radius, subdivisions=3), (0, 0, z)) for radius, z in balls])
-    gem = m.deformed(m.ball(0.072, subdivisions=1), lambda p: p * [1, 1, 1.25], crease_deg=5)
-    egg = m.deformed(m.ball(0.055), lambda p: p * (1 - 1.6 * p[:, 2:]) * [1, 1, 1.32])
+    totem = merged([moved(ball(radius, subdivisions=3), (0, 0, z)) for radius, z in balls])
+    gem = deformed(ball(0.072, subdivisions=1), lambda p: p * [1, 1, 1.25], crease_deg=5)
+    egg = deformed(ball(0.055), lambda p: p * (1 - 1.6 * p[:, 2:]) * [1, 1, 1.32])
     return [
         _inside("knot", upright, Plastic(color=(0.72, 0.12, 0.08), roughness=0.08), 0.16, 0.09),
         _inside("pillar", pillar, Plastic(color=(0.03, 0.34, 0.40), roughness=0.15), -0.10, 0.13),
         _inside("bowl", bowl, Plastic(color=veined, roughness=0.1), 0.07, -0.11),
         _inside("totem", totem, Plastic(color=spots, roughness=0.15), -0.30, 0.04),
-        _inside(
-            "gem", m.turned(gem, (1, 0.3, 0), 25), Conductor(color=(0.92, 0.60, 0.48), roughness=0.25), 0.32, -0.08
-        ),
+        _inside("gem", turned(gem, (1, 0.3, 0), 25), Conductor(color=(0.92, 0.60, 0.48), roughness=0.25), 0.32, -0.08),
         _inside("egg", egg, Plastic(color=chess, roughness=0.1), -0.16, -0.12),
     ]
 
