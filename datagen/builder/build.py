@@ -8,7 +8,14 @@ import numpy as np
 
 from datagen.builder.choices import Shard
 from datagen.data.cameras import Cameras
-from datagen.data.config import DatasetConfig, DatasetObject, Imported, Split, config_difference, unknown_license
+from datagen.data.config import (
+    DatasetConfig,
+    DatasetObject,
+    Imported,
+    Split,
+    config_difference,
+    unknown_license,
+)
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_meshes
 from datagen.data.layers import check_settings, record_path_of_layers, start_layers

@@ -17,7 +17,13 @@ from datagen.disk.records import dump_json
 from datagen.disk.storage import sha256
 from eval.score import metrics
 from eval.score.metrics import mean_of
-from eval.score.runs import Run, has_split, prediction_digests, prediction_path, read_prediction
+from eval.score.runs import (
+    Run,
+    has_split,
+    prediction_digests,
+    prediction_path,
+    read_prediction,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
