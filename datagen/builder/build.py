@@ -9,6 +9,8 @@ import numpy as np
 from datagen.builder.choices import Shard
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
+    RENDERED,
+    SPLITS,
     DatasetConfig,
     DatasetObject,
     Imported,
@@ -20,9 +22,9 @@ from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.geometries import geometry_hash, read_meshes
 from datagen.data.layers import check_settings, record_path_of_layers, start_layers
 from datagen.data.paths import HIDDEN, TRUTH, layers_root
-from datagen.data.writing import clear_dataset, commit_view, head_contents, write_head
+from datagen.data.writing import clear_dataset, commit_view, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import HyalineError, WorkerKilledError
-from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, remove_files
+from datagen.disk.ownership import DATASET, LAYERS, holding, is_ours, refuse_taken, remove_files
 from datagen.disk.storage import sha256
 from datagen.machine.processes import in_workers
 from datagen.scene.description import CameraList, Scene
@@ -273,6 +275,9 @@ def open_or_start(
     listed = () if scene is None else scene.objects
     objects = tuple(DatasetObject(name=item.name, is_glass=item.material.is_glass) for item in listed)
     if overwrite and is_ours(root, DATASET):
+        endings = RENDERED if imported is None else imported.endings
+        wanted = [*view_files(config, SPLITS, endings), *head_contents(files, cameras)]
+        refuse_taken(root, DATASET, wanted, dataset_files(root))
         clear_dataset(root)
     # Another process may have been there first, with other settings.
     dataset = write_head(

@@ -45,9 +45,9 @@ from datagen.data.variants import (
     open_variant,
     variant_root,
 )
-from datagen.data.writing import clear_dataset, head_contents, write_head
+from datagen.data.writing import clear_dataset, dataset_files, head_contents, view_files, write_head
 from datagen.disk.errors import DamagedError, HyalineError
-from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours
+from datagen.disk.ownership import DATASET, EDIT_MASKS, LAYERS, PROXIES, begin, holding, is_ours, refuse_taken
 from datagen.disk.records import Json, load_sealed
 from datagen.disk.storage import check_files, commit_all, sha256
 from datagen.scene.edits import Edit, describe_edit, edit_scene, edits_name, moved_mesh, parse_edit
@@ -196,6 +196,7 @@ def _open_or_start(base: Dataset, plan: Plan, *, overwrite: bool) -> Dataset:
         wanted = {path: sha256(data) for path, data in contents.items()}
         is_outdated = variant.variant != record or variant.files != wanted
     if is_outdated:
+        refuse_taken(root, DATASET, [*view_files(plan.config, record.splits), *contents], dataset_files(root))
         clear_dataset(root)
     return write_head(root, plan.config, plan.objects, plan.cameras, plan.scene, variant=record, replace=is_outdated)
 

@@ -18,7 +18,7 @@ from datagen.data.meshes import Mesh, check_mesh, is_there, no_mesh
 from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root, is_fitted
 from datagen.data.ply import decode_ply, write_ply
 from datagen.disk.errors import HyalineError, shown
-from datagen.disk.ownership import PROXIES, begin, is_ours, remove_files
+from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
 from datagen.disk.records import Json, dump_json, entry, from_json, load_sealed, to_json
 from datagen.disk.storage import check_name, commit_all, is_name, read_all, sha256
 from datagen.terminal.command import choose
@@ -105,7 +105,9 @@ def write_proxies(
     if materials:
         content["materials"] = dict(materials)
     if is_ours(root, PROXIES):
-        remove_files(root, sorted(set(proxy_files(root)) - set(files)))
+        old = proxy_files(root)
+        refuse_taken(root, PROXIES, files, old)
+        remove_files(root, sorted(set(old) - set(files)))
     begin(root, PROXIES, content, replace=True)
     commit_all(root, files)
 

@@ -5,13 +5,14 @@ of its files. Heads go last, so an interrupted clearing can be repeated.
 """
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import cast
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
     DATASET_VERSION,
+    RENDERED,
     DatasetConfig,
     DatasetObject,
     Head,
@@ -87,9 +88,14 @@ def dataset_files(root: Path) -> list[str]:
     Paths are relative to `root`; records come first, since a view exists only with its record.
     """
     head, _ = read_head(root)
-    views = [f"{split}/{view:04d}" for split in head.splits for view in range(head.config.split(split).views)]
-    images = (f"images/{view}{ending}" for ending in head.endings for view in views)
-    return [*(f"records/{view}.json" for view in views), *images, *head.files]
+    return [*view_files(head.config, head.splits, head.endings), *head.files]
+
+
+def view_files(config: DatasetConfig, splits: Sequence[Split], endings: Sequence[str] = RENDERED) -> list[str]:
+    """The files of all views, by path relative to the dataset: records first."""
+    views = [f"{split}/{view:04d}" for split in splits for view in range(config.split(split).views)]
+    records = [f"records/{view}.json" for view in views]
+    return [*records, *(f"images/{view}{ending}" for ending in endings for view in views)]
 
 
 def commit_view(

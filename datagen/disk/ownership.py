@@ -93,6 +93,21 @@ def refuse_others(root: Path, kind: FolderKind) -> None:
     raise HyalineError(f"{root}: is not empty ({printable(foreign)}) and no {kind.what}; {kind.way_out}")
 
 
+def refuse_taken(root: Path, kind: FolderKind, wanted: Iterable[str], own: Iterable[str]) -> None:
+    """Refuses to write files where others stand that are not ours.
+
+    Args:
+        wanted: paths relative to `root` that will be written.
+        own: those that are ours already.
+    """
+    known = set(own)
+    for path in wanted:
+        if path not in known and os.path.lexists(root / path):
+            raise HyalineError(
+                f"{root / path}: is in the way, and no file of this {kind.what}; move it elsewhere, or {kind.way_out}"
+            )
+
+
 def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     """Refuses to write an output file where one stands; with `overwrite`, where something else than a file stands.
 

@@ -9,9 +9,9 @@ from typing import cast
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, remove_files
+from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
 from datagen.disk.records import Json, dump_json, load_json, load_sealed
-from datagen.disk.storage import check_relative, commit
+from datagen.disk.storage import commit
 from datagen.machine.processes import confined
 from datagen.scene.description import EnvironmentMap, Scene
 from datagen.scene.finding import ImportChoices
@@ -72,9 +72,8 @@ def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, over
     content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
         check_free(root, overwrite=overwrite)
-        listed = load_sealed(root / RECORD).get("files") if is_ours(root, IMPORTED) else []
-        paths = [path for path in listed if isinstance(path, str)] if isinstance(listed, list) else []
-        before = [check_relative(path, where=str(root / RECORD)) for path in paths]
+        before = cast(list[str], load_sealed(root / RECORD)["files"]) if is_ours(root, IMPORTED) else []
+        refuse_taken(root, IMPORTED, files, before)
         # A killed command leaves files of ours but not a scene, since scene.json is written last.
         remove_files(root, [path for path in before if path not in files or path == "scene.json"])
         begin(root, IMPORTED, content, replace=True)

@@ -177,7 +177,10 @@ def add_texels(
             for texture in range(len(layouts[0].sizes))
         ]
     sizes = layouts[0].sizes
-    sums = [_padded(_summed(textures, texture, size)) for texture, size in enumerate(sizes)]
+    sums = []
+    for texture, size in enumerate(sizes):  # All levels, at the centres of the finest texels.
+        object_id = torch.full((size * size, 1), texture + 1, dtype=torch.uint8)
+        sums.append(_padded(textures(texel_centers(size)[:, None], object_id)[:, 0]))
     counts = [np.ones(len(values), bool) for values in sums]
     for texture, mesh in enumerate(meshes or ()):
         counts[texture] = touched_texels(mesh, sizes[texture])
@@ -217,12 +220,6 @@ def touched_texels(mesh: Mesh, size: int) -> Bool[np.ndarray, " texel"]:
             places = np.clip(np.floor(np.einsum("pk,fkc->fpc", shares, part) * size), 0, size - 1).astype(int) + 1
             touched[places[..., 1], places[..., 0]] = True
     return binary_dilation(touched, np.ones((3, 3)))[1:-1, 1:-1].ravel()
-
-
-def _summed(textures: NeuralTextures | TexturePyramid, texture: int, size: int) -> Tensor:
-    """The features of a texture (counted from 0) at the centres of its finest texels."""
-    object_id = torch.full((size * size, 1), texture + 1, dtype=torch.uint8)
-    return textures(texel_centers(size)[:, None], object_id)[:, 0]
 
 
 def _padded(features: Tensor) -> Float32[np.ndarray, "texel c"]:
