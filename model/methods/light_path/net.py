@@ -43,7 +43,7 @@ RELIEF_COARSER = 4
 """Width of a relief texel, in texels of the finest colour texture."""
 
 
-SKY_EPS = 1e-5
+SKY_EPS = 4e-4
 """Adam's epsilon for the sky. Directions that are seen in faint reflections alone have small gradients, mostly noise,
 which Adam would blow up: at 1e-8 the sky of `plant_shelf` is blotched from new sides (docs/notes/history.md)."""
 
@@ -141,7 +141,8 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         net, textures = super().groups(optimisation)
         sky = self.environment
         others = self.all_but([*sky.parameters(), *textures.parameters])
-        # A map's gradients are as small as its weight: with one epsilon for all, fine maps would hardly learn.
+        # A map's gradients are as small as its weight, and fewer rays meet a texel of a finer one: with one epsilon for
+        # all, fine maps would hardly learn.
         scales = level_scales(sky.num_maps, sky.finer_counts)
         parts = [*zip(sky.maps, scales, strict=True)]
         if sky.lobes is not None:
@@ -149,7 +150,10 @@ class LightPathRenderer(Renderer[LightPathPixels]):
         return [
             dataclasses.replace(net, parameters=others),
             textures,
-            *(ParameterGroup(parameters=[part], lr=self.config.sky_lr, eps=SKY_EPS * scale) for part, scale in parts),
+            *(
+                ParameterGroup(parameters=[part], lr=self.config.sky_lr, eps=SKY_EPS * scale**2)
+                for part, scale in parts
+            ),
         ]
 
     def radiance(self, paths: LightPathBatch) -> Float32[Tensor, "pixel sample 3"]:
