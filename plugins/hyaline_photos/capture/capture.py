@@ -193,7 +193,7 @@ def _check_masks(folder: Folder, seen: UInt8[np.ndarray, "view h w"]) -> None:
 def _without_unseen(folder: Folder, seen: Sequence[UInt8[np.ndarray, "h w"]]) -> tuple[Folder, list[str]]:
     """Leaves out objects that too few pictures show to find their places, such as a drink deep in its glass."""
     sizes = [[int((ids == place).sum()) for ids in seen] for place in range(1, len(folder.objects) + 1)]
-    kept = [place for place, each in enumerate(sizes) if is_shown(each) or not any(each)]
+    kept = [place for place, each in enumerate(sizes) if is_shown(each)]
     if len(kept) in (0, len(sizes)):
         return folder, []
     lines = [f"{name}: left out; too few pictures show it" for i, name in enumerate(folder.objects) if i not in kept]

@@ -427,6 +427,11 @@ def without_three_masks(root: Path) -> None:
         (root / THIRD.replace("3", str(place))).unlink()
 
 
+def without_glass(root: Path) -> None:
+    shutil.rmtree(root / "masks" / "wine glass (1)")
+    redraw_masks(root, lambda _, mask: 0 * mask)
+
+
 def without_pictures(root: Path) -> None:
     (root / "transforms.json").unlink()
     shutil.rmtree(root / "images")
@@ -440,7 +445,7 @@ def without_pictures(root: Path) -> None:
         (lambda root: Image.new("L", (SIDE, SIDE // 2)).save(root / THIRD), "DSC 0003 é.png: is 48 x 24 pixels"),
         (lambda root: (root / THIRD).write_bytes(b"no picture"), "DSC 0003 é.png: not a picture"),
         (with_masks_of_other_pictures, "masks/ball: has no mask for 18 of 18 pictures"),
-        (lambda root: redraw_masks(root, lambda _, mask: 0 * mask), "masks/ball: shows its object in 0 of 15 pictures"),
+        (without_glass, "masks/ball: shows its object in 0 of 15 pictures"),
         (lambda root: redraw_masks(root, lambda _, mask: 255 - mask), "invert them"),
         (lambda root: redraw_masks(root, square_somewhere), "masks/ball: its masks do not meet in space"),
         (without_pictures, "has 0 pictures; expected 3 to"),
@@ -506,7 +511,7 @@ def test_a_test_picture_is_placed_before_points_that_training_pictures_show(tmp_
 @pytest.mark.full
 def test_glasses_with_drinks_that_are_seen_only_through_their_openings_get_places(tmp_path: Path) -> None:
     data, shots, root = tmp_path / "drinks", tmp_path / "shots", tmp_path / "captured"
-    size = "--resolution 80 --views 24 --test-views 1 --spp 1 --test-spp 1"
+    size = "--resolution 80 --views 24 --test-views 1 --spp 2 --test-spp 2"
     for words in (
         f"datagen build --scene drinks {size} --out {data}",
         f"datagen export {data} --format capture --out {shots}",
