@@ -44,8 +44,9 @@ RELIEF_COARSER = 4
 
 
 SKY_EPS = 4e-4
-"""Adam's epsilon for the sky. Directions that are seen in faint reflections alone have small gradients, mostly noise,
-which Adam would blow up: at 1e-8 the sky of `plant_shelf` is blotched from new sides (docs/notes/history.md)."""
+"""Adam's epsilon for the sky's coarsest map and its lobes. Directions that are seen in faint reflections alone have
+small gradients, mostly noise, which Adam would blow up: at 1e-8, or 1e-5 times a map's weight, the sky of `plant_shelf`
+and of the demo is blotched from new sides (docs/notes/history.md)."""
 
 COUNTED_AGAIN = 16
 """One in this many training pixels is traced again to count how often texels were sampled."""

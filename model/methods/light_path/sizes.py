@@ -66,10 +66,11 @@ def texels_across(
     A pixel's footprint in an object is the parallelogram of the places where the rays through its corners end there,
     each by the branch that carries most light.
     """
-    strongest = torch.full((COUNTED_PIXELS * len(CORNERS), number), -1)
-    order = torch.argsort(throughput.sum(dim=1), stable=True)
-    strongest[ray[order], which[order]] = order  # Of equal indices, the last counts.
-    corners = strongest.view(COUNTED_PIXELS, len(CORNERS), number)
+    strongest = np.full((COUNTED_PIXELS * len(CORNERS), number), -1)
+    order = torch.argsort(throughput.sum(dim=1), stable=True).numpy()
+    # Of equal indices, the last counts: in NumPy, and not in torch, whose threads race.
+    strongest[ray.numpy()[order], which.numpy()[order]] = order
+    corners = torch.from_numpy(strongest).view(COUNTED_PIXELS, len(CORNERS), number)
     at = place[corners.clamp_min(0)].double()
     areas = torch.linalg.cross(at[:, 1] - at[:, 0], at[:, 2] - at[:, 0]).norm(dim=-1)
     across = torch.zeros(number, dtype=torch.float64)
