@@ -48,7 +48,7 @@ LONGEST = (
     "tests/eval/page/test_page_in_browser.py",
     "plugins/hyaline_photos/tests/fit/test_boxes.py",
 )
-"""The slowest test files, in the order in which they start."""
+"""The slowest test files, in starting order."""
 
 # A shell starts what it runs in the background with SIGINT ignored, which children inherit: tests send it.
 signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -46,7 +46,7 @@ which its normals are 1.5 instead of 2.3 degrees off."""
 LEFT_OUT = 4
 """One of this many views is left out for that."""
 PIXELS_OFF = 2.0
-"""Pixels by which a mask's edge may be wrong."""
+"""Tolerance of a mask's edge in pixels."""
 TESTED_RAYS, TESTED_PLACES = 4000, 32
 """Rays through masks that views are compared by, and places along each."""
 

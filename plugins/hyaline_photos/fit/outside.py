@@ -23,7 +23,7 @@ COARSE, COARSE_RAYS = 129, 20_000
 VOTING, VOTING_RAYS = 65, 8000
 """The same while views are compared."""
 PIXELS_OFF = 1.5
-"""Pixels by which a mask's edge may then be wrong."""
+"""Tolerance of a mask's edge in pixels while views are compared."""
 FAR_AWAY = 1e3
 """Metres that stand for infinity."""
 REACH = 1.1
