@@ -11,6 +11,9 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import next_command, say_all, tell
 from model.settings import RUNS, SEED
 
+DRINK = "_drink"
+"""Ends the name of an object without a mesh that `datagen capture` keeps free for what a glass may hold."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureChoices:

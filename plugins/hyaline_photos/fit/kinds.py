@@ -31,7 +31,7 @@ from hyaline_photos.fit.outside import (
 )
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.search import USUAL, WALLS
-from hyaline_photos.fit.shapes import Glass, Revolution
+from hyaline_photos.fit.shapes import WATER, Glass, Revolution
 from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, unexplained, without_views
 
 STANDS = 0.1
@@ -167,8 +167,6 @@ OPENING = 0.1
 """Margin at the rim, relative to the largest radius."""
 WRONG = 0.1
 """Largest balanced error of a level: the mean of its error rates on rays that see the drink and rays that don't."""
-WATER = 1.33
-"""First guess of the index."""
 
 
 def find_holders(sightings: Sightings) -> dict[int, int]:
