@@ -17,7 +17,7 @@ from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
-from datagen.terminal.command import track
+from datagen.terminal.command import track, waiting
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
 from hyaline_import.datasets.layouts import ForeignView, on_background, opened
 from hyaline_import.importing import Made, unique_names
@@ -26,12 +26,12 @@ from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
 from hyaline_photos.capture.exposure import find_exposures
-from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask, waiting
+from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import NEAR, find_up
 from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, is_shown, lacking
 from hyaline_photos.capture.stereo import DepthMaps, find_depths, with_uv
-from hyaline_photos.commands import DRINK, CaptureChoices
+from hyaline_photos.commands import DRINK, SCALE, CaptureChoices
 from hyaline_photos.fit.shapes import WATER, perpendicular
 
 IOR = 1.5
@@ -255,7 +255,7 @@ def _place(
         places = cameras.world_from_camera[:, :3, 3]
         scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
         lines = [
-            f"scale: is unknown, so all lengths are relative; the cameras were put {DISTANCE:g} m away from the "
+            f"{SCALE}is unknown, so all lengths are relative; the cameras were put {DISTANCE:g} m away from the "
             "glass, --diameter sets it"
         ]
     # A transforms file's world keeps its origin; otherwise it is below the glass.

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import say
+from datagen.terminal.command import say, waiting
 from hyaline_photos.fit.boxes import fit_box
 from hyaline_photos.fit.found import FoundGlass
 from hyaline_photos.fit.hull import HullShape, carve, overruled_views
@@ -100,7 +100,8 @@ def choose_outside(
     around = rays.only(~np.isin(rays.view, overruled_too))
     if mask_errors:
         say(f"    overruled views: {len(overruled)}, and {len(overruled_too)} more if it is round")
-    hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
+    with waiting("    axis"):
+        hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
     support = None
     if hull.radii.any():
         lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
@@ -122,7 +123,7 @@ def choose_outside(
         if (box := fit_box(rays, up, below)) is not None:
             judge(OUTLINE, box)
     if is_poor():
-        with contextlib.suppress(HyalineError):  # Nothing is inside all masks.
+        with contextlib.suppress(HyalineError), waiting("    visual hull"):  # Nothing is inside all masks.
             judge(HULL_FOR_WRONG_MASKS if mask_errors else HULL, carve(sightings, object_id, up, support))
     if not tried:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
