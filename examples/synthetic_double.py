@@ -30,6 +30,8 @@ from datagen.scene.description import SoftEnvironment
 from datagen.scene.folder import open_scene, save_scene
 from datagen.scene.materials import Diffuse, ImageTexture
 
+LIFT = 0.001
+"""Metres by which glass is moved up."""
 TEXELS = 512
 """Along a side of each texture."""
 WHITE = (1.0, 1.0, 1.0)
@@ -77,6 +79,8 @@ def make_scene(dataset: Dataset, folder: Path) -> None:
             path = f"textures/{item.name}.png"
             files[path] = png_bytes(to_8bit(srgb_from_linear(colors[place])))
             material = Diffuse(color=ImageTexture(path=path))
+        else:  # Or it would touch what it stands on.
+            mesh = dataclasses.replace(mesh, vertices=mesh.vertices + np.float32([0, 0, LIFT]))
         if len(mesh.faces):
             objects.append(dataclasses.replace(item, mesh=mesh, material=material))
     light = SoftEnvironment(zenith=WHITE, horizon=WHITE, ground=WHITE)
