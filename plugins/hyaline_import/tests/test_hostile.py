@@ -76,28 +76,13 @@ PRIMITIVE, MATERIAL = "meshes.0.primitives.0", "materials.0"
 SPARSE = {"count": 1, "indices": {"bufferView": 0, "componentType": 5123}, "values": {"bufferView": 0}}
 
 
-def skin(**entry: object) -> Change:
-    """Hangs the first mesh on a skin."""
-
-    def change(content: dict) -> None:
-        content["skins"] = [entry]
-        content["nodes"][0]["skin"] = 0
-
-    return change
-
-
 CHANGES: dict[str, Change] = {
     "no asset": lambda content: content.pop("asset"),
     "a count of 2**36": put("accessors.0.count", HUGE),
     "one element too many": lambda content: content["accessors"][1].update(count=len(BOX.vertices) + 1),
     "a huge accessor without bytes": put("accessors.1", {"componentType": 5126, "count": HUGE, "type": "VEC3"}),
     "a sparse accessor": put("accessors.0.sparse", SPARSE),
-    "a joint that is no node": skin(joints=[99]),
-    "joints that are not bound": skin(joints=[0], inverseBindMatrices=0),
-    "a mesh without weights on a skin": skin(joints=[0]),
-    "a morph target that is not there": put(
-        "meshes.0", {"primitives": [{"attributes": {"POSITION": 0}, "targets": [{"POSITION": 99}]}], "weights": [1.0]}
-    ),
+    "a skin on the only mesh": put("nodes.0.skin", 0),
     "indices that are floats": put("accessors.3.componentType", 5126),
     "a view longer than its buffer": put("bufferViews.1.byteLength", 10**9),
     "a stride of 3": put("bufferViews.1.byteStride", 3),

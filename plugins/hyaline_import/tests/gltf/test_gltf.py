@@ -128,52 +128,15 @@ def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
-def test_a_mesh_with_a_skin_is_where_its_joints_are_and_not_where_its_node_is(tmp_path: Path) -> None:
+def test_skinned_meshes_are_left_out_and_shape_keys_are_not_read_and_both_are_told(tmp_path: Path) -> None:
     builder = GltfBuilder()
-    mesh = builder.mesh(BOX)
-    share = (BOX.vertices[:, 0] + 0.5).clip(0, 1)  # The right end hangs on the second joint alone.
-    attributes = builder.content["meshes"][mesh]["primitives"][0]["attributes"]
-    attributes["JOINTS_0"] = builder.array(np.tile([0, 1, 0, 0], (len(share), 1)), "u1")
-    attributes["WEIGHTS_0"] = builder.array(np.stack([1 - share, share, 0 * share, 0 * share], axis=1))
-    quarter = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]
-    joints = [builder.node(translation=[1, 2, 3]), builder.node(rotation=quarter, scale=[2, 2, 2])]
-    binds = np.tile(np.eye(4), (2, 1, 1))
-    binds[1, :3, 3] = (0.0, 0.5, 0.0)
-    inverse = builder.array(binds.swapaxes(1, 2).reshape(2, 16))
-    skin = builder.add("skins", {"joints": joints, "inverseBindMatrices": inverse})
-    builder.node(mesh=mesh, skin=skin, scale=[100, 100, 100])
-    (item,) = read(builder, tmp_path).objects
-    x, y, z = BOX.vertices.T.astype(np.float64)
-    first = np.stack([x + 1, y + 2, z + 3], axis=1)
-    second = 2 * np.stack([-(y + 0.5), x, z], axis=1)  # A quarter turn about z, twice as large.
-    expected = first + share[:, None] * (second - first)
-    np.testing.assert_allclose(item.positions, expected, atol=1e-6)
-    end = share == 1
-    assert item.normals is not None
-    turned = item.normals[end] / np.linalg.norm(item.normals[end], axis=1, keepdims=True)
-    np.testing.assert_allclose(turned, BOX.normals[end][:, [1, 0, 2]] * [-1, 1, 1], atol=1e-6)
-
-
-@pytest.mark.parametrize("is_of_node", [False, True])
-def test_a_shape_key_counts_with_its_weight_also_where_few_vertices_move(is_of_node: bool, tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    mesh = builder.mesh(BOX)
-    moved = np.array([3, 7])
-    sparse = {
-        "count": 2,
-        "indices": {"bufferView": builder.view(moved.astype("<u2").tobytes()), "componentType": 5123},
-        "values": {"bufferView": builder.view(np.array([[0, 0, 2], [4, 0, 0]], "<f4").tobytes())},
-    }
-    few = builder.accessor({"componentType": 5126, "count": len(BOX.vertices), "type": "VEC3", "sparse": sparse})
-    whole = builder.array(np.full_like(BOX.vertices, 8.0))
-    entry = builder.content["meshes"][mesh]
-    entry["primitives"][0]["targets"] = [{"POSITION": few}, {"POSITION": whole}]
-    entry["weights"] = [0.0, 1.0] if is_of_node else [0.5, 0.0]
-    builder.node(mesh=mesh, **({"weights": [0.5, 0.0]} if is_of_node else {}))
-    (item,) = read(builder, tmp_path).objects
-    expected = BOX.vertices.astype(np.float64)
-    expected[moved] += [[0, 0, 1], [2, 0, 0]]
-    np.testing.assert_allclose(item.positions, expected, atol=1e-6)
+    skin = builder.add("skins", {"joints": [0]})
+    builder.node(mesh=builder.mesh(BOX), name="arm", skin=skin, scale=[100, 100, 100])
+    builder.node(mesh=builder.mesh(BOX), name="face", weights=[0.0, 0.5])
+    builder.node(mesh=builder.mesh(BOX), name="still", weights=[0.0, 0.0])
+    remarks = Remarks()
+    assert [item.name for item in read(builder, tmp_path, remarks).objects] == ["face", "still"]
+    assert told(remarks) == [("arm", True), ("face", True)]
 
 
 WIDE = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2.0}}
