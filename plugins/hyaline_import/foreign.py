@@ -98,6 +98,11 @@ class ForeignMaterial:
     emission: Color = (0.0, 0.0, 0.0)
     """Radiance that its surface emits to the outside."""
 
+    @property
+    def is_glass(self) -> bool:
+        """Metal lets nothing through, whatever its transmission."""
+        return self.transmission * (1 - self.metallic) >= 0.5
+
 
 PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)
 """For surfaces without a material: Blender's grey. (glTF's default, rough metal, is never meant.)"""

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution, unknown_license
-from datagen.data.meshes import Mesh, check_numbers, is_there, open_edges
+from datagen.data.meshes import Mesh, check_numbers, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import read_regular, sha256
@@ -46,9 +46,9 @@ from hyaline_import.foreign import (
     with_cavities,
     z_up_from,
 )
-from hyaline_import.mapping import Mapper, lets_light_through
+from hyaline_import.mapping import Mapper
 from hyaline_import.overlaps import apart, nested, parted
-from hyaline_import.pictures import Cut, cut_of, cut_out, veiled
+from hyaline_import.pictures import veiled
 from hyaline_import.remarks import Remark, Remarks
 from hyaline_import.source import (
     READERS,
@@ -133,26 +133,25 @@ class Made:
 
     objects: list[SceneObject] = field(default_factory=list)
     without_uv: set[str] = field(default_factory=set)
-    cuts: dict[str, Cut] = field(default_factory=dict)
 
     def add(self, name: str, part: ForeignObject, world: World, chosen: Material | None) -> None:
         """Adds the objects of a surface: one, or one for each of its parts that overlap."""
         has_uv = part.uv is not None and bool(part.uv.any())  # Exporters write zeros where a mesh has none.
-        item = scene_object(name, part, world, chosen, has_uv=has_uv)
-        self.objects.extend(parted(item, world.remarks))
+        if item := scene_object(name, part, world, chosen, has_uv=has_uv):
+            self.objects.extend(parted(item, world.remarks))
         if not has_uv:
             self.without_uv.add(name)
-        if isinstance(part.material, ForeignMaterial):
-            material = veiled(part.material, item.mesh, has_uv=has_uv)
-            is_solid = item.material.medium is not None
-            if cut := cut_of(material, item.mesh, world.remarks, has_uv=has_uv, is_solid=is_solid, where=name):
-                self.cuts[name] = cut
 
-    def finished(self, scene: Scene, world: World, *, where: str) -> Scene:
-        """The scene of these objects with its images, mended, cut and checked."""
+    def placed(self, remarks: Remarks, *, where: str) -> list[SceneObject]:
+        """The objects, without surfaces that coincide, and with what each does where it overlaps another."""
+        if not self.objects:
+            raise HyalineError(f"{where}: nothing in it is drawn; expected a surface that is seen")
+        return nested(apart(self.objects, remarks), remarks)
+
+    def finished(self, scene: Scene, world: World) -> Scene:
+        """The scene of these objects with its images, mended and checked."""
         objects = []
         for item in scene.objects:
-            check_numbers(item.mesh, where=f"scene {scene.name}: object {item.name}")
             is_solid = item.material.medium is not None
             mesh = mend_surface(item.mesh, world.remarks, is_solid=is_solid, where=item.name)
             objects.append(dataclasses.replace(item, mesh=mesh))
@@ -160,18 +159,6 @@ class Made:
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
         scene = dataclasses.replace(scene, objects=tuple(objects), baked={**baked, **scene.baked})
         scene = mend_scene(scene, without_uv=self.without_uv & {item.name for item in objects})
-        there = []
-        for item in scene.objects:
-            if cut := self.cuts.get(item.name):
-                mesh = cut_out(item.mesh, cut, where=f"scene {scene.name}: {item.name}")
-                item = dataclasses.replace(item, mesh=mesh)
-            if is_there(item.mesh):
-                there.append(item)
-            else:
-                world.remarks.note(item.name, "is cut away whole by its opacity; left out")
-        if not there:
-            raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
-        scene = dataclasses.replace(scene, objects=tuple(there))
         check_scene(scene)
         return scene
 
@@ -229,7 +216,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         if not any(item.material.is_glass for item in made.objects):
             raise error
         remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
-    objects = nested(apart(made.objects, remarks), remarks)
+    objects = made.placed(remarks, where=path.name)
     rig = _cameras(foreign, objects, world)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
@@ -253,7 +240,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         cameras=rig,
         baked=baked,
     )
-    scene = made.finished(scene, world, where=path.name)
+    scene = made.finished(scene, world)
     record: dict[str, Json] = {
         "version": RECORD_VERSION,
         "source": path.name,
@@ -275,23 +262,28 @@ def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) ->
     return make_rig(objects, world.remarks)
 
 
-def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool) -> SceneObject:
-    """One object in metres, z up, with a material that suits its mesh."""
+def scene_object(
+    name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool
+) -> SceneObject | None:
+    """One object in metres, z up, with a material that suits its mesh; None if its opacity cuts it away."""
     remarks, choices = world.remarks, world.choices
     mesh = made_sound(world.mesh(name, part), remarks, where=name)
     mesh = mend_surface(mesh, remarks, is_solid=True, where=name)
+    check_numbers(mesh, where=name)
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; rendered grey and matt; set another with --material")
     if isinstance(material, ForeignMaterial):
         material = world.mapper.averaged(material, mesh, has_uv=has_uv, where=name)
-        is_solid = lets_light_through(material) and not material.is_thin
+        if (material := veiled(material, mesh, remarks, has_uv=has_uv, where=name)) is None:
+            remarks.approximate(name, "is cut away by its opacity, or most of it; left out")
+            return None
+        is_solid = material.is_glass and not material.is_thin
     else:
         is_solid = material.medium is not None
     if choices.repair and is_solid:
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
-        material = veiled(material, mesh, has_uv=has_uv)
         is_closed = open_edges(mesh) == 0
         material = world.mapper.material(material, is_closed=is_closed, has_uv=has_uv, where=name)
     if material.medium is not None and (count := open_edges(mesh)):

@@ -27,7 +27,6 @@ from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignView, 
 from hyaline_import.foreign import PLAIN, ForeignObject, check_surfaces, z_up_from
 from hyaline_import.importing import Made, World, unique_names
 from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import READERS as FILES
 from hyaline_import.source import (
@@ -189,11 +188,11 @@ def unlit_scene(name: str, made: Made, world: World, cameras: dict[Split, Camera
     scene = Scene(
         name=name,
         description=f"{how} from {name}; its light is unknown",
-        objects=tuple(nested(apart(made.objects, world.remarks), world.remarks)),
+        objects=tuple(made.placed(world.remarks, where=name)),
         environment=even_sky(UNKNOWN_LIGHT),
         cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
     )
-    return made.finished(scene, world, where=name)
+    return made.finished(scene, world)
 
 
 # Splits
