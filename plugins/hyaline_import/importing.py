@@ -19,8 +19,6 @@ from datagen.disk.storage import read_regular, sha256
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
-    CameraList,
-    CameraRig,
     Environment,
     RectangleLight,
     Scene,
@@ -32,7 +30,6 @@ from datagen.scene.mending import mend_scene
 from datagen.scene.rig import LIGHT
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
-from hyaline_import.cameras import listed_cameras
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
@@ -217,7 +214,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
             raise error
         remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
     objects = made.placed(remarks, where=path.name)
-    rig = _cameras(foreign, objects, world)
+    rig = make_rig(objects, remarks)
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
@@ -251,15 +248,6 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         **remarks.to_json(),
     }
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
-
-
-def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) -> CameraRig | CameraList:
-    """Cameras all around, or those of the file."""
-    if world.choices.cameras == "file":
-        return listed_cameras(foreign.cameras, world.linear, world.offset, world.remarks)
-    if foreign.cameras:
-        world.remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
-    return make_rig(objects, world.remarks)
 
 
 def scene_object(

@@ -167,7 +167,6 @@ class Mesh(Entry):
 class Node(Entry):
     name: str = ""
     mesh: Index | None = None
-    camera: Index | None = None
     skin: Index | None = None
     weights: list[float] | None = None
     children: list[Index] = []
@@ -175,17 +174,6 @@ class Node(Entry):
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     translation: Color = (0.0, 0.0, 0.0)
     scale: Color = WHITE
-
-
-class Perspective(Struct, rename="camel"):
-    yfov: Annotated[float, Meta(gt=0, lt=3.14159)]
-    aspect_ratio: Annotated[float, Meta(gt=0, lt=1000)] = 1.0
-
-
-class Camera(Entry):
-    type: str = "perspective"
-    name: str = ""
-    perspective: Perspective | None = None
 
 
 class Scene(Entry):
@@ -203,7 +191,6 @@ class Gltf(Entry):
     animations: Any = None
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
-    cameras: list[Camera] = []
     images: list[Image] = []
     materials: list[Material] = []
     meshes: list[Mesh] = []
@@ -214,7 +201,7 @@ class Gltf(Entry):
     extras: Any = None
 
 
-LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
+LISTS = ("accessors", "buffer_views", "buffers", "images", "materials", "meshes", "nodes", "samplers",
          "scenes", "textures")  # fmt: skip
 """The lists of `Gltf` whose entries know their places."""
 

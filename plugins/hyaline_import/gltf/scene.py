@@ -4,7 +4,6 @@ Source: glTF 2.0 sections 3.5 to 3.10.
 """
 
 import dataclasses
-import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.data.config import license_line
 from datagen.disk.errors import HyalineError, shown
 from hyaline_import.foreign import (
@@ -21,7 +19,6 @@ from hyaline_import.foreign import (
     ForeignObject,
     ForeignScene,
     elementwise,
-    lens_of,
 )
 from hyaline_import.gltf import file as records
 from hyaline_import.gltf.file import GltfFile, Node, Primitive, unread
@@ -32,8 +29,6 @@ LAMPS = "KHR_lights_punctual"
 MAX_COORDINATE = 1e18
 MIN_SCALE = 1e-10
 """Scale below which there is nothing to see."""
-FILM = 1000.0
-"""Height in pixels that describes a camera's pictures: glTF has none."""
 TRIANGLES = 4
 """Mode of a primitive whose corners make triangles, three by three."""
 Materials = dict[int | None, tuple[ForeignMaterial, TextureUse | None]]
@@ -46,13 +41,10 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
         remarks.approximate(path.name, f"uses the extension {shown(extension)}, which is not read")
     if file.root.animations is not None:
         remarks.note(path.name, "has animations, which are not read; drawn as the nodes pose it")
-    cameras: list[Camera] = []
     materials: Materials = {}
     surfaces: dict[int, list[ForeignObject]] = {}
     objects = []
     for node, world in _placed_nodes(file):
-        if node.camera is not None:
-            cameras += _camera(file.item(file.root.cameras, node.camera, where=node.where), world, remarks)
         if LAMPS in node.extensions:
             remarks.approximate(_name(node), "is a lamp without a size, which is left out")
         if node.mesh is None:
@@ -73,7 +65,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
         for index, part in enumerate(parts):
             own = node.name or mesh.name or part.name or "object"
             objects.append(_placed(part, f"{own}_{index}" if len(parts) > 1 else own, world))
-    return ForeignScene(objects=tuple(objects), up="y", cameras=tuple(cameras), license=_license_of(file.root))
+    return ForeignScene(objects=tuple(objects), up="y", license=_license_of(file.root))
 
 
 def _placed_nodes(file: GltfFile) -> Iterator[tuple[Node, Float[np.ndarray, "4 4"]]]:
@@ -111,23 +103,8 @@ def _local(node: Node) -> Float[np.ndarray, "4 4"]:
     return matrix
 
 
-def _name(entry: Node | records.Camera) -> str:
+def _name(entry: Node) -> str:
     return entry.name or entry.where.rsplit(" ", 1)[-1]
-
-
-def _camera(camera: records.Camera, world: Float[np.ndarray, "4 4"], remarks: Remarks) -> list[Camera]:
-    """A camera in the world; none if it is orthographic. glTF's cameras are OpenGL's."""
-    if (lens := camera.perspective) is None:
-        remarks.approximate(_name(camera), "is an orthographic camera, which is left out")
-        return []
-    matrix = np.eye(4)
-    axes = matrix[:3, :3] = world[:3, :3] / np.maximum(np.linalg.norm(world[:3, :3], axis=0), MIN_SCALE)
-    matrix[:3, 3] = world[:3, 3]
-    if np.abs(axes.T @ axes - np.eye(3)).max() > MAX_SKEW or np.linalg.det(axes) < 0:
-        remarks.approximate(_name(camera), "is a camera that its node skews, mirrors or flattens, which is left out")
-        return []
-    focal = 0.5 * FILM / math.tan(lens.yfov / 2)
-    return [lens_of(focal, lens.aspect_ratio * FILM, FILM, where=camera.where).camera(matrix)]
 
 
 def _license_of(root: records.Gltf) -> str | None:

@@ -213,10 +213,6 @@ def image(name: str) -> str:
     return textured(f'<texture name="reflectance" type="bitmap"><string name="filename" value="{name}"/></texture>')
 
 
-def sensor(inner: str) -> str:
-    return f'<sensor type="perspective">{inner}</sensor>{CUBE}'
-
-
 SCENES: dict[str, str] = {
     "nothing to see": "",
     "an include": '<include filename="other.xml"/>' + CUBE,
@@ -235,8 +231,6 @@ SCENES: dict[str, str] = {
     "an interface to a denser medium": cube('<bsdf type="dielectric"><float name="ext_ior" value="1.6"/></bsdf>'),
     "a scattering medium": cube('<bsdf type="dielectric"/><medium name="interior" type="homogeneous"/>'),
     "a reference to nothing": cube('<ref id="gone"/>'),
-    "a sensor of an unknown axis": sensor('<string name="fov_axis" value="w"/>'),
-    "a sensor of no pixels": sensor('<film type="hdrfilm"><integer name="width" value="0"/></film>'),
     "a parameter that is not there": '<shape type="sphere"><float name="radius" value="$r"/></shape>',
     "tags without end": "<scene>" * 5000,
     "very many tags": '<float name="x" value="1"/>' * 200_001,

@@ -1,15 +1,14 @@
-"""Tests that a glTF file is read as viewers read it: arrays, nodes, instances, images, cameras."""
+"""Tests that a glTF file is read as viewers read it: arrays, nodes, instances, images."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.foreign import add, glass_entry, use_of
+from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder
 
 from datagen.data.meshes import face_corners, signed_volume
-from datagen.scene.description import CameraList
 from datagen.scene.finding import ImportChoices
 from datagen.scene.modelling import ball
 from hyaline_import.foreign import ForeignObject, ForeignScene
@@ -137,27 +136,3 @@ def test_skinned_meshes_are_left_out_and_shape_keys_are_not_read_and_both_are_to
     remarks = Remarks()
     assert [item.name for item in read(builder, tmp_path, remarks).objects] == ["face", "still"]
     assert told(remarks) == [("arm", True), ("face", True)]
-
-
-WIDE = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2.0}}
-
-
-def with_camera(folder: Path, camera: dict, **node: object) -> Path:
-    builder = add(GltfBuilder(), "box", BOX, glass_entry())
-    builder.node(camera=builder.add("cameras", camera), translation=[0, 0.2, 3], **node)
-    return builder.written(folder)
-
-
-def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
-    path = with_camera(tmp_path, WIDE, scale=[2, 2, 2])
-    around = import_scene(path, ImportChoices())
-    assert any("the file brings 1, which --cameras file takes" in line for line in around.told())
-    cameras = import_scene(path, ImportChoices(cameras="file")).scene.cameras
-    assert isinstance(cameras, CameraList)
-    lens = cameras.train
-    assert (lens.width, lens.height) == (2000, 1000)
-    assert lens.fov_x == pytest.approx(2 * math.atan(2 * math.tan(0.25)))
-    # glTF's +z is our -y, and the scene's box is on the ground.
-    height = float(BOX.vertices[:, 1].max())
-    np.testing.assert_allclose(lens.world_from_camera[0, :3, 3], (0, -3, 0.2 + height), atol=1e-5)
-    np.testing.assert_allclose(lens.world_from_camera[0, :3, 2], (0, -1, 0), atol=1e-9)
