@@ -36,8 +36,6 @@ from hyaline_import.foreign import (
     ForeignMap,
     ForeignMaterial,
     ForeignObject,
-    ForeignScene,
-    check_surfaces,
     elementwise,
     merged_by_material,
     with_cavities,
@@ -47,15 +45,7 @@ from hyaline_import.mapping import Mapper
 from hyaline_import.overlaps import apart, nested, parted
 from hyaline_import.pictures import veiled
 from hyaline_import.remarks import Remark, Remarks
-from hyaline_import.source import (
-    READERS,
-    check_ending,
-    check_overrides,
-    ending_of,
-    override,
-    parse_overrides,
-    scene_name,
-)
+from hyaline_import.source import chosen_materials, read_scene, scene_name
 from hyaline_import.staging import (
     LEAST_GLOW,
     even_sky,
@@ -73,9 +63,6 @@ from hyaline_import.surfaces import (
     mend_surface,
     mesh_of,
 )
-
-MIN_SIDE = 16
-"""Pixels of the pictures that a ground can be made for."""
 
 RECORD_VERSION = 1
 
@@ -166,21 +153,17 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
     """
-    check_ending(path)
     if not path.exists():
         start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
         raise HyalineError(f"{path}: no such file; check the path{start}")
-    if resolution.mean_side < MIN_SIDE:
-        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
-    remarks, overrides = Remarks(), parse_overrides(choices.material)
-    foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
-    check_surfaces(foreign.objects, where=path.name)
+    remarks = Remarks()
+    foreign = read_scene(path, remarks)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
     if len(parts) > MAX_OBJECTS - 1:  # The ground is one more.
         parts = merged_by_material(parts, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
-    check_overrides(overrides, names)
+    materials = chosen_materials(choices.material, names)
     points = np.concatenate([part.positions[np.unique(part.faces)] for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -199,7 +182,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     unmended: dict[str, HyalineError] = {}
     lights = [placed_light(light, linear, offset) for light in foreign.lights]
     for name, part in zip(names, parts, strict=True):
-        chosen = override(name, overrides)
+        chosen = materials.get(name)
         shining = _lamps(name, part, world) if chosen is None else ()
         lights += shining
         try:

@@ -73,7 +73,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     middle = (box[0] + box[1])[:2] / 2
     half = max(GROUND_RADII * reach, 1.05 * float(np.abs(np.stack([low[:2], high[:2]]) - middle).max()))
     gap = min(max(0.005 * reach, MIN_GAP), MAX_GAP)
-    texels = resolution.mean_side // 2
+    texels = max(resolution.mean_side // 2, 8)
     period = 2 * half * TEXELS_A_PERIOD / texels
     remarks.note(
         "ground",
