@@ -22,7 +22,7 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.gltf import file as records
 from hyaline_import.gltf.file import GltfFile, Node, Primitive, unread
-from hyaline_import.gltf.materials import TextureUse, read_material, wrapped
+from hyaline_import.gltf.materials import TextureUse, read_material
 from hyaline_import.remarks import Remarks
 
 LAMPS = "KHR_lights_punctual"
@@ -137,7 +137,7 @@ def _surfaces(file: GltfFile, mesh: records.Mesh, materials: Materials, remarks:
             continue
         uv = None
         if use is not None and (raw := attributes.get(f"TEXCOORD_{use.channel}")) is not None:
-            uv = wrapped(use.uv_from_file(raw), faces, use.repeats, remarks, where=mesh.name or material.name)
+            uv = use.uv_from_file(raw)
         yield ForeignObject(
             name=mesh.name or material.name,
             positions=attributes["POSITION"],

@@ -27,7 +27,6 @@ from hyaline_import.foreign import (
     elementwise,
     read_foreign,
 )
-from hyaline_import.gltf.materials import wrapped
 from hyaline_import.mitsuba.nodes import FoundMaterial, Node, NodeList, absorption_of, read_bsdf
 from hyaline_import.plain import read_obj, read_ply_file
 from hyaline_import.remarks import Remarks
@@ -93,7 +92,6 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleL
             flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
             flat = flat @ found.image_from_uv.T
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
-            uv = wrapped(uv, item.faces, (found.repeats, found.repeats), remarks, where=node.name)
         objects.append(replace(item, uv=uv, material=material))
 
 
