@@ -162,17 +162,10 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
             raise ValueError(f"{len(values)} numbers of a {model}")
         lenses[int(camera)] = ColmapCamera(width=int(width), height=int(height), model=model, values=values)
     lines = _lines(images)
-    # The second line of each image lists its points; some tools leave it out if there are none.
-    first = lines[::2] if all(map(_lists_points, lines[1::2])) else [line for line in lines if not _lists_points(line)]
-    for line in filter(str.strip, first):
+    for line in filter(str.strip, lines[::2]):  # The second line of each image lists its points.
         *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
         listed.append((name.rstrip(), int(numbers[8]), tuple(map(float, numbers[1:8]))))
     return lenses, listed
-
-
-def _lists_points(line: str) -> bool:
-    words = line.split()
-    return not words or words[-1].lstrip("-").isdigit()
 
 
 def _lines(path: Path) -> list[str]:
