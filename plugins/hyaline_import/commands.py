@@ -43,16 +43,11 @@ class DatasetImportChoices:
             raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
 
 
-SCENES_ROOT = Path("scenes")
-"""Default folder for imported scenes."""
-
-
 def import_file(
     file: Path,
     /,
     *,
     out: Path | None = None,
-    overwrite: bool = False,
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL or Mitsuba XML.
@@ -63,16 +58,15 @@ def import_file(
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .xml.
-        out: Folder to write. Default: scenes/NAME.
-        overwrite: Replace an existing imported scene.
+        out: Folder to write, new or empty. Default: scenes/NAME.
     """
     from hyaline_import.confined_import import check_free, imported_scene, write_imported
     from hyaline_import.source import scene_name
 
-    root = out or SCENES_ROOT / scene_name(file)
-    check_free(root, overwrite=overwrite)
+    root = out or Path("scenes") / scene_name(file)
+    check_free(root)
     scene, told, record = imported_scene(file, choices, resolution=DEFAULT_RESOLUTION)
-    write_imported(scene, record, root, overwrite=overwrite)
+    write_imported(scene, record, root)
     say_all(told)
     tell(str(root))
     next_command(shlex.join(["datagen", "build", str(root)]))

@@ -27,7 +27,7 @@ from datagen.scene.description import (
 from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene
-from datagen.scene.rig import LIGHT
+from datagen.scene.rig import LIGHT, rig_around
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
 from hyaline_import.foreign import (
@@ -53,7 +53,7 @@ from hyaline_import.staging import (
     glowing,
     has_ground,
     make_ground,
-    make_rig,
+    open_arc,
     placed_light,
     placed_map,
 )
@@ -63,8 +63,6 @@ from hyaline_import.surfaces import (
     mend_surface,
     mesh_of,
 )
-
-RECORD_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,9 +83,9 @@ class Imported:
             for what, places in wheres.items()
         ]
         glass = sum(item.material.is_glass for item in self.scene.objects)
-        what = "none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
-        what = f"{glass} of them glass" if glass else what
-        return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}"]
+        what = f"{glass or 'none'} of them glass"
+        advice = "" if glass else "; mark it with --material glass, or --material 'OBJECT=glass'"
+        return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}{advice}"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -197,7 +195,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
             raise error
         remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
     objects = made.placed(remarks, where=path.name)
-    rig = make_rig(objects, remarks)
+    rig = rig_around(objects, azimuth_deg=open_arc(objects, remarks))
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
@@ -222,7 +220,6 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     )
     scene = made.finished(scene, world)
     record: dict[str, Json] = {
-        "version": RECORD_VERSION,
         "source": path.name,
         "source_sha256": sha256(read_regular(path)),
         "scale": scale,

@@ -13,7 +13,6 @@ from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
 from hyaline_import.remarks import Remarks
 
-Opacity = Float32[np.ndarray, "tex_h tex_w"]
 MAX_SIDE = 2048
 """Texels a side that are kept."""
 POINTS = 4096
@@ -97,7 +96,7 @@ def veiled(
     return dataclasses.replace(material, alpha=1.0, alpha_mode="opaque", opacity=None) if left >= MOSTLY else None
 
 
-def _opacity(material: ForeignMaterial) -> Opacity:
+def _opacity(material: ForeignMaterial) -> Float32[np.ndarray, "tex_h tex_w"]:
     """Per texel, the factor included; one texel without an image."""
     if material.opacity is not None:
         pixels = decoded(material.opacity)

@@ -33,8 +33,6 @@ from hyaline_import.remarks import Remarks
 
 WIDTHS = {"v": 3, "vt": 2, "vn": 3}
 """Numbers of a position, of uv and of a normal; a corner names them in this order."""
-MAX_CORNERS = 10_000
-"""The most corners of one polygon."""
 PBR_KEYS = ("pr", "pm", "ps", "pc")
 """Keys of the physically based extension. With them, Blender writes the weight of transmission as Tf."""
 GLASS_MODELS = (4, 6, 7, 9)
@@ -77,8 +75,8 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
             numbers[key].append(floats(words, WIDTHS[key], where=where))
             has_colors |= key == "v" and len(words) >= 6
         elif key == "f":
-            if not 3 <= len(rest) <= MAX_CORNERS:
-                raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected 3 to {MAX_CORNERS}")
+            if len(rest) < 3:
+                raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected at least 3")
             surface = surfaces.setdefault((names["o"] or names["g"], names["usemtl"]), [])
             surface.append([_corner(numbers, word, where=where) for word in rest])
         elif key in names:

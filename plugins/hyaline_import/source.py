@@ -31,8 +31,6 @@ READERS: Group[Callable] = Group(
 )
 """Functions (Path, Remarks) -> ForeignScene by the ending of a file (plugins/hyaline_import/foreign.py)."""
 
-EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
-
 MAX_NAMED = 20
 """Objects that an error lists."""
 
@@ -62,7 +60,10 @@ def check_ending(path: Path) -> None:
     """Refuses a file that no reader reads."""
     if ending_of(path) not in READERS.names():
         known = ", ".join(f".{name}" for name in READERS.names())
-        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+        raise HyalineError(
+            f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; open it in Blender, or in what it was "
+            "made with, and export it as glTF 2.0 (.glb)"
+        )
 
 
 def scene_name(path: Path) -> str:

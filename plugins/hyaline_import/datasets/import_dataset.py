@@ -39,7 +39,6 @@ READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
 )
 """Each gets a folder, and returns None where it is not of its layout."""
 
-PRESET = "imported"
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
 """Stands in for the unknown light: such a scene is never rendered."""
 
@@ -96,7 +95,9 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
 def imported_config(name: str, size: Resolution, views: Mapping[Split, Sequence[ForeignView]]) -> DatasetConfig:
     """The configuration of a dataset of these views."""
     train, near, far = (SplitConfig(views=len(views[split]), spp=None) for split in SPLITS)
-    return DatasetConfig(scene=name, preset=PRESET, resolution=size, train=train, interpolating=near, extrapolating=far)
+    return DatasetConfig(
+        scene=name, preset="imported", resolution=size, train=train, interpolating=near, extrapolating=far
+    )
 
 
 def read_foreign_dataset(root: Path) -> ForeignDataset:

@@ -32,7 +32,6 @@ READ = {
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
-VOLUME = "KHR_materials_volume"
 REPEATS = "its image does not repeat in the file; here it does, where uv reach beyond it"
 
 
@@ -93,7 +92,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
-    volume = entry.extension(VOLUME)
+    volume = entry.extension("KHR_materials_volume")
     material = ForeignMaterial(
         name=name,
         base_color=clipped_color(color),

@@ -25,7 +25,6 @@ from hyaline_import.gltf.file import GltfFile, Node, Primitive, unread
 from hyaline_import.gltf.materials import TextureUse, read_material
 from hyaline_import.remarks import Remarks
 
-LAMPS = "KHR_lights_punctual"
 MAX_COORDINATE = 1e18
 MIN_SCALE = 1e-10
 """Scale below which there is nothing to see."""
@@ -45,7 +44,7 @@ def read_gltf(path: Path, remarks: Remarks) -> ForeignScene:
     surfaces: dict[int, list[ForeignObject]] = {}
     objects = []
     for node, world in _placed_nodes(file):
-        if LAMPS in node.extensions:
+        if "KHR_lights_punctual" in node.extensions:
             remarks.approximate(_name(node), "is a lamp without a size, which is left out")
         if node.mesh is None:
             continue
