@@ -63,7 +63,7 @@ def build(
 
 
 def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) -> None:  # noqa: B008
-    """Add test views to a dataset: edited scenes, scenes without glass, other angles, larger pictures.
+    """Add views to a dataset: edited scenes, scenes without glass, other angles, larger pictures, stereo pairs.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.

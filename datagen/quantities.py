@@ -250,9 +250,10 @@ class ViewQuantities:
         return self.view.mask("glass")
 
     @checked
-    def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        """True where the ray hits the object of this name first."""
-        return self.object_id == self.view.dataset.object_id(name)
+    def object_mask(self, name: str, *, amodal: bool = False) -> Bool[np.ndarray, "h w"]:
+        """True where the ray hits the object of this name first; amodal: at all, in any stored layer."""
+        hits = self.layers.object_id == self.view.dataset.object_id(name)
+        return hits.any(axis=0) if amodal else hits[0]
 
     # Where they are
 
@@ -275,6 +276,20 @@ class ViewQuantities:
     def opaque_depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
         """Depth of the first opaque surface along the camera's viewing axis, in metres."""
         return self._along_axis(self.opaque_depth_along_ray)
+
+    @checked
+    def disparity(self, baseline: float, surface: Literal["first", "opaque"] = "first") -> Float32[np.ndarray, "h w"]:
+        """Pixels by which a surface lies further left as seen by a second camera, the right one of a rectified pair.
+
+        Focal length times baseline over depth: what pixel (x, y) shows is at (x - disparity, y) there. 0 without one.
+
+        Args:
+            baseline: metres between both cameras, along the x axis.
+            surface: first, glass or not; opaque: the first opaque one on the straight ray, as if glass did not bend
+                light, which may differ between the two pictures where it does.
+        """
+        depth = self.depth_along_axis if surface == "first" else self.opaque_depth_along_axis
+        return np.divide(self.view.camera.focal * baseline, depth, out=np.zeros_like(depth), where=depth > 0)
 
     @functools.cached_property
     def position(self) -> Float32[np.ndarray, "h w 3"]:

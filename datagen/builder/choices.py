@@ -42,6 +42,8 @@ class BuildChoices:
     """Build part I of N of all views, such as 2/4. Parts may run at the same time on machines of one kind that share
     the folder; together they give the bytes of a single build. If a part failed, the same command without --shard
     builds the rest."""
+    stereo: float | None = None
+    """Also render every view from a second camera this many metres to its right, such as 0.06."""
     quiet: bool = False
     """Print no progress and no remarks."""
 
@@ -132,6 +134,8 @@ class AddChoices:
     """Render the test views at N times their width and height, such as 2. May be repeated."""
     larger_views: int | None = None
     """With --larger: number of evenly spaced views of each test split. Default: all."""
+    stereo: float | None = None
+    """Render every view from a second camera this many metres to its right, such as 0.06: rectified stereo pairs."""
     workers: int = 1
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
