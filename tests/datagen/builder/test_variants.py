@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageSequence
 from support.builds import tree
 from support.commands import Answer, call
 from support.synthetic import synthetic_scene
@@ -20,6 +21,7 @@ from datagen.data.dataset import open_dataset
 from datagen.data.images import read_png
 from datagen.data.variants import evenly, has_variant, open_variant
 from datagen.disk.errors import HyalineError
+from datagen.quantities import quantities
 from datagen.scene.folder import save_scene
 from eval.page.report import make_report
 
@@ -92,6 +94,27 @@ def test_every_view_has_a_right_one_with_noise_of_its_own(made: tuple[Path, dict
             assert other.record.seed != left.record.seed and other.layers().object_id.any()
     with pytest.raises(HyalineError, match="stereo: is 60; expected metres, more than 0 and at most 10"):
         plan_stereo(dataset, 60)
+
+
+def test_a_labelled_film_shows_the_views_of_a_variant_that_goes_on(made: tuple[Path, dict[str, bytes]]) -> None:
+    data, out = made[0] / "data/mine", made[0] / "film.webp"
+    film = ("datagen", "film", data, "--labels", "--frames", 3, "--spp", 4, "--width", 24, "--out", out)
+    assert command(*film).out.split() == [str(data / "variants/film-orbit"), str(out)]
+    first = tree(data / "variants/film-orbit")
+    frames = open_variant(open_dataset(data), "film-orbit").views("interpolating")
+    with Image.open(out) as shown:
+        for view, picture in zip(frames, ImageSequence.Iterator(shown), strict=True):
+            assert np.abs(np.asarray(picture.convert("RGB")).astype(float) - view.image).mean() < 4
+    assert [view.camera.width for view in frames] == [24] * 3
+    depth = quantities(frames[2]).opaque_depth_along_axis
+    assert depth.shape == (24, 24) and (depth > quantities(frames[2]).depth_along_axis).any()
+    out.unlink()
+    frames[1].record_path.unlink()
+    assert command(*film).status == 0
+    assert tree(data / "variants/film-orbit") == first
+    assert command("datagen", "export", frames[0].dataset.root, "--format", "bop", "--out", made[0] / "bop").status == 0
+    assert len([*(made[0] / "bop/test_pbr/000000/rgb").iterdir()]) == 3
+    shutil.rmtree(data / "variants/film-orbit")
 
 
 def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
