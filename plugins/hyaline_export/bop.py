@@ -5,6 +5,7 @@
     ROLE_pbr/000000/scene_gt_info.json   by picture, each object: boxes, numbers of pixels, visible share
     ROLE_pbr/000000/rgb/000000.png       8-bit sRGB
     ROLE_pbr/000000/depth/000000.png     16 bits, millimetres along the axis to the first surface, glass or not; 0: none
+                                         (bop-sensor: as a structured-light camera measures it, sensor.py)
     ROLE_pbr/000000/mask/000000_000000.png           picture, object: the object's silhouette, 255, also behind others
     ROLE_pbr/000000/mask_visib/000000_000000.png     where the object is seen first: glass hides what is behind it
     models/obj_000001.ply, models/models_info.json   shapes, diameters, symmetries of glass
@@ -35,6 +36,7 @@ from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.quantities import surfaces_of
 from datagen.trace.peel import Peeler
 from hyaline_export.formats import Format
+from hyaline_export.sensor import sensor_depth
 from hyaline_export.source import Source, depth_png, mask_png, rgb_png, tracked
 
 MM = 1000.0
@@ -110,7 +112,7 @@ def _around(axis: list[float]) -> Json:
     return {"axis": [*axis], "offset": [0.0, 0.0, 0.0]}
 
 
-def _bop(source: Source) -> Iterator[tuple[str, bytes]]:
+def _bop(source: Source, *, has_sensor: bool) -> Iterator[tuple[str, bytes]]:
     use_mitsuba()
     there = zip(source.dataset.objects, surfaces_of(source.dataset).meshes, strict=True)
     models = [
@@ -131,7 +133,8 @@ def _bop(source: Source) -> Iterator[tuple[str, bytes]]:
         cameras, truths, infos = scenes.setdefault(folder, [{}, {}, {}])
         number, camera, found = len(cameras), item.view.camera, item.quantities
         yield f"{folder}/rgb/{number:06d}.png", rgb_png(item)
-        yield f"{folder}/depth/{number:06d}.png", depth_png(found.depth_along_axis)
+        depth = sensor_depth(found) if has_sensor else found.depth_along_axis
+        yield f"{folder}/depth/{number:06d}.png", depth_png(depth)
         rotation = (camera.world_from_camera[:3, :3] @ np.diag([1.0, -1.0, -1.0])).T  # OpenCV's y is down, z ahead.
         place, turn = camera.world_from_camera[:3, 3], rotation.ravel().tolist()
         pose = {"cam_R_w2c": turn, "cam_t_w2c": (-MM * rotation @ place).tolist()}
@@ -140,7 +143,7 @@ def _bop(source: Source) -> Iterator[tuple[str, bytes]]:
             seen, silhouette = found.object_id == model.object_id, _silhouette(camera, model)
             mask = _within(silhouette, seen.shape)
             at = (MM * rotation @ (model.center - place)).tolist()
-            counts = _counts(silhouette, np.argwhere(seen), int((mask & ~found.background).sum()))
+            counts = _counts(silhouette, np.argwhere(seen), int((mask & (depth > 0)).sum()))
             lines.append(({"obj_id": model.object_id, "cam_R_m2c": turn, "cam_t_m2c": at}, counts))
             for kind, picture in (("mask", mask), ("mask_visib", seen)):
                 yield f"{folder}/{kind}/{number:06d}_{index:06d}.png", mask_png(picture)
@@ -151,7 +154,9 @@ def _bop(source: Source) -> Iterator[tuple[str, bytes]]:
             yield f"{folder}/scene_{name}.json", dump_json(content)
 
 
-BOP = Format(files=_bop, hint="cat OUT/models/models_info.json", takes_variants=True)
+HINT = "cat OUT/models/models_info.json"
+BOP = Format(files=functools.partial(_bop, has_sensor=False), hint=HINT, takes_variants=True)
+BOP_SENSOR = Format(files=functools.partial(_bop, has_sensor=True), hint=HINT, takes_variants=True)
 
 Pixels = Int[np.ndarray, "pixel 2"]
 """Row and column."""

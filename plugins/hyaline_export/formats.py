@@ -37,6 +37,7 @@ FORMATS: Group[Format] = Group(
         "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
         "colmap": "hyaline_export.colmap:COLMAP",
         "bop": "hyaline_export.bop:BOP",
+        "bop-sensor": "hyaline_export.bop:BOP_SENSOR",
         "capture": "hyaline_export.transforms:CAPTURE",
         "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
     },

@@ -29,6 +29,7 @@ from datagen.scene.modelling import lathe
 from datagen.terminal.plugins import VERSION
 from hyaline_export.bop import symmetries
 from hyaline_export.formats import FORMATS, export_dataset
+from hyaline_export.sensor import BASELINE, sensor_depth
 from hyaline_export.source import Source
 
 POINTS = 600
@@ -180,6 +181,36 @@ def test_a_solid_of_revolution_is_symmetric_around_its_axis(sides: int, key: str
         points[:, :2] *= 1 - 0.1 * (np.cos(sides * turn) > 0.999)[:, None]
     found = symmetries(points, points[:1], 0.13)
     assert [*found] == ([] if key is None else [f"symmetries_{key}"])
+
+
+def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is_hidden(
+    dataset: Dataset, exports: dict[str, Path]
+) -> None:
+    scene = exports["bop-sensor"] / "train_pbr/000000"
+    cube = surfaces_of(dataset).meshes[4]
+    num_hidden = num_through = 0
+    for name, read in read_bop(scene).items():
+        found = quantities(view_of(dataset, name))
+        camera, depth = found.view.camera, sensor_depth(found)
+        stored = read_picture(scene / f"depth/{read.frame['number']:06d}.png") / 1000
+        assert np.abs(stored - depth).max() <= 0.0005 + 1e-6 and not depth[found.background].any()
+        disparity = camera.focal * BASELINE / depth[depth > 0]
+        assert np.abs(8 * disparity - np.rint(8 * disparity)).max() < 1e-3
+        true = np.where(found.glass, found.light_ends.depth_along_axis, found.depth_along_axis)
+        off = np.abs(camera.focal * BASELINE * (1 / depth[depth > 0] - 1 / true[depth > 0]))
+        assert off.max() < 1 / 16 + 1e-4  # Half a step.
+        on_floor = found.object_mask("floor")
+        towards = (
+            camera.world_from_camera[:3, 3] + BASELINE * camera.world_from_camera[:3, 0] - found.position[on_floor]
+        )
+        blocker = trimesh.Trimesh(cube.vertices, cube.faces, process=False)
+        is_hidden = blocker.ray.intersects_any(found.position[on_floor] + 1e-3 * towards, towards)
+        assert ((depth[on_floor] == 0) == is_hidden).mean() > 0.995
+        # A ball turns what is behind it upside down.
+        assert not depth[found.object_mask("ball") & (found.opaque_object_id == 1)].any()
+        through = found.object_mask("slab") & (depth > 0) & (found.light_ends.object_id == 1)
+        num_hidden, num_through = num_hidden + is_hidden.sum(), num_through + through.sum()
+    assert num_hidden > 5 and num_through > 300
 
 
 def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict[str, Path]) -> None:
