@@ -200,9 +200,7 @@ def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is
         off = np.abs(camera.focal * BASELINE * (1 / depth[depth > 0] - 1 / true[depth > 0]))
         assert off.max() < 1 / 16 + 1e-4  # Half a step.
         on_floor = found.object_mask("floor")
-        towards = (
-            camera.world_from_camera[:3, 3] + BASELINE * camera.world_from_camera[:3, 0] - found.position[on_floor]
-        )
+        towards = camera.world_from_camera[:3] @ [BASELINE, 0, 0, 1] - found.position[on_floor]
         blocker = trimesh.Trimesh(cube.vertices, cube.faces, process=False)
         is_hidden = blocker.ray.intersects_any(found.position[on_floor] + 1e-3 * towards, towards)
         assert ((depth[on_floor] == 0) == is_hidden).mean() > 0.995
