@@ -18,6 +18,7 @@ world's. `obj_id` is the dataset's object id. Silhouettes are counted beyond the
 Source: https://github.com/thodan/bop_toolkit/blob/master/docs/bop_datasets_format.md, scripts/calc_gt_info.py.
 """
 
+import dataclasses
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from datagen.data.cameras import Camera
+from datagen.data.config import DatasetObject
 from datagen.data.meshes import Mesh, face_corners, is_there
 from datagen.data.ply import write_ply
 from datagen.disk.records import Json, dump_json
@@ -46,41 +48,29 @@ MAX_ORDER, ROUND = 128, 24
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Model:
-    """An object and its mesh."""
+    """An object, its mesh in the world in metres, and the middle of its box."""
 
     object_id: int
-    name: str
-    is_glass: bool
+    item: DatasetObject
     mesh: Mesh
-
-    @functools.cached_property
-    def center(self) -> Float[np.ndarray, "3"]:
-        """Middle of its bounding box in the world, metres."""
-        return (self.mesh.vertices.min(axis=0) + self.mesh.vertices.max(axis=0)).astype(np.float64) / 2
-
-    @functools.cached_property
-    def points(self) -> Float[np.ndarray, "point 3"]:
-        """Its vertices without repeats, in its own frame, millimetres."""
-        return MM * (np.unique(self.mesh.vertices, axis=0) - self.center)
-
-    @functools.cached_property
-    def peeler(self) -> Peeler:
-        return Peeler((self.mesh,))
+    center: Float[np.ndarray, "3"]
+    peeler: Peeler
 
     def ply(self) -> bytes:
         vertices = (MM * (self.mesh.vertices - self.center)).astype(np.float32)
-        return write_ply(Mesh(vertices=vertices, faces=self.mesh.faces, normals=self.mesh.normals, uv=self.mesh.uv))
+        return write_ply(dataclasses.replace(self.mesh, vertices=vertices))
 
     def info(self) -> dict[str, Json]:
         """Its entry in models_info.json."""
+        points = MM * (np.unique(self.mesh.vertices, axis=0) - self.center)
         # Joggled, since the points of a pane lie in a plane.
-        outside = self.points[ConvexHull(self.points, qhull_options="QJ").vertices]
+        outside = points[ConvexHull(points, qhull_options="QJ").vertices]
         diameter = max(float(cdist(part, outside).max()) for part in np.array_split(outside, len(outside) // 1000 + 1))
-        low, size = self.points.min(axis=0), np.ptp(self.points, axis=0)
-        box = {f"{what}_{axis}": float(v) for what, at in (("min", low), ("size", size)) for axis, v in zip("xyz", at)}
-        about: dict[str, Json] = {"name": self.name, "is_glass": self.is_glass, "diameter": diameter}
+        box = {"min": points.min(axis=0).tolist(), "size": np.ptp(points, axis=0).tolist()}
+        sides: dict[str, Json] = {f"{key}_{axis}": at for key in box for axis, at in zip("xyz", box[key], strict=True)}
         centers = MM * (face_corners(self.mesh).mean(axis=1) - self.center)
-        return {**about, **box, **(symmetries(self.points, centers, diameter) if self.is_glass else {})}
+        known = symmetries(points, centers, diameter) if self.item.is_glass else {}
+        return {"name": self.item.name, "is_glass": self.item.is_glass, "diameter": diameter, **sides, **known}
 
 
 def symmetries(
@@ -115,11 +105,11 @@ def _around(axis: list[float]) -> Json:
 def _bop(source: Source, *, has_sensor: bool) -> Iterator[tuple[str, bytes]]:
     use_mitsuba()
     there = zip(source.dataset.objects, surfaces_of(source.dataset).meshes, strict=True)
-    models = [
-        _Model(object_id=number, name=item.name, is_glass=item.is_glass, mesh=mesh)
-        for number, (item, mesh) in enumerate(there, start=1)
-        if is_there(mesh)
-    ]
+    models = []
+    for number, (item, mesh) in enumerate(there, start=1):
+        if is_there(mesh):
+            center = (mesh.vertices.min(axis=0) + mesh.vertices.max(axis=0)).astype(np.float64) / 2
+            models.append(_Model(object_id=number, item=item, mesh=mesh, center=center, peeler=Peeler((mesh,))))
     for model in models:
         yield f"models/obj_{model.object_id:06d}.ply", model.ply()
     yield "models/models_info.json", dump_json({str(model.object_id): model.info() for model in models})
@@ -168,10 +158,11 @@ def _silhouette(camera: Camera, model: _Model) -> Pixels:
     pixels, depth = camera.project(model.mesh.vertices.astype(np.float64))
     low, high = -size, 2 * size
     if (depth > 0).all():
-        low, high = (np.clip(edge(pixels, axis=0), -size, 2 * size).astype(int) for edge in (np.min, np.max))
-    origin, directions = camera.rays((*(low - 1).tolist(), *(high + 1).tolist()))
+        low, high = np.floor(pixels.min(axis=0)), np.ceil(pixels.max(axis=0))
+    left, top, right, bottom = np.clip([low, high], -size, 2 * size).astype(int).ravel().tolist()
+    origin, directions = camera.rays((left, top, right, bottom))
     hits = model.peeler.trace(origin, directions.reshape(-1, 3), 1).shape[0] >= 0
-    return np.argwhere(hits.reshape(directions.shape[:2])) + low[::-1] - 1
+    return np.add(np.argwhere(hits.reshape(directions.shape[:2])), (top, left))
 
 
 def _within(pixels: Pixels, shape: tuple[int, ...]) -> Bool[np.ndarray, "h w"]:

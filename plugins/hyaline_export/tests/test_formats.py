@@ -165,17 +165,15 @@ def test_bop_models_are_in_millimetres_with_their_diameters_and_symmetries(
         assert np.abs(model.bounds.sum(axis=0)).max() < 1e-3
         assert info["diameter"] == pytest.approx(scipy.spatial.distance.pdist(np.unique(model.vertices, axis=0)).max())
     found = {info["name"]: {key: value for key, value in info.items() if "sym" in key} for info in infos.values()}
-    axes = [sym["axis"] for sym in found["ball"]["symmetries_continuous"]]
-    assert axes == np.eye(3).tolist() and not found["floor"] and not found["cube"]
+    assert [sym["axis"] for sym in found["ball"]["symmetries_continuous"]] == np.eye(3).tolist()
+    assert len(found["pane"]["symmetries_discrete"]) == 1 and not found["floor"] and not found["cube"]
     turns = np.reshape(found["slab"]["symmetries_discrete"], (3, 4, 4))
     assert np.abs(turns[:, :2, :2] - [[[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]]).max() < 1e-9
-    assert len(found["pane"]["symmetries_discrete"]) == 1
 
 
 @pytest.mark.parametrize(("sides", "key"), [(84, "continuous"), (7, "discrete"), (1, None)])
 def test_a_solid_of_revolution_is_symmetric_around_its_axis(sides: int, key: str | None) -> None:
-    profile = [(0.0, 0.0), (0.03, 0.0), (0.04, 0.1), (0.0, 0.1)]
-    points = lathe(profile, segments=84).vertices.astype(float)
+    points = lathe([(0.0, 0.0), (0.03, 0.0), (0.04, 0.1), (0.0, 0.1)], segments=84).vertices.astype(float)
     if key != "continuous":  # Dents at as many of its sides.
         turn = np.arctan2(points[:, 1], points[:, 0])
         points[:, :2] *= 1 - 0.1 * (np.cos(sides * turn) > 0.999)[:, None]
@@ -187,22 +185,19 @@ def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is
     dataset: Dataset, exports: dict[str, Path]
 ) -> None:
     scene = exports["bop-sensor"] / "train_pbr/000000"
-    cube = surfaces_of(dataset).meshes[4]
+    cube = trimesh.Trimesh(surfaces_of(dataset).meshes[4].vertices, surfaces_of(dataset).meshes[4].faces)
     num_hidden = num_through = 0
     for name, read in read_bop(scene).items():
         found = quantities(view_of(dataset, name))
         camera, depth = found.view.camera, sensor_depth(found)
         stored = read_picture(scene / f"depth/{read.frame['number']:06d}.png") / 1000
         assert np.abs(stored - depth).max() <= 0.0005 + 1e-6 and not depth[found.background].any()
-        disparity = camera.focal * BASELINE / depth[depth > 0]
-        assert np.abs(8 * disparity - np.rint(8 * disparity)).max() < 1e-3
         true = np.where(found.glass, found.light_ends.depth_along_axis, found.depth_along_axis)
-        off = np.abs(camera.focal * BASELINE * (1 / depth[depth > 0] - 1 / true[depth > 0]))
-        assert off.max() < 1 / 16 + 1e-4  # Half a step.
+        steps, exact = (8 * camera.focal * BASELINE / values[depth > 0] for values in (depth, true))
+        assert np.abs(steps - np.rint(steps)).max() < 0.01 and np.abs(steps - exact).max() < 0.51
         on_floor = found.object_mask("floor")
         towards = camera.world_from_camera[:3] @ [BASELINE, 0, 0, 1] - found.position[on_floor]
-        blocker = trimesh.Trimesh(cube.vertices, cube.faces, process=False)
-        is_hidden = blocker.ray.intersects_any(found.position[on_floor] + 1e-3 * towards, towards)
+        is_hidden = cube.ray.intersects_any(found.position[on_floor] + 1e-3 * towards, towards)
         assert ((depth[on_floor] == 0) == is_hidden).mean() > 0.995
         # A ball turns what is behind it upside down.
         assert not depth[found.object_mask("ball") & (found.opaque_object_id == 1)].any()

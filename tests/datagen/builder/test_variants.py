@@ -105,13 +105,11 @@ def test_a_labelled_film_shows_the_views_of_a_variant_that_goes_on(made: tuple[P
     with Image.open(out) as shown:
         for view, picture in zip(frames, ImageSequence.Iterator(shown), strict=True):
             assert np.abs(np.asarray(picture.convert("RGB")).astype(float) - view.image).mean() < 4
-    assert [view.camera.width for view in frames] == [24] * 3
     depth = quantities(frames[2]).opaque_depth_along_axis
     assert depth.shape == (24, 24) and (depth > quantities(frames[2]).depth_along_axis).any()
     out.unlink()
     frames[1].record_path.unlink()
-    assert command(*film).status == 0
-    assert tree(data / "variants/film-orbit") == first
+    assert command(*film).status == 0 and tree(data / "variants/film-orbit") == first
     assert command("datagen", "export", frames[0].dataset.root, "--format", "bop", "--out", made[0] / "bop").status == 0
     assert len([*(made[0] / "bop/test_pbr/000000/rgb").iterdir()]) == 3
     shutil.rmtree(data / "variants/film-orbit")

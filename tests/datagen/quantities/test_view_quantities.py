@@ -72,11 +72,8 @@ def test_the_right_camera_sees_the_point_of_a_pixel_further_left_by_its_disparit
     right, num_seen, num_hidden = plan_stereo(dataset, 0.06).cameras["train"], 0, 0
     for view in dataset.views("train"):
         found, camera = quantities(view), right[view.index]
-        points, disparity = (
-            found.position if surface == "first" else found.opaque_position,
-            found.disparity(0.06, surface),
-        )
-        there = points.any(axis=-1)
+        points = found.position if surface == "first" else found.opaque_position
+        there, disparity = points.any(axis=-1), found.disparity(0.06, surface)
         assert disparity[there].min() > 0.5 and not disparity[~there].any()
         rows, columns = np.nonzero(there)
         pixels = np.stack([columns + 0.5 - disparity[there], rows + 0.5, np.ones(len(rows))])
