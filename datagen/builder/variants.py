@@ -118,8 +118,9 @@ def plan_stereo(base: Dataset, baseline: float) -> Plan:
         raise HyalineError(f"stereo: is {baseline:g}; expected metres, more than 0 and at most {MAX_BASELINE:g}: 0.06")
     shift = np.eye(4)
     shift[0, 3] = baseline
-    left = {split: base.cameras(split) for split in SPLITS}
-    right = {split: dataclasses.replace(c, world_from_camera=c.world_from_camera @ shift) for split, c in left.items()}
+    right: dict[Split, Cameras] = {split: base.cameras(split) for split in SPLITS}
+    for split, left in right.items():
+        right[split] = dataclasses.replace(left, world_from_camera=left.world_from_camera @ shift)
     return Plan(
         name=f"stereo-{1000 * baseline:g}mm",
         config=dataclasses.replace(base.config, seed=base.config.seed ^ 1),
