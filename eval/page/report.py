@@ -6,6 +6,7 @@ REPORT/index.html      the page (eval/page/page.py)
 """
 
 import dataclasses
+import math
 import shlex
 import shutil
 import sys
@@ -121,7 +122,7 @@ def score_runs(
 
 def write_page(found: Scored, out: Path) -> Path:
     """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path."""
-    page = report_page(found.parts)
+    page = report_page(found.parts, out)
     with holding(out, REPORT):
         begin(out, REPORT, {"version": REPORT_VERSION})
         for name, data in {"results.json": dump_json(found.results), PAGE: page}.items():
@@ -247,8 +248,14 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
         title=title,
         has_glass_mask=has_glass_mask(dataset),
         truths=truths,
-        runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
+        runs=tuple(sorted(scored, key=_rank)),
     )
+
+
+def _rank(scores: RunScores) -> tuple[float, str]:
+    """Sorts by PSNR as tables do, the best run first."""
+    psnr = scores.mean("psnr_db", TEST_SPLITS[0])
+    return -(-math.inf if psnr is None else psnr), scores.run.name
 
 
 def _print_grids(grids: Sequence[Grid], output_format: str) -> None:

@@ -91,7 +91,7 @@ def test_json_on_stdout_is_the_file_and_holds_the_scores_of_every_picture(
     assert results["made_by"] == {"command": "report", "code": code_version()}
     assert results["scenes"][0]["preset"] == "tiny"
     assert results["scenes"][0]["noise_ceiling_db"]["interpolating"] == pytest.approx(49.009)
-    assert list(runs) == ["foreign_nerf", "grey", "perfect"]
+    assert list(runs) == ["perfect", "foreign_nerf", "grey"]
 
     perfect, grey, foreign = runs["perfect"], runs["grey"], runs["foreign_nerf"]
     assert perfect["splits"]["interpolating"]["psnr_db"] == {"mean": "inf", "pictures": ["inf", "inf"]}
@@ -209,7 +209,7 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
     moved = copy / "elsewhere" / "synthetic"
     shutil.move(copy / "data", copy / "elsewhere")
     make_report(copy / "runs", copy / "data", copy / "out", output_format="json", only=moved)
-    assert list(runs_of(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect"]
+    assert list(runs_of(capsys.readouterr().out)) == ["perfect", "foreign_nerf", "grey"]
     with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
         make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="json")
 
@@ -224,7 +224,7 @@ def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixtu
     record.write_text(json.dumps(json.loads(record.read_text()) | {"dataset": str(copy / "data" / "synthetic")}))
     report(copy)
     rows = runs_of(capsys.readouterr().out)
-    assert list(rows) == ["again/perfect", "foreign_nerf", "grey", "synthetic/perfect"]
+    assert list(rows) == ["synthetic/perfect", "foreign_nerf", "again/perfect", "grey"]
     assert rows["again/perfect"]["splits"] == rows["grey"]["splits"]
     assert mean(rows["synthetic/perfect"], "psnr_db", "interpolating") == math.inf
 

@@ -176,6 +176,8 @@ def python_of(page: str) -> str:
 def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
     source = python_of(page)
     for usual, small in {
+        'open_dataset("demo")': 'open_dataset("glass_table")',
+        "demo/light-path-400-steps": "glass_table/light-path",
         "width=320, height=180": "width=32, height=18",
         "views=96": "views=5, test_views=1",
         'preset="demo"': 'preset="tiny", resolution=16, spp=4, test_spp=4',
