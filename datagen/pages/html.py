@@ -84,6 +84,7 @@ def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     )
     head = [
         tag("meta", charset="utf-8"),
+        GENERATOR,
         # `tag` would escape the policy's quotes: the same to browsers, but hard to read.
         Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
@@ -96,6 +97,15 @@ def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
     lines = ["<!DOCTYPE html>", '<html lang="en">', "<head>", *head, "</head>", body, "</html>", ""]
     return "\n".join(lines).encode()
+
+
+GENERATOR = tag("meta", name="generator", content="hyaline")
+
+
+def is_page(path: Path) -> bool:
+    """True for a file that `document` made."""
+    with path.open("rb") as file:
+        return GENERATOR.encode() in file.read(200)
 
 
 def anchor(*words: str) -> str:

@@ -264,5 +264,5 @@ def _print_grids(grids: Sequence[Grid], output_format: str) -> None:
 
 
 def _output_width() -> int:
-    """Columns of the terminal, at least what the tables need; the same 120 everywhere else."""
-    return max(TABLE_WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else TABLE_WIDTH
+    """Columns of the terminal; the same 120 everywhere else."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else TABLE_WIDTH
