@@ -19,7 +19,7 @@ from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json
 from datagen.disk.storage import read_regular
-from datagen.pages.charts import Line, line_chart
+from datagen.pages.charts import line_chart
 from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
@@ -227,8 +227,7 @@ def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Mark
     for key, points in curves.items():
         if len(points) > 1:
             title, y_title = TITLES.get(key, (key.replace("_", " "),) * 2)
-            line = Line(name=title, points=tuple(points))
-            charts.append(line_chart((line,), title=f"{title} by training step", x_title="step", y_title=y_title))
+            charts.append(line_chart(points, title=f"{title} by training step", x_title="step", y_title=y_title))
     if not charts:
         return tag("p", "The run's folder contains no training curves.", class_="note")
     note = tag("p", HELD_OUT_NOTE, class_="note") if "held_out_psnr" in curves else None
