@@ -152,11 +152,12 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     from datagen.disk.ownership import refuse_file
     from datagen.disk.storage import commit
     from datagen.look.look import look_page
-    from datagen.pages.html import is_page
+    from datagen.pages.html import GENERATOR
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
-    refuse_file(path, overwrite=overwrite or (path.is_file() and is_page(path)))
+    is_own = path.is_file() and GENERATOR.encode() in path.read_bytes()[:200]
+    refuse_file(path, overwrite=overwrite or is_own)
     if path.suffix != ".html":
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html")
     say(f"{opened.root}: writing {path}")

@@ -154,14 +154,14 @@ def _table(titles: tuple[str, ...], rows: list[list[Part]], *, head: int) -> Mar
 
 def _health(dataset: Dataset, split: Split) -> str:
     """The noise of a split, and what its shown views consist of."""
-    ceiling = dataset.noise_ceiling_db(split)
     views = [dataset.view(split, view) for view in _shown(dataset, split)]
     if not views:
         return "no view is built yet"
     black = 100 * np.mean([(view.image == 0).all(axis=-1).mean() for view in views])
-    glass, noise = UNKNOWN, UNKNOWN if ceiling is None else f"{ceiling:.1f} dB"
+    ceiling, glass = dataset.noise_ceiling_db(split), UNKNOWN
     if has_glass_mask(dataset):
         glass = f"{100 * np.mean([view.mask('glass').mean() for view in views]):.1f} %"
+    noise = UNKNOWN if ceiling is None else f"{ceiling:.1f} dB"
     return f"noise ceiling {noise}; pixels that see glass: {glass}; black pixels: {black:.1f} %"
 
 

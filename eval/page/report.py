@@ -6,7 +6,6 @@ REPORT/index.html      the page (eval/page/page.py)
 """
 
 import dataclasses
-import math
 import shlex
 import shutil
 import sys
@@ -248,14 +247,9 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
         title=title,
         has_glass_mask=has_glass_mask(dataset),
         truths=truths,
-        runs=tuple(sorted(scored, key=_rank)),
+        # As in tables, the best first.
+        runs=tuple(sorted(scored, key=lambda scores: -(scores.mean("psnr_db", TEST_SPLITS[0]) or 0))),
     )
-
-
-def _rank(scores: RunScores) -> tuple[float, str]:
-    """Sorts by PSNR as tables do, the best run first."""
-    psnr = scores.mean("psnr_db", TEST_SPLITS[0])
-    return -(-math.inf if psnr is None else psnr), scores.run.name
 
 
 def _print_grids(grids: Sequence[Grid], output_format: str) -> None:

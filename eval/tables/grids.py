@@ -90,11 +90,9 @@ def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False
 
 def _narrowed(grid: Grid, width: int) -> Grid:
     """The grid without the last columns, if all do not fit; a note says so."""
-    words = [
-        [*re.split(FOLDS, column.short), *(row[place] for row in grid.rows)]
-        for place, column in enumerate(grid.columns)
-    ]
-    ends = list(accumulate(max(map(len, column)) + 2 for column in words))
+    heads = [re.split(FOLDS, column.short) for column in grid.columns]
+    cells = zip(heads, zip(*grid.rows, strict=True), strict=True)
+    ends = list(accumulate(max(map(len, (*head, *column))) + 2 for head, column in cells))
     count = max(1, sum(end < width for end in ends))
     if count == len(ends):
         return grid
