@@ -63,7 +63,7 @@ def build(
 
 
 def add(dataset: str | None = None, /, *, choices: AddChoices = AddChoices()) -> None:  # noqa: B008
-    """Add test views to a dataset: edited scenes, scenes without glass, other angles, larger pictures.
+    """Add views to a dataset: edited scenes, scenes without glass, other angles, larger pictures, stereo pairs.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
@@ -119,6 +119,7 @@ def film(
     /,
     *,
     spp: int = 128,
+    labels: bool = False,
     choices: FilmChoices = FilmChoices(),  # noqa: B008
 ) -> None:
     """Path-trace a film of a dataset's scene; `model film` renders the same film with a trained run.
@@ -126,15 +127,21 @@ def film(
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         spp: Samples per pixel.
+        labels: Keep the frames as views of a variant, film-PATH, with depth, masks and all other labels.
     """
-    from datagen.builder.film import path_trace, plan_film, write_film
+    from datagen.builder.film import build_labelled, path_trace, plan_film, write_film
     from datagen.data.dataset import open_dataset
 
     opened = open_dataset(find_dataset(dataset))
     out = choices.out or Path(f"{opened.name}-truth.webp")
     cameras = plan_film(opened, choices, out)
     say(f"{opened.root}: rendering {out}")
-    write_film(out, path_trace(opened, cameras, spp=spp), choices.fps)
+    if labels:
+        variant = build_labelled(opened, cameras, choices, spp=spp)
+        write_film(out, (view.image for view in variant.views("interpolating")), choices.fps)
+        tell(str(variant.root))
+    else:
+        write_film(out, path_trace(opened, cameras, spp=spp), choices.fps)
     tell(str(out))
 
 

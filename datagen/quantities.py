@@ -177,31 +177,22 @@ def find_light_ends(camera: Camera, tracer: "LightPathTracer", is_glass: Bool[np
     direction = where_known(paths.direction[0, 0], paths.end_direction[0])
     attenuation = where_known(paths.throughput[0, 0], paths.end_throughput[0])
     # The end as seen from the camera; the sky is infinitely far, so only its direction counts.
-    seen = np.where(has_left[..., None], direction, position - camera.world_from_camera[:3, 3])
-    flow, is_ahead = _flow(camera, seen)
-    has_flow = is_known & is_ahead
-    ahead = seen @ -camera.world_from_camera[:3, 2]
+    center = camera.world_from_camera[:3, 3]
+    seen = np.where(has_left[..., None], direction, position - center).astype(np.float64)
+    pixels, ahead = (values.reshape(*shape, -1) for values in camera.project((center + seen).reshape(-1, 3)))
+    has_flow = is_known & (ahead[..., 0] > 1e-6)
+    flow = pixels - np.stack(np.meshgrid(np.arange(camera.width), np.arange(camera.height)), axis=-1) - 0.5
     return LightEnds(
         object_id=np.where(has_ended, object_id, 0).astype(np.uint8),
         has_left=has_left,
         position=position.astype(np.float32),
-        depth_along_axis=np.where(has_ended, ahead, 0).astype(np.float32),
+        depth_along_axis=np.where(has_ended, ahead[..., 0], 0).astype(np.float32),
         distance=np.where(has_ended, np.linalg.norm(seen, axis=-1), 0).astype(np.float32),
         direction=direction.astype(np.float32),
         attenuation=attenuation.astype(np.float32),
         flow=np.where(has_flow[..., None], flow, 0).astype(np.float32),
         has_flow=has_flow,
     )
-
-
-def _flow(camera: Camera, seen: Float[np.ndarray, "h w 3"]) -> tuple[np.ndarray, Bool[np.ndarray, "h w"]]:
-    """Offset (right, down) from each pixel's centre to where a vector from the camera appears; whether it is ahead."""
-    d_camera = seen.astype(np.float64) @ camera.world_from_camera[:3, :3] * [1, -1, -1]
-    is_ahead = d_camera[..., 2] > 1e-6
-    image = d_camera @ camera.intrinsics.T
-    pixels = image[..., :2] / np.where(is_ahead, image[..., 2], 1)[..., None]
-    rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    return pixels - np.stack([columns, rows], axis=-1), is_ahead
 
 
 NormalKind = Literal["shading", "geometric"]
@@ -250,9 +241,10 @@ class ViewQuantities:
         return self.view.mask("glass")
 
     @checked
-    def object_mask(self, name: str) -> Bool[np.ndarray, "h w"]:
-        """True where the ray hits the object of this name first."""
-        return self.object_id == self.view.dataset.object_id(name)
+    def object_mask(self, name: str, *, amodal: bool = False) -> Bool[np.ndarray, "h w"]:
+        """True where the ray hits the object of this name first; amodal: at all, in any stored layer."""
+        hits = self.layers.object_id == self.view.dataset.object_id(name)
+        return hits.any(axis=0) if amodal else hits[0]
 
     # Where they are
 
@@ -275,6 +267,16 @@ class ViewQuantities:
     def opaque_depth_along_axis(self) -> Float32[np.ndarray, "h w"]:
         """Depth of the first opaque surface along the camera's viewing axis, in metres."""
         return self._along_axis(self.opaque_depth_along_ray)
+
+    @checked
+    def disparity(self, baseline: float, surface: Literal["first", "opaque"] = "first") -> Float32[np.ndarray, "h w"]:
+        """Pixels by which a second camera, `baseline` metres to the right, sees a surface further left; 0 without one.
+
+        Args:
+            surface: first, glass or not; opaque: the first opaque one on the straight ray, as if glass bent no light.
+        """
+        depth = self.depth_along_axis if surface == "first" else self.opaque_depth_along_axis
+        return np.divide(self.view.camera.focal * baseline, depth, out=np.zeros_like(depth), where=depth > 0)
 
     @functools.cached_property
     def position(self) -> Float32[np.ndarray, "h w 3"]:

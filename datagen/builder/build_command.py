@@ -13,7 +13,7 @@ from datagen.builder.choices import (
     fit_to_scene,
     parse_shard,
 )
-from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger
+from datagen.builder.variants import build_variant, peel_variants, plan_angles, plan_edit, plan_larger, plan_stereo
 from datagen.data.dataset import Dataset, open_dataset
 from datagen.data.layers import check_settings
 from datagen.data.paths import DATA_ROOT, TRUTH
@@ -98,6 +98,8 @@ def _build_scene(
         say(f"{root}: part {part} is done; the same command without --shard makes what other parts left")
         return made
     peel_variants(made, workers=choices.workers)
+    if choices.stereo is not None:
+        build_variant(made, plan_stereo(made, choices.stereo), workers=choices.workers)
     say_all(summary(made, TRUTH))
     return made
 
@@ -130,13 +132,14 @@ def add_variants(base: Dataset, choices: AddChoices) -> list[Dataset]:
     refuse_unlit(base, what="another view")
     edits = [choices.edit] if choices.edit else []
     edits += [(twin,) for twin in TWINS] if choices.twins else []
-    if not (edits or choices.angles or choices.larger):
-        raise UsageError("datagen add: nothing to add; give --edit, --twins, --angles or --larger")
+    if not (edits or choices.angles or choices.larger or choices.stereo is not None):
+        raise UsageError("datagen add: nothing to add; give --edit, --twins, --angles, --larger or --stereo")
     if choices.larger_views is not None and not choices.larger:
         raise UsageError("--larger-views: goes with --larger; give that, too, or leave it out")
     plans = [plan_edit(base, tuple(map(parse_edit, edit))) for edit in edits]
     plans += [plan_angles(base)] if choices.angles else []
     plans += [plan_larger(base, scale, views=choices.larger_views) for scale in choices.larger]
+    plans += [] if choices.stereo is None else [plan_stereo(base, choices.stereo)]
     made = []
     for plan in plans:
         made.append(build_variant(base, plan, workers=choices.workers, overwrite=choices.overwrite))

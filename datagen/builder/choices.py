@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution, square
+from datagen.data.config import DatasetConfig, SplitConfig, parse_resolution
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import choose
 
 if TYPE_CHECKING:
     from datagen.scene.description import Scene
 
-PresetName = Literal["tiny", "small", "demo", "standard", "paper"]
+PresetName = Literal["tiny", "small", "demo", "standard", "paper", "labels"]
 LOCAL_MIN = 7 * 24 * 60
 """Time limit of jobs on this machine; submitit's own is two minutes."""
 
@@ -42,6 +42,8 @@ class BuildChoices:
     """Build part I of N of all views, such as 2/4. Parts may run at the same time on machines of one kind that share
     the folder; together they give the bytes of a single build. If a part failed, the same command without --shard
     builds the rest."""
+    stereo: float | None = None
+    """Also render every view from a second camera this many metres to its right, such as 0.06."""
     quiet: bool = False
     """Print no progress and no remarks."""
 
@@ -132,6 +134,8 @@ class AddChoices:
     """Render the test views at N times their width and height, such as 2. May be repeated."""
     larger_views: int | None = None
     """With --larger: number of evenly spaced views of each test split. Default: all."""
+    stereo: float | None = None
+    """Render every view from a second camera this many metres to its right, such as 0.06: rectified stereo pairs."""
     workers: int = 1
     """Parallel processes; the bytes do not depend on their number."""
     overwrite: bool = False
@@ -158,17 +162,18 @@ class FilmChoices:
     """Replace an existing film."""
 
 
-def _preset(name: str, side: int, train: tuple[int, int], test: tuple[int, int]) -> DatasetConfig:
-    config = DatasetConfig.even("scene", square(side), test[0], spp=test[1])
+def _preset(name: str, size: str, train: tuple[int, int], test: tuple[int, int]) -> DatasetConfig:
+    config = DatasetConfig.even("scene", parse_resolution(size), test[0], spp=test[1])
     return dataclasses.replace(config, preset=name, train=SplitConfig(views=train[0], spp=train[1]))
 
 
 PRESETS: dict[str, DatasetConfig] = {
-    "tiny": _preset("tiny", 32, train=(8, 16), test=(3, 64)),  # Tests: seconds.
-    "small": _preset("small", 64, train=(60, 64), test=(8, 256)),  # Many scenes: a minute on two cores.
-    "demo": _preset("demo", 128, train=(100, 256), test=(12, 512)),  # A first look: minutes.
-    "standard": _preset("standard", 256, train=(200, 64), test=(20, 512)),  # Comparing methods: half an hour.
-    "paper": _preset("paper", 512, train=(1000, 64), test=(40, 512)),  # The paper's size: a night.
+    "tiny": _preset("tiny", "32", train=(8, 16), test=(3, 64)),  # Tests: seconds.
+    "small": _preset("small", "64", train=(60, 64), test=(8, 256)),  # Many scenes: a minute on two cores.
+    "demo": _preset("demo", "128", train=(100, 256), test=(12, 512)),  # A first look: minutes.
+    "standard": _preset("standard", "256", train=(200, 64), test=(20, 512)),  # Comparing methods: half an hour.
+    "paper": _preset("paper", "512", train=(1000, 64), test=(40, 512)),  # The paper's size: a night.
+    "labels": _preset("labels", "640x480", train=(8, 32), test=(1, 32)),  # Noisy pictures, exact labels; many scenes.
 }
 """Samples per pixel are powers of two, as Sobol's sequence likes."""
 

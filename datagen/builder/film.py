@@ -1,5 +1,6 @@
 """Films through a dataset's scene: their cameras, their path-traced pictures, and a WebP or an MP4 of them."""
 
+import dataclasses
 import io
 import itertools
 import tempfile
@@ -12,8 +13,9 @@ from PIL import Image
 
 from datagen.builder.build import refuse_unlit
 from datagen.builder.choices import FilmChoices
+from datagen.builder.variants import Plan, build_variant
 from datagen.data.cameras import Cameras
-from datagen.data.config import check_spp
+from datagen.data.config import SplitConfig, check_spp
 from datagen.data.dataset import Dataset
 from datagen.data.images import srgb_from_linear, to_8bit
 from datagen.disk.errors import HyalineError
@@ -21,7 +23,7 @@ from datagen.disk.ownership import refuse_file
 from datagen.disk.storage import commit, read_regular
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.folder import open_scene
-from datagen.scene.rig import make_path
+from datagen.scene.rig import cameras_within, make_path
 from datagen.scene.soundness import check_cameras_outside
 from datagen.terminal.command import track
 
@@ -55,6 +57,18 @@ def path_trace(dataset: Dataset, cameras: Cameras, *, spp: int) -> Iterator[Pict
         seed = derive_seed(dataset.config.seed, "film", view)
         truth = render_view(renderer, cameras, view, spp=spp, view_seed=seed, ceiling_db=None)
         yield to_8bit(srgb_from_linear(truth.radiance))
+
+
+def build_labelled(dataset: Dataset, cameras: Cameras, choices: FilmChoices, *, spp: int) -> Dataset:
+    """The frames of a film as views of a variant, `film-PATH`, in its split `interpolating`."""
+    frames = SplitConfig(views=len(cameras), spp=spp)
+    plan = Plan(
+        name=f"film-{choices.path}",
+        config=dataclasses.replace(dataset.config, resolution=cameras.size, interpolating=frames, ceiling_db=None),
+        cameras=cameras_within(open_scene(dataset), {"interpolating": cameras}),
+        objects=dataset.objects,
+    )
+    return build_variant(dataset, plan, workers=1, overwrite=choices.overwrite)
 
 
 def check_film(out: Path, fps: float, *, overwrite: bool) -> None:

@@ -12,6 +12,7 @@ from datagen.builder.angles import make_angle_cameras
 from datagen.builder.build import peel_dataset, render_dataset
 from datagen.data.cameras import Cameras
 from datagen.data.config import (
+    SPLITS,
     TEST_SPLITS,
     DatasetConfig,
     DatasetObject,
@@ -56,6 +57,8 @@ from datagen.scene.rig import cameras_within
 from datagen.terminal.command import say
 
 MAX_SCALE = 8
+MAX_BASELINE = 10.0
+"""Metres between two cameras; a larger number is probably in millimetres."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,6 +106,27 @@ def plan_larger(base: Dataset, scale: int, *, views: int | None = None) -> Plan:
         cameras[split] = dataclasses.replace(poses.fitted(size), world_from_camera=chosen)
     config = dataclasses.replace(base.config, resolution=size, **sizes)
     return Plan(name=f"x{scale}", config=config, cameras=cameras, objects=base.objects)
+
+
+def plan_stereo(base: Dataset, baseline: float) -> Plan:
+    """The right camera of a rectified pair for every view, `baseline` metres along the camera's x axis.
+
+    Its noise is independent: equal noise at equal pixels would look like a surface at infinity.
+    """
+    _check_base(base)
+    if not 0 < baseline <= MAX_BASELINE:
+        raise HyalineError(f"stereo: is {baseline:g}; expected metres, more than 0 and at most {MAX_BASELINE:g}: 0.06")
+    shift = np.eye(4)
+    shift[0, 3] = baseline
+    right: dict[Split, Cameras] = {split: base.cameras(split) for split in SPLITS}
+    for split, left in right.items():
+        right[split] = dataclasses.replace(left, world_from_camera=left.world_from_camera @ shift)
+    return Plan(
+        name=f"stereo-{1000 * baseline:g}mm",
+        config=dataclasses.replace(base.config, seed=base.config.seed ^ 1),
+        cameras=cameras_within(open_scene(base), right),
+        objects=base.objects,
+    )
 
 
 def plan_edit(base: Dataset, edits: tuple[Edit, ...]) -> Plan:

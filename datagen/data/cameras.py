@@ -140,11 +140,18 @@ class Camera(Lens):
         image = np.stack([p_camera[:, 0], -p_camera[:, 1], depth], axis=1) @ self.intrinsics.T
         return image[:, :2] / np.where(depth > 0, depth, 1)[:, None], depth
 
-    def rays(self) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
-        """Origin (metres) and unit directions of the rays through pixel centres, in the world, computed in float64."""
+    def rays(
+        self, window: tuple[int, int, int, int] | None = None
+    ) -> tuple[Float32[np.ndarray, "3"], Float32[np.ndarray, "h w 3"]]:
+        """Origin (metres) and unit directions of the rays through pixel centres, in the world, computed in float64.
+
+        Args:
+            window: left, top, right and bottom of these pixels, which may lie beyond the picture. Default: all of it.
+        """
+        left, top, right, bottom = window or (0, 0, self.width, self.height)
         column, row = self.principal_point
-        x = (np.arange(self.width) + 0.5 - column) / self.focal
-        y = (row - np.arange(self.height) - 0.5) / self.focal
+        x = (np.arange(left, right) + 0.5 - column) / self.focal
+        y = (row - np.arange(top, bottom) - 0.5) / self.focal
         d_camera = np.stack(np.broadcast_arrays(x[None, :], y[:, None], -1.0), axis=-1)
         d_world = d_camera @ self.world_from_camera[:3, :3].T
         d_world /= np.linalg.norm(d_world, axis=-1, keepdims=True)

@@ -2,6 +2,8 @@
 
     variants/angles/        the splits extrapolating-10deg, -20deg, -40deg: cameras outside the training directions
     variants/x2/            views of the test splits, rendered twice as wide and high; x4 four times
+    variants/stereo-60mm/   all splits, seen from 60 mm further right: the second pictures of rectified pairs
+    variants/film-orbit/    the frames of a film, in the split interpolating; film-spline
     variants/remove-ball/   the test splits of the scene after an edit, with edit-masks/
     variants/no-glass/, variants/opaque-glass/   the twins: edits of all glass at once
 

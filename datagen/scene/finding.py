@@ -31,8 +31,6 @@ class ImportChoices:
     material: tuple[str, ...] = ()
     """A material by name for all objects (glass, green-glass, water, diamond, thin-glass, plaster, plastic, mirror,
     gold, ...), or for those whose name matches a pattern: 'leg*=gold'. May be repeated; later ones win."""
-    cameras: Literal["around", "file"] = "around"
-    """Cameras all around the glass (around), or those in the file (file)."""
     ground: Literal["auto", "always", "never"] = "auto"
     """Add a checkered ground: if nothing lies below the glass (auto), always or never."""
     repair: bool = False

@@ -18,7 +18,6 @@ from datagen.disk.records import from_json
 from datagen.scene.edits import edits_name, parse_edit
 from datagen.terminal.command import choose, say
 from eval.score.runs import Run
-from hyaline_paper.comparisons import FITTED_MATERIALS
 
 PROTOCOL = Path(__file__).with_name("protocol.toml")
 
@@ -173,7 +172,7 @@ def least_track(run: Run, tracks: Mapping[str, str]) -> str | None:
     if is_fitted(geometry):
         if uses_materials and (told is None or told):
             return materials  # Of other objects at least, such as varnish on a floor.
-        return shapes if told or geometry == FITTED_MATERIALS else masks
+        return shapes if told or geometry == "fitted-materials" else masks
     if uses_materials:
         return materials
     if geometry == NO_GEOMETRY:

@@ -18,7 +18,7 @@ def export(
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        format: nerfstudio, blender, 3dgs, colmap, capture or huggingface.
+        format: nerfstudio, blender, 3dgs, colmap, bop, bop-sensor, capture or huggingface.
         out: Folder to write, new or empty. Default: exports/NAME-FORMAT.
         points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.
     """

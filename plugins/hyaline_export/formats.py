@@ -24,6 +24,8 @@ class Format:
     """Yields the path of each file in the export, and its bytes."""
     hint: str
     """The command that opens the export, with OUT for the folder."""
+    takes_variants: bool = False
+    """Whether a dataset may be a variant, most of which have test views alone."""
 
 
 FORMATS: Group[Format] = Group(
@@ -34,6 +36,8 @@ FORMATS: Group[Format] = Group(
         "blender": "hyaline_export.transforms:BLENDER",
         "3dgs": "hyaline_export.transforms:GAUSSIAN_SPLATTING",
         "colmap": "hyaline_export.colmap:COLMAP",
+        "bop": "hyaline_export.bop:BOP",
+        "bop-sensor": "hyaline_export.bop:BOP_SENSOR",
         "capture": "hyaline_export.transforms:CAPTURE",
         "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
     },
@@ -48,6 +52,8 @@ EXPORTS = Path("exports")
 def export_dataset(dataset: Dataset, form: str, out: Path | None, *, num_points: int) -> tuple[Path, str]:
     """Exports a dataset into a new folder; returns it, and the command of the tool that opens it."""
     chosen = FORMATS.find(form)
+    if dataset.parent is not None and not chosen.takes_variants:
+        raise HyalineError(f"{dataset.root}: is a variant; export the dataset around it, {dataset.parent.root}")
     source = Source(dataset=dataset, num_points=num_points)
     out = out or EXPORTS / f"{dataset.name}-{form}"
     if real_path(out).is_relative_to(real_path(dataset.root)):

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
 from datagen.data.cameras import Camera
-from datagen.data.config import TEST_SPLITS
 from datagen.data.dataset import Dataset, View
 from datagen.data.images import png_bytes
 from datagen.data.variants import evenly
@@ -75,22 +74,17 @@ class Source:
     num_points: int
 
     def __post_init__(self) -> None:
-        if self.dataset.parent is not None:
-            raise HyalineError(
-                f"{self.dataset.root}: is a variant, which has no training views; export the dataset around it, "
-                f"{self.dataset.parent.root}"
-            )
         if not 1 <= self.num_points <= 10_000_000:
             raise HyalineError(f"points: is {self.num_points}; expected 1 to 10,000,000")
 
     @functools.cached_property
     def views(self) -> tuple[ExportView, ...]:
-        """All views: training ones, those of them held out for validation, then both test splits."""
-        train = self.dataset.views("train")
-        if len(train) < 2:
+        """All views: training ones, those of them held out for validation, then the test splits."""
+        train = self.dataset.views("train") if "train" in self.dataset.splits else []
+        if self.dataset.parent is None and len(train) < 2:
             raise HyalineError(f"{self.dataset.root}: has {len(train)} training views; expected at least two to export")
-        held_out = evenly(max(1, min(MAX_HELD_OUT, len(train) // 5)), len(train))
-        test = [view for split in TEST_SPLITS for view in self.dataset.views(split)]
+        held_out = evenly(max(1, min(MAX_HELD_OUT, len(train) // 5)), len(train)) if train else []
+        test = [view for split in self.dataset.splits if split != "train" for view in self.dataset.views(split)]
         return (
             *(ExportView(view=view, role="train") for view in train if view.index not in held_out),
             *(ExportView(view=train[index], role="val") for index in held_out),

@@ -1,11 +1,9 @@
-"""Cameras that files list: those of a foreign scene in our splits, and those of COLMAP.
+"""Cameras that COLMAP has found.
 
 Source: COLMAP's documentation of its output format, and the list of its camera models.
 """
 
-import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,50 +11,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
-from datagen.data.cameras import Camera
 from datagen.data.config import MAX_VIEWS
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import find_file
-from datagen.scene.description import CameraList
 from hyaline_import.foreign import read_foreign
-from hyaline_import.remarks import Remarks
-
-
-def listed_cameras(
-    cameras: Sequence[Camera], linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"], remarks: Remarks
-) -> CameraList:
-    """Cameras of a file in our world: the outermost for extrapolation, every eighth other one for interpolation.
-
-    Of fewer than three, each split has all.
-    """
-    if not cameras:
-        raise HyalineError(
-            "--cameras file: the file brings no cameras, or only skewed, mirrored or orthographic ones; leave it out"
-        )
-    lens = cameras[0]
-    if not all(camera.is_like(lens) for camera in cameras):
-        angle = math.degrees(lens.fov_x)
-        remarks.approximate(
-            "cameras", f"have several lenses; all of them get the first one's, which sees {angle:.3g} degrees"
-        )
-    rotation = linear / abs(np.linalg.det(linear)) ** (1 / 3)
-    poses = np.tile(np.eye(4), (len(cameras), 1, 1))
-    for pose, camera in zip(poses, cameras, strict=True):
-        pose[:3, :3] = rotation @ camera.world_from_camera[:3, :3]
-        pose[:3, 3] = linear @ camera.world_from_camera[:3, 3] + offset
-    if len(poses) < 3:
-        every = lens.cameras(poses)
-        return CameraList(train=every, interpolating=every, extrapolating=every)
-    outermost = int(np.linalg.norm(poses[:, :3, 3] - poses[:, :3, 3].mean(axis=0), axis=-1).argmax())
-    others = np.delete(poses, outermost, axis=0)
-    return CameraList(
-        train=lens.cameras(others[np.arange(len(others)) % 8 > 0]),
-        interpolating=lens.cameras(others[::8]),
-        extrapolating=lens.cameras(poses[outermost, None]),
-    )
-
-
-# COLMAP
 
 MODELS = {
     "SIMPLE_PINHOLE": (0, 1, 3),
@@ -204,17 +162,10 @@ def _read_text(cameras: Path, images: Path) -> tuple[dict[int, ColmapCamera], li
             raise ValueError(f"{len(values)} numbers of a {model}")
         lenses[int(camera)] = ColmapCamera(width=int(width), height=int(height), model=model, values=values)
     lines = _lines(images)
-    # The second line of each image lists its points; some tools leave it out if there are none.
-    first = lines[::2] if all(map(_lists_points, lines[1::2])) else [line for line in lines if not _lists_points(line)]
-    for line in filter(str.strip, first):
+    for line in filter(str.strip, lines[::2]):  # The second line of each image lists its points.
         *numbers, name = line.split(maxsplit=9)  # A name may contain spaces.
         listed.append((name.rstrip(), int(numbers[8]), tuple(map(float, numbers[1:8]))))
     return lenses, listed
-
-
-def _lists_points(line: str) -> bool:
-    words = line.split()
-    return not words or words[-1].lstrip("-").isdigit()
 
 
 def _lines(path: Path) -> list[str]:

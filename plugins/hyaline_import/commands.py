@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from datagen.data.paths import DATA_ROOT
 from datagen.disk.errors import HyalineError
-from datagen.scene.finding import ImportChoices, SceneSource
+from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices, SceneSource
 from datagen.terminal.command import next_command, say, say_all, tell
 
 if TYPE_CHECKING:
@@ -43,17 +43,11 @@ class DatasetImportChoices:
             raise HyalineError(f"--scale: is {self.scale:g}; expected metres per unit, such as 0.001 for millimetres")
 
 
-SCENES_ROOT = Path("scenes")
-"""Default folder for imported scenes."""
-
-
 def import_file(
     file: Path,
     /,
     *,
     out: Path | None = None,
-    overwrite: bool = False,
-    resolution: str = "128",
     choices: ImportChoices = ImportChoices(),  # noqa: B008
 ) -> None:
     """Import a file from another program as a scene: glTF, GLB, OBJ with MTL, PLY, STL or Mitsuba XML.
@@ -64,18 +58,15 @@ def import_file(
 
     Args:
         file: A file that ends in .glb, .gltf, .obj, .ply, .stl or .xml.
-        out: Folder to write. Default: scenes/NAME.
-        overwrite: Replace an existing imported scene.
-        resolution: Image size in pixels that the ground's pattern is made for: one number (square), or WIDTHxHEIGHT.
+        out: Folder to write, new or empty. Default: scenes/NAME.
     """
-    from datagen.data.config import parse_resolution
     from hyaline_import.confined_import import check_free, imported_scene, write_imported
     from hyaline_import.source import scene_name
 
-    root = out or SCENES_ROOT / scene_name(file)
-    check_free(root, overwrite=overwrite)
-    scene, told, record = imported_scene(file, choices, resolution=parse_resolution(resolution))
-    write_imported(scene, record, root, overwrite=overwrite)
+    root = out or Path("scenes") / scene_name(file)
+    check_free(root)
+    scene, told, record = imported_scene(file, choices, resolution=DEFAULT_RESOLUTION)
+    write_imported(scene, record, root)
     say_all(told)
     tell(str(root))
     next_command(shlex.join(["datagen", "build", str(root)]))

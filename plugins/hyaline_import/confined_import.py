@@ -9,8 +9,8 @@ from typing import cast
 
 from datagen.data.config import Resolution
 from datagen.disk.errors import HyalineError
-from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others, refuse_taken, remove_files
-from datagen.disk.records import Json, dump_json, load_json, load_sealed
+from datagen.disk.ownership import FolderKind, begin, holding, is_ours, refuse_others
+from datagen.disk.records import Json, dump_json, load_json
 from datagen.disk.storage import commit
 from datagen.machine.processes import confined
 from datagen.scene.description import EnvironmentMap, Scene
@@ -57,25 +57,19 @@ def save_answer(folder: Path, scene: Scene, told: Sequence[str], *, record: Mapp
     (folder / "told.json").write_bytes(dump_json({"told": list(told), "record": dict(record or {})}))
 
 
-def check_free(root: Path, *, overwrite: bool) -> None:
-    """Rejects a folder that holds something else, before any work is done."""
+def check_free(root: Path) -> None:
+    """Refuses a folder that is not empty, before any work is done."""
     if is_ours(root, IMPORTED):
-        if not overwrite:
-            raise HyalineError(f"{root}: holds an imported scene; pass --overwrite to replace it, or another --out")
-        return
+        raise HyalineError(f"{root}: holds an imported scene; remove it, or choose another --out")
     refuse_others(root, IMPORTED)
 
 
-def write_imported(scene: Scene, record: Mapping[str, Json], root: Path, *, overwrite: bool) -> None:
-    """Writes a scene's files and the record of its import; what an earlier import wrote there is removed."""
+def write_imported(scene: Scene, record: Mapping[str, Json], root: Path) -> None:
+    """Writes a scene's files and the record of its import into a new or empty folder."""
     files = scene_files(scene)
-    content: dict[str, Json] = {**record, "files": cast(list[Json], sorted(files))}
     with holding(root, IMPORTED):
-        check_free(root, overwrite=overwrite)
-        before = cast(list[str], load_sealed(root / RECORD)["files"]) if is_ours(root, IMPORTED) else []
-        refuse_taken(root, IMPORTED, files, before)
-        # A killed command leaves files of ours but not a scene, since scene.json is written last.
-        remove_files(root, [path for path in before if path not in files or path == "scene.json"])
-        begin(root, IMPORTED, content, replace=True)
+        check_free(root)
+        begin(root, IMPORTED, dict(record))
+        # A killed command leaves no scene, since scene.json is written last.
         for path in sorted(files, key=lambda path: (path == "scene.json", path)):
             commit(root / path, files[path])

@@ -10,7 +10,6 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from datagen.data.cameras import Camera, Lens, check_lens
 from datagen.data.meshes import open_edges, volume_within
 from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
@@ -98,6 +97,11 @@ class ForeignMaterial:
     emission: Color = (0.0, 0.0, 0.0)
     """Radiance that its surface emits to the outside."""
 
+    @property
+    def is_glass(self) -> bool:
+        """Metal lets nothing through, whatever its transmission."""
+        return self.transmission * (1 - self.metallic) >= 0.5
+
 
 PLAIN = ForeignMaterial(name="default", base_color=(0.8, 0.8, 0.8), roughness=1.0, ior=1.0)
 """For surfaces without a material: Blender's grey. (glTF's default, rough metal, is never meant.)"""
@@ -145,8 +149,6 @@ class ForeignScene:
     """In the file's units and axes."""
     sky: Color | ForeignMap | None = None
     """Radiance from all around, or a map of it; None if the file has none."""
-    cameras: tuple[Camera, ...] = ()
-    """In the file's units and axes, OpenGL convention: +x right, +y up, it looks along -z."""
     license: str | None = None
     """The licence in the file, in one line; None if it has none."""
     is_complete: bool = False
@@ -171,20 +173,6 @@ def check_surfaces(parts: Sequence[ForeignObject], *, where: str) -> None:
     if not all(np.isfinite(part.positions).all() for part in parts):
         raise HyalineError(f"{where}: holds numbers that are not finite; export it again")
     allow_triangles(count)
-
-
-def lens_of(
-    focal: float, width: float, height: float, center: tuple[float, float] | None = None, *, where: str
-) -> Lens:
-    """The lens of a focal length in pixels."""
-    wide, high = round(width), round(height)
-    is_central = center in (None, (wide / 2, high / 2))
-    lens = Lens(fov_x=2 * math.atan2(0.5 * wide, focal), width=wide, height=high, center=None if is_central else center)
-    try:
-        check_lens(lens)
-    except HyalineError as error:
-        raise HyalineError(f"{where}: {error}") from None
-    return lens
 
 
 def elementwise(points: np.ndarray, linear: np.ndarray, offset: np.ndarray) -> np.ndarray:

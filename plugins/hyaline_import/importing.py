@@ -12,15 +12,13 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.config import Resolution, unknown_license
-from datagen.data.meshes import Mesh, check_numbers, is_there, open_edges
+from datagen.data.meshes import Mesh, check_numbers, open_edges
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import Json
 from datagen.disk.storage import read_regular, sha256
 from datagen.scene.description import (
     MAX_OBJECTS,
     OBJECT_NAME,
-    CameraList,
-    CameraRig,
     Environment,
     RectangleLight,
     Scene,
@@ -29,36 +27,25 @@ from datagen.scene.description import (
 from datagen.scene.finding import DEFAULT_RESOLUTION, ImportChoices
 from datagen.scene.materials import Material, ThinDielectric
 from datagen.scene.mending import mend_scene
-from datagen.scene.rig import LIGHT
+from datagen.scene.rig import LIGHT, rig_around
 from datagen.scene.shading_normals import with_new_normals
 from datagen.scene.soundness import check_scene
-from hyaline_import.cameras import listed_cameras
 from hyaline_import.foreign import (
     PLAIN,
     Axis,
     ForeignMap,
     ForeignMaterial,
     ForeignObject,
-    ForeignScene,
-    check_surfaces,
     elementwise,
     merged_by_material,
     with_cavities,
     z_up_from,
 )
-from hyaline_import.mapping import Mapper, lets_light_through
+from hyaline_import.mapping import Mapper
 from hyaline_import.overlaps import apart, nested, parted
-from hyaline_import.pictures import Cut, cut_of, cut_out, veiled
+from hyaline_import.pictures import veiled
 from hyaline_import.remarks import Remark, Remarks
-from hyaline_import.source import (
-    READERS,
-    check_ending,
-    check_overrides,
-    ending_of,
-    override,
-    parse_overrides,
-    scene_name,
-)
+from hyaline_import.source import chosen_materials, read_scene, scene_name
 from hyaline_import.staging import (
     LEAST_GLOW,
     even_sky,
@@ -66,7 +53,7 @@ from hyaline_import.staging import (
     glowing,
     has_ground,
     make_ground,
-    make_rig,
+    open_arc,
     placed_light,
     placed_map,
 )
@@ -76,11 +63,6 @@ from hyaline_import.surfaces import (
     mend_surface,
     mesh_of,
 )
-
-MIN_SIDE = 16
-"""Pixels of the pictures that a ground can be made for."""
-
-RECORD_VERSION = 1
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,9 +83,9 @@ class Imported:
             for what, places in wheres.items()
         ]
         glass = sum(item.material.is_glass for item in self.scene.objects)
-        what = "none of them glass; mark it with --material glass, or --material 'OBJECT=glass'"
-        what = f"{glass} of them glass" if glass else what
-        return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}"]
+        what = f"{glass or 'none'} of them glass"
+        advice = "" if glass else "; mark it with --material glass, or --material 'OBJECT=glass'"
+        return [*lines, f"scene {self.scene.name}: {len(self.scene.objects)} objects, {what}{advice}"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,26 +115,25 @@ class Made:
 
     objects: list[SceneObject] = field(default_factory=list)
     without_uv: set[str] = field(default_factory=set)
-    cuts: dict[str, Cut] = field(default_factory=dict)
 
     def add(self, name: str, part: ForeignObject, world: World, chosen: Material | None) -> None:
         """Adds the objects of a surface: one, or one for each of its parts that overlap."""
         has_uv = part.uv is not None and bool(part.uv.any())  # Exporters write zeros where a mesh has none.
-        item = scene_object(name, part, world, chosen, has_uv=has_uv)
-        self.objects.extend(parted(item, world.remarks))
+        if item := scene_object(name, part, world, chosen, has_uv=has_uv):
+            self.objects.extend(parted(item, world.remarks))
         if not has_uv:
             self.without_uv.add(name)
-        if isinstance(part.material, ForeignMaterial):
-            material = veiled(part.material, item.mesh, has_uv=has_uv)
-            is_solid = item.material.medium is not None
-            if cut := cut_of(material, item.mesh, world.remarks, has_uv=has_uv, is_solid=is_solid, where=name):
-                self.cuts[name] = cut
 
-    def finished(self, scene: Scene, world: World, *, where: str) -> Scene:
-        """The scene of these objects with its images, mended, cut and checked."""
+    def placed(self, remarks: Remarks, *, where: str) -> list[SceneObject]:
+        """The objects, without surfaces that coincide, and with what each does where it overlaps another."""
+        if not self.objects:
+            raise HyalineError(f"{where}: nothing in it is drawn; expected a surface that is seen")
+        return nested(apart(self.objects, remarks), remarks)
+
+    def finished(self, scene: Scene, world: World) -> Scene:
+        """The scene of these objects with its images, mended and checked."""
         objects = []
         for item in scene.objects:
-            check_numbers(item.mesh, where=f"scene {scene.name}: object {item.name}")
             is_solid = item.material.medium is not None
             mesh = mend_surface(item.mesh, world.remarks, is_solid=is_solid, where=item.name)
             objects.append(dataclasses.replace(item, mesh=mesh))
@@ -160,18 +141,6 @@ class Made:
         baked = {image: data for image, data in world.mapper.images.items() if image in used}
         scene = dataclasses.replace(scene, objects=tuple(objects), baked={**baked, **scene.baked})
         scene = mend_scene(scene, without_uv=self.without_uv & {item.name for item in objects})
-        there = []
-        for item in scene.objects:
-            if cut := self.cuts.get(item.name):
-                mesh = cut_out(item.mesh, cut, where=f"scene {scene.name}: {item.name}")
-                item = dataclasses.replace(item, mesh=mesh)
-            if is_there(item.mesh):
-                there.append(item)
-            else:
-                world.remarks.note(item.name, "is cut away whole by its opacity; left out")
-        if not there:
-            raise HyalineError(f"{where}: all of it is cut away by its opacity; expected a surface that is seen")
-        scene = dataclasses.replace(scene, objects=tuple(there))
         check_scene(scene)
         return scene
 
@@ -182,21 +151,17 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     Args:
         resolution: of the pictures, which the ground's pattern is made for.
     """
-    check_ending(path)
     if not path.exists():
         start = "" if path.is_absolute() else f", which is relative to {Path.cwd()}"
         raise HyalineError(f"{path}: no such file; check the path{start}")
-    if resolution.mean_side < MIN_SIDE:
-        raise HyalineError(f"--resolution: is {resolution}; expected at least {MIN_SIDE} x {MIN_SIDE} pixels")
-    remarks, overrides = Remarks(), parse_overrides(choices.material)
-    foreign: ForeignScene = READERS.find(ending_of(path))(path, remarks)
-    check_surfaces(foreign.objects, where=path.name)
+    remarks = Remarks()
+    foreign = read_scene(path, remarks)
     up: Axis = foreign.up if choices.up == "auto" else choices.up
     parts = with_cavities(foreign.objects, remarks)
     if len(parts) > MAX_OBJECTS - 1:  # The ground is one more.
         parts = merged_by_material(parts, remarks, where=path.name)
     names = unique_names([part.name for part in parts])
-    check_overrides(overrides, names)
+    materials = chosen_materials(choices.material, names)
     points = np.concatenate([part.positions[np.unique(part.faces)] for part in parts])
     low, high = points.min(axis=0), points.max(axis=0)
     size = float((high - low).max())
@@ -215,7 +180,7 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     unmended: dict[str, HyalineError] = {}
     lights = [placed_light(light, linear, offset) for light in foreign.lights]
     for name, part in zip(names, parts, strict=True):
-        chosen = override(name, overrides)
+        chosen = materials.get(name)
         shining = _lamps(name, part, world) if chosen is None else ()
         lights += shining
         try:
@@ -229,8 +194,8 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         if not any(item.material.is_glass for item in made.objects):
             raise error
         remarks.approximate(name, f"left out, since it cannot be mended: {str(error).removeprefix(f'{name}: ')}")
-    objects = nested(apart(made.objects, remarks), remarks)
-    rig = _cameras(foreign, objects, world)
+    objects = made.placed(remarks, where=path.name)
+    rig = rig_around(objects, azimuth_deg=open_arc(objects, remarks))
     wants_ground = choices.ground == "auto" and not foreign.is_complete and not has_ground(objects)
     if choices.ground == "always" or wants_ground:
         ground = make_ground(objects, resolution=resolution, remarks=remarks)
@@ -253,9 +218,8 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
         cameras=rig,
         baked=baked,
     )
-    scene = made.finished(scene, world, where=path.name)
+    scene = made.finished(scene, world)
     record: dict[str, Json] = {
-        "version": RECORD_VERSION,
         "source": path.name,
         "source_sha256": sha256(read_regular(path)),
         "scale": scale,
@@ -266,32 +230,28 @@ def import_scene(path: Path, choices: ImportChoices, *, resolution: Resolution =
     return Imported(scene=scene, record=record, remarks=tuple(remarks.lines))
 
 
-def _cameras(foreign: ForeignScene, objects: list[SceneObject], world: World) -> CameraRig | CameraList:
-    """Cameras all around, or those of the file."""
-    if world.choices.cameras == "file":
-        return listed_cameras(foreign.cameras, world.linear, world.offset, world.remarks)
-    if foreign.cameras:
-        world.remarks.note("cameras", f"the file brings {len(foreign.cameras)}, which --cameras file takes")
-    return make_rig(objects, world.remarks)
-
-
-def scene_object(name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool) -> SceneObject:
-    """One object in metres, z up, with a material that suits its mesh."""
+def scene_object(
+    name: str, part: ForeignObject, world: World, chosen: Material | None, *, has_uv: bool
+) -> SceneObject | None:
+    """One object in metres, z up, with a material that suits its mesh; None if its opacity cuts it away."""
     remarks, choices = world.remarks, world.choices
     mesh = made_sound(world.mesh(name, part), remarks, where=name)
     mesh = mend_surface(mesh, remarks, is_solid=True, where=name)
+    check_numbers(mesh, where=name)
     material = chosen or part.material
     if material is PLAIN:
         remarks.note(name, "has no material in the file; rendered grey and matt; set another with --material")
     if isinstance(material, ForeignMaterial):
         material = world.mapper.averaged(material, mesh, has_uv=has_uv, where=name)
-        is_solid = lets_light_through(material) and not material.is_thin
+        if (material := veiled(material, mesh, remarks, has_uv=has_uv, where=name)) is None:
+            remarks.approximate(name, "is cut away by its opacity, or most of it; left out")
+            return None
+        is_solid = material.is_glass and not material.is_thin
     else:
         is_solid = material.medium is not None
     if choices.repair and is_solid:
         mesh = made_sound(closed(mesh, remarks, where=name), remarks, where=name)
     if not isinstance(material, Material):
-        material = veiled(material, mesh, has_uv=has_uv)
         is_closed = open_edges(mesh) == 0
         material = world.mapper.material(material, is_closed=is_closed, has_uv=has_uv, where=name)
     if material.medium is not None and (count := open_edges(mesh)):

@@ -31,7 +31,7 @@ from datagen.scene.materials import (
 from datagen.scene.shading_normals import unit
 from datagen.scene.substances import MAX_DISPERSION
 from hyaline_import.foreign import ForeignImage, ForeignMaterial
-from hyaline_import.pictures import INVISIBLE, SOLID_BLEND, decoded, mean_color, stored, values_on
+from hyaline_import.pictures import SOLID_BLEND, decoded, mean_color, stored, values_on
 from hyaline_import.remarks import Remarks
 
 MIN_ALPHA = 0.001
@@ -67,11 +67,9 @@ class Mapper:
         factors: dict[str, float] = {}
         for use in foreign.factor_images:
             values = stored(use.image)[..., use.channel] / 255
-            seen, areas = values.reshape(-1), np.ones(values.size)
-            if has_uv and use.lies_as_color:
-                seen, areas = values_on(mesh, values)
+            seen = values_on(mesh, values) if has_uv and use.lies_as_color else values
             # Rounded, so that objects that differ by nothing that one sees share their images.
-            mean = round(float(np.average(seen, weights=areas)), 2)
+            mean = round(float(seen.mean()), 2)
             factor: float = getattr(foreign, use.factor)
             factors[use.factor] = factor * mean
         told = " and ".join(f"{name} {value:.2f}" for name, value in factors.items())
@@ -80,8 +78,8 @@ class Mapper:
 
     def material(self, foreign: ForeignMaterial, *, is_closed: bool, has_uv: bool, where: str) -> Material:
         """The material of ours that comes nearest, on a mesh that is closed or open, with or without uv."""
-        is_blended = foreign.alpha_mode == "blend" and INVISIBLE <= foreign.alpha < 1
-        is_glass, told = lets_light_through(foreign), functools.partial(self.remarks.approximate, where)
+        is_blended = foreign.alpha_mode == "blend" and foreign.alpha < 1
+        is_glass, told = foreign.is_glass, functools.partial(self.remarks.approximate, where)
         is_pane = is_blended and not is_glass and foreign.alpha < SOLID_BLEND
         if foreign.image is not None and (is_glass or is_pane or not has_uv):
             told("has an image where only one colour can be; drawn in its mean colour")
@@ -176,11 +174,6 @@ def _colors(foreign: ForeignMaterial) -> Float[np.ndarray, "*texels 3"]:
     if foreign.image is None:
         return np.array(foreign.base_color)
     return decoded(foreign.image)[..., :3].astype(np.float64) * np.array(foreign.base_color)
-
-
-def lets_light_through(foreign: ForeignMaterial) -> bool:
-    """True for glass: metal lets nothing through, whatever its transmission."""
-    return foreign.transmission * (1 - foreign.metallic) >= 0.5
 
 
 # Clear coats

@@ -21,8 +21,6 @@ from datagen.scene.images import opened_image
 from datagen.scene.materials import Color
 from hyaline_import.foreign import (
     PLAIN,
-    Factor,
-    FactorImage,
     ForeignImage,
     ForeignMaterial,
     ForeignObject,
@@ -33,12 +31,8 @@ from hyaline_import.foreign import (
 )
 from hyaline_import.remarks import Remarks
 
-MAX_BYTES = 1 << 28
 WIDTHS = {"v": 3, "vt": 2, "vn": 3}
 """Numbers of a position, of uv and of a normal; a corner names them in this order."""
-MAX_MTL_BYTES = 1 << 24
-MAX_CORNERS = 10_000
-"""The most corners of one polygon."""
 PBR_KEYS = ("pr", "pm", "ps", "pc")
 """Keys of the physically based extension. With them, Blender writes the weight of transmission as Tf."""
 GLASS_MODELS = (4, 6, 7, 9)
@@ -51,9 +45,11 @@ COMMENT = re.compile(r"^[ \t]*#.*$", re.MULTILINE)
 NUMBER = re.compile(r"(?<=\s)[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?(?=\s)")
 OPTIONS = re.compile(rf"(?:-[a-z]+\s+(?:(?:{NUMBER.pattern}|on|off|[rgbmlz])\s+)*)*")
 """The options before an image's name, with their values."""
-IGNORED = ("map_bump", "bump", "norm", "disp", "map_ks", "map_ke", "map_ns", "map_ps", "map_tr", "refl", "pc", "ps")
+IGNORED = (
+    *("map_bump", "bump", "norm", "disp", "map_ks", "map_ke", "map_ns", "map_pm", "map_pr", "map_ps", "map_tr", "refl"),
+    *("pc", "ps"),
+)
 """Images and weights (of a clear coat and of sheen) that are left out."""
-FACTOR_MAPS: dict[str, Factor] = {"map_pm": "metallic", "map_pr": "roughness"}
 Entry = dict[str, list[str]]
 """The words of a material of an MTL by their key."""
 Corner = tuple[int, ...]
@@ -68,8 +64,7 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
     surfaces: dict[tuple[str, str], list[list[Corner]]] = {}
     has_materials, materials = materials is None, dict(materials or {})
     has_colors = False
-    data = read_foreign(path, at_most=MAX_BYTES)
-    for number, line in enumerate(lines_of(data, where=str(path)), start=1):
+    for number, line in enumerate(lines_of(read_foreign(path), where=str(path)), start=1):
         words = line.split()
         if not words:
             continue
@@ -80,8 +75,8 @@ def read_obj(path: Path, remarks: Remarks, *, materials: Mapping[str, ForeignMat
             numbers[key].append(floats(words, WIDTHS[key], where=where))
             has_colors |= key == "v" and len(words) >= 6
         elif key == "f":
-            if not 3 <= len(rest) <= MAX_CORNERS:
-                raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected 3 to {MAX_CORNERS}")
+            if len(rest) < 3:
+                raise HyalineError(f"{where}: is a face of {len(rest)} corners; expected at least 3")
             surface = surfaces.setdefault((names["o"] or names["g"], names["usemtl"]), [])
             surface.append([_corner(numbers, word, where=where) for word in rest])
         elif key in names:
@@ -158,7 +153,7 @@ def read_mtl(path: Path, remarks: Remarks) -> dict[str, ForeignMaterial]:
     """The materials of a file by name."""
     entries: dict[str, Entry] = {}
     entry: Entry = {}
-    for line in lines_of(read_foreign(path, at_most=MAX_MTL_BYTES), where=str(path)):
+    for line in lines_of(read_foreign(path), where=str(path)):
         words = line.split()
         if not words:
             continue
@@ -207,17 +202,6 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
     if max(base_color) == 0 and (is_tinted or image is not None):
         base_color = (1.0, 1.0, 1.0)  # Rhino writes Tf 0 for any glass, and Maya Kd 0 beside a picture.
     opacity = None if is_glass else image_for("map_d")
-    factor_images = tuple(
-        FactorImage(factor=factor, image=found, channel=0)
-        for key, factor in FACTOR_MAPS.items()
-        if (found := image_for(key)) is not None
-    )
-    # An image replaces the factor.
-    numbers: dict[Factor, float] = {
-        "metallic": number("pm", 0.0),
-        "roughness": number("pr", 0.0 if is_glass else glossy),
-        **{use.factor: 1.0 for use in factor_images},
-    }
     return ForeignMaterial(
         emission=color("ke", 0.0),
         name=name,
@@ -225,10 +209,9 @@ def _material(name: str, entry: Entry, path: Path, remarks: Remarks) -> ForeignM
         image=image,
         alpha_mode="opaque" if opacity is None else "blend",
         opacity=opacity,
-        metallic=clipped(numbers["metallic"]),
-        roughness=1.0 if is_matt else clipped(numbers["roughness"]),
+        metallic=clipped(number("pm", 0.0)),
+        roughness=1.0 if is_matt else clipped(number("pr", 0.0 if is_glass else glossy)),
         transmission=transmission,
-        factor_images=factor_images,
         ior=1.0 if is_matt else ior if 1.001 < ior < 10 else USUAL_IOR,
     )
 

@@ -13,7 +13,7 @@ from datagen.machine.processes import confined
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Material, Plastic, ThinDielectric
 from datagen.terminal.command import choose
 from datagen.terminal.plugins import Group
-from hyaline_import.foreign import check_surfaces, joined
+from hyaline_import.foreign import ForeignScene, check_surfaces, joined
 from hyaline_import.remarks import Remarks
 
 READERS: Group[Callable] = Group(
@@ -30,8 +30,6 @@ READERS: Group[Callable] = Group(
     guide="docs/adding-a-reader.md",
 )
 """Functions (Path, Remarks) -> ForeignScene by the ending of a file (plugins/hyaline_import/foreign.py)."""
-
-EXPORT_ADVICE = "open it in Blender, or in what it was made with, and export it as glTF 2.0 (.glb)"
 
 MAX_NAMED = 20
 """Objects that an error lists."""
@@ -62,7 +60,10 @@ def check_ending(path: Path) -> None:
     """Refuses a file that no reader reads."""
     if ending_of(path) not in READERS.names():
         known = ", ".join(f".{name}" for name in READERS.names())
-        raise HyalineError(f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; {EXPORT_ADVICE}")
+        raise HyalineError(
+            f"{path}: ends in {shown(path.suffix)}, and {known} can be imported; open it in Blender, or in what it was "
+            "made with, and export it as glTF 2.0 (.glb)"
+        )
 
 
 def scene_name(path: Path) -> str:
@@ -71,40 +72,41 @@ def scene_name(path: Path) -> str:
     return name if re.match(r"[A-Za-z0-9_]", name) else f"_{name}"
 
 
-def parse_overrides(given: tuple[str, ...]) -> list[tuple[str, Material]]:
-    """Pairs of a pattern of object names and the material for them; later ones win."""
-    found = []
+def chosen_materials(given: tuple[str, ...], names: list[str]) -> dict[str, Material]:
+    """Materials by the names of objects, from NAME or PATTERN=NAME; later ones win.
+
+    Raises:
+        HyalineError: a pattern matches no object, or no material has this name.
+    """
+    found: dict[str, Material] = {}
     for text in given:
         pattern, is_for_some, name = text.rpartition("=")
         if is_for_some and not pattern:
             raise HyalineError(f"--material: is {shown(text)}; expected NAME, or OBJECT=NAME")
-        found.append((pattern if is_for_some else "*", NAMED[choose("material", name, NAMED)]))
+        material = NAMED[choose("material", name, NAMED)]
+        matching = fnmatch.filter(names, pattern) if is_for_some else names
+        if not matching:
+            choose("--material: object", pattern, names[:MAX_NAMED])
+        found |= dict.fromkeys(matching, material)
     return found
 
 
-def check_overrides(overrides: list[tuple[str, Material]], names: list[str]) -> None:
-    """Rejects a pattern that matches no object, probably a typo."""
-    for pattern, _ in overrides:
-        if not fnmatch.filter(names, pattern):
-            choose("--material: object", pattern, names[:MAX_NAMED])
-
-
-def override(name: str, overrides: list[tuple[str, Material]]) -> Material | None:
-    """The material chosen for an object, if any."""
-    return next((material for pattern, material in reversed(overrides) if fnmatch.fnmatchcase(name, pattern)), None)
+def read_scene(path: Path, remarks: Remarks) -> ForeignScene:
+    """The content of a file by the reader of its ending, not empty and not too large."""
+    check_ending(path)
+    scene: ForeignScene = READERS.find(ending_of(path))(path, remarks)
+    check_surfaces(scene.objects, where=path.name)
+    return scene
 
 
 def read_mesh(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Vertices, faces and uv, if any, of all objects of a file as one mesh."""
-    check_ending(path)
     with confined(write_arrays, path.absolute(), where=str(path)) as folder, np.load(folder / "mesh.npz") as found:
         return found["vertices"], found["faces"], found.get("uv")
 
 
 def write_arrays(folder: Path, path: Path) -> None:
     """Reads all objects of a file as one mesh, in the process that `confined` starts."""
-    objects = READERS.find(ending_of(path))(path, Remarks()).objects
-    check_surfaces(objects, where=str(path))
-    whole = joined(objects)
+    whole = joined(read_scene(path, Remarks()).objects)
     arrays = {"vertices": whole.positions, "faces": whole.faces}
     np.savez(folder / "mesh.npz", allow_pickle=False, **arrays, **({} if whole.uv is None else {"uv": whole.uv}))

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from datagen.data.config import Resolution
 from datagen.data.meshes import Mesh, face_corners, normals_of, open_edges, points_on
 from datagen.data.queries import crossings
-from datagen.scene.description import CameraRig, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
+from datagen.scene.description import EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Diffuse, SolidTexture, as_vector
 from datagen.scene.modelling import merged, sheet
 from datagen.scene.rig import ALL_AROUND, FRONT_DEG, rig_around, subject_box, towards
@@ -73,7 +73,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     middle = (box[0] + box[1])[:2] / 2
     half = max(GROUND_RADII * reach, 1.05 * float(np.abs(np.stack([low[:2], high[:2]]) - middle).max()))
     gap = min(max(0.005 * reach, MIN_GAP), MAX_GAP)
-    texels = resolution.mean_side // 2
+    texels = max(resolution.mean_side // 2, 8)
     period = 2 * half * TEXELS_A_PERIOD / texels
     remarks.note(
         "ground",
@@ -93,12 +93,7 @@ def make_ground(objects: Sequence[SceneObject], *, resolution: Resolution, remar
     return SceneObject(name=name, mesh=mesh, material=Diffuse(color=pattern))
 
 
-def make_rig(objects: Sequence[SceneObject], remarks: Remarks) -> CameraRig:
-    """Cameras around the glass, on the side from which nothing opaque hides it."""
-    return rig_around(objects, azimuth_deg=_open_arc(objects, remarks))
-
-
-def _open_arc(objects: Sequence[SceneObject], remarks: Remarks) -> tuple[float, float]:
+def open_arc(objects: Sequence[SceneObject], remarks: Remarks) -> tuple[float, float]:
     """First and last azimuth of the widest arc without a backdrop between cameras and glass."""
     low, high = subject_box(objects)
     reach = float(np.linalg.norm(high - low)) / 2

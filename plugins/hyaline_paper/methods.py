@@ -79,13 +79,6 @@ class DeepVoxelsConfig(MethodConfig):
     """Use tanh for the integration's candidate, as other gated units do, instead of the authors' ReLU. With ReLU the
     grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
     at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
-    adversarial: bool = unflagged(False)
-    """Always false: the authors' patch discriminator, which the paper had to leave out (section 5.1), is gone."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.adversarial:
-            raise HyalineError("adversarial: is true; this version of deepvoxels has no discriminator")
 
     def usual(self, geometry: str) -> Self:  # noqa: ARG002
         # Fewer rays, a rate for few steps that a bounded grid stands, and no dropout: of so few channels none is spare.

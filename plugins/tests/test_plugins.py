@@ -14,7 +14,7 @@ from hyaline_import.source import READERS
 from hyaline_random.names import FAMILIES
 
 PLUGINS = Path(__file__).parents[1]
-NEEDS = {"hyaline_photos": {"hyaline_import"}, "hyaline_bench": {"hyaline_export", "hyaline_paper", "hyaline_random"}}
+NEEDS = {"hyaline_photos": {"hyaline_import"}, "hyaline_bench": {"hyaline_export", "hyaline_random"}}
 """The plug-ins that a plug-in imports beside the core."""
 POINTS = tomllib.loads((PLUGINS.parent / "pyproject.toml").read_text())["project"]["entry-points"]
 

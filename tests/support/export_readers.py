@@ -121,3 +121,46 @@ def read_ply_points(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rows = trimesh.load(path, file_type="ply").metadata["_ply_raw"]["vertex"]["data"]  # pyright: ignore
     columns = (("x", "y", "z"), ("nx", "ny", "nz"), ("red", "green", "blue"))
     return tuple(np.stack([rows[name].ravel() for name in group], axis=-1) for group in columns)  # type: ignore[return-value]
+
+
+def read_bop(scene: Path) -> dict[str, ReadView]:
+    """The pictures of a BOP scene, by its specification; `frame` has pose and lens, and of each object gt and info."""
+    tables = [json.loads((scene / f"scene_{name}.json").read_text()) for name in ("camera", "gt", "gt_info")]
+    assert tables[0].keys() == tables[1].keys() == tables[2].keys()
+    views = {}
+    for number, camera in tables[0].items():
+        matrix, rotation = np.reshape(camera["cam_K"], (3, 3)), np.reshape(camera["cam_R_w2c"], (3, 3))
+
+        def project(points: np.ndarray, k: np.ndarray = matrix, r: np.ndarray = rotation, t=camera["cam_t_w2c"]):
+            x, y, z = k @ (1000 * points @ r.T + t).T
+            return np.stack([x / z, y / z], axis=-1) + 0.5  # Its pixel 0 has its centre at 0.
+
+        frame = {"number": int(number), "matrix": matrix, "gt": tables[1][number], "info": tables[2][number]}
+        views[camera["view"]] = ReadView(file=scene / f"rgb/{int(number):06d}.png", project=project, frame=frame)
+    return views
+
+
+def bop_visibility(root: Path, scene: Path, frame: dict, index: int) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Mask, visible mask and scene_gt_info of an object, as the toolkit's calc_gt_info.py finds them with a renderer.
+
+    On a canvas of three pictures by three, within 15 mm.
+    """
+    depth = read_picture(scene / f"depth/{frame['number']:06d}.png").astype(float)
+    (height, width), gt, k = depth.shape, frame["gt"][index], frame["matrix"]
+    rows, columns = np.mgrid[-height : 2 * height, -width : 2 * width]
+    rays = np.stack([(columns - k[0, 2]) / k[0, 0], (rows - k[1, 2]) / k[1, 1], np.ones(rows.shape)], axis=-1)
+    mesh = trimesh.load_mesh(root / f"models/obj_{gt['obj_id']:06d}.ply")
+    mesh.apply_transform(np.vstack([np.c_[np.reshape(gt["cam_R_m2c"], (3, 3)), gt["cam_t_m2c"]], [0, 0, 0, 1]]))
+    places, hit, _ = mesh.ray.intersects_location(np.zeros((rows.size, 3)), rays.reshape(-1, 3), multiple_hits=False)
+    large = np.zeros(rows.size)
+    large[hit] = np.linalg.norm(places, axis=-1)
+    large = large.reshape(rows.shape)
+    small, inside = large[height:-height, width:-width], rays[height:-height, width:-width]
+    visible = (small > 0) & ((small - depth * np.linalg.norm(inside, axis=-1) <= 15) | (depth == 0))
+    boxes = []
+    for mask, corner in ((large > 0, (width, height)), (visible, (0, 0))):
+        at = np.argwhere(mask)[:, ::-1]
+        boxes.append([*(at.min(axis=0) - corner), *np.ptp(at, axis=0)] if visible.any() else [-1] * 4)
+    counts = {"px_count_all": (large > 0).sum(), "px_count_valid": ((small > 0) & (depth > 0)).sum()}
+    counts |= {"px_count_visib": visible.sum(), "visib_fract": visible.sum() / max((large > 0).sum(), 1)}
+    return small > 0, visible, {**counts, "bbox_obj": boxes[0], "bbox_visib": boxes[1]}

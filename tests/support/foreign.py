@@ -2,6 +2,7 @@
 
 import dataclasses
 import io
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,7 +35,8 @@ class Taken:
 def taken(path: Path, flags: str = "") -> Taken:
     """The scene of a file that `datagen import` takes."""
     out = path.parent / "taken"
-    answer = call(f"datagen import '{path}' --out '{out}' --overwrite {flags}")
+    shutil.rmtree(out, ignore_errors=True)
+    answer = call(f"datagen import '{path}' --out '{out}' {flags}")
     assert answer.status == 0, answer.err
     return Taken(scene=load_scene(out, is_checked=True), err=answer.err)
 

@@ -11,7 +11,7 @@ from datagen.data.meshes import Mesh
 from datagen.scene.modelling import rounded_box
 
 COMPONENTS = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
-KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
+KINDS = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
 
 BOX = rounded_box((1.0, 0.6, 0.4), bevel=0.05, segments=1)
 """Closed and outward, of 108 faces."""
@@ -52,11 +52,7 @@ class GltfBuilder:
             "type": KINDS[width],
             **more,
         }
-        return self.accessor(entry)
-
-    def accessor(self, entry: dict) -> int:
-        self.content["accessors"].append(entry)
-        return len(self.content["accessors"]) - 1
+        return self.add("accessors", entry)
 
     def mesh(self, mesh: Mesh = BOX, *, material: int | None = None, has_uv: bool = False) -> int:
         """A mesh of one primitive."""

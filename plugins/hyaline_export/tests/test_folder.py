@@ -121,7 +121,7 @@ def test_every_export_says_the_licence(terms: str, scene_folder: Path, tmp_path:
         assert answer.status == 0 and f"licence: {terms}" in answer.err
         assert terms in (tmp_path / form / "LICENSE.txt").read_text()
         heads = [path for name in ("transforms*.json", "dataset.json") for path in (tmp_path / form).glob(name)]
-        assert heads or form in ("colmap", "huggingface")
+        assert heads or form in ("colmap", "huggingface", "bop", "bop-sensor")
         assert {json.loads(path.read_text())["license"] for path in heads} <= {terms}
     assert CARD_LICENSES[terms] in (tmp_path / "huggingface" / "README.md").read_text()
     run(f"datagen import-dataset {tmp_path / 'nerfstudio'} --out {tmp_path / 'again'}")

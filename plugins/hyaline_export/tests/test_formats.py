@@ -7,10 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import scipy.spatial
+import trimesh
 from support.commands import run
 from support.export_readers import (
     ReadView,
+    bop_visibility,
     read_blender,
+    read_bop,
     read_colmap_text,
     read_nerfstudio,
     read_picture,
@@ -21,8 +25,11 @@ from support.traced_dataset import BALL, write_traced_dataset
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.quantities import quantities, surfaces_of
+from datagen.scene.modelling import lathe
 from datagen.terminal.plugins import VERSION
+from hyaline_export.bop import symmetries
 from hyaline_export.formats import FORMATS, export_dataset
+from hyaline_export.sensor import BASELINE, sensor_depth
 from hyaline_export.source import Source
 
 POINTS = 600
@@ -118,6 +125,85 @@ def test_colmap_reads_cameras_and_points(dataset: Dataset, exports: dict[str, Pa
     assert {name: len(listed) for name, listed in lists.items()} == {"train": 8, "val": 2, "test": 4}
     # Each picture is in one list: nerfstudio refuses a split whose list is missing while another's is there.
     assert sorted(name for listed in lists.values() for name in listed) == sorted(f"{name}.png" for name in views)
+
+
+@pytest.mark.parametrize("role", ["train", "val", "test"])
+def test_bop_says_of_every_object_what_the_toolkit_finds(role: str, dataset: Dataset, exports: dict[str, Path]) -> None:
+    root = exports["bop"]
+    views = read_bop(scene := root / f"{role}_pbr/000000")
+    assert len(views) == {"train": 8, "val": 2, "test": 4}[role]
+    check_vertices(dataset, views)
+    num_truncated = 0
+    for name, read in views.items():
+        check_picture(dataset, name, read.file, channels=3)
+        found = quantities(view_of(dataset, name))
+        depth = read_picture(scene / f"depth/{read.frame['number']:06d}.png") / 1000
+        assert np.abs(depth - found.depth_along_axis).max() <= 0.0005 + 1e-6
+        for index, (gt, info) in enumerate(zip(read.frame["gt"], read.frame["info"], strict=True)):
+            masks = (scene / f"{kind}/{read.frame['number']:06d}_{index:06d}.png" for kind in ("mask", "mask_visib"))
+            mask, visible = (read_picture(file) == 255 for file in masks)
+            assert np.array_equal(visible, found.object_id == gt["obj_id"]) and not (visible & ~mask).any()
+            its_mask, its_visible, expected = bop_visibility(root, scene, read.frame, index)
+            assert (mask != its_mask).sum() <= 1 and (visible != its_visible).sum() <= 1
+            # Far beyond the picture, its rays along the edge that the floor's triangles share miss both.
+            within = {"px_count_all": 0.01 * info["px_count_all"], "visib_fract": 0.002}
+            for key, value in expected.items():
+                assert np.abs(np.subtract(info[key], value)).max() <= within.get(key, 2), key
+            num_truncated += info["px_count_all"] > mask.sum()
+    assert num_truncated > 0
+
+
+def test_bop_models_are_in_millimetres_with_their_diameters_and_symmetries(
+    dataset: Dataset, exports: dict[str, Path]
+) -> None:
+    infos = json.loads((exports["bop"] / "models/models_info.json").read_text())
+    assert [info["name"] for info in infos.values()] == [item.name for item in dataset.objects]
+    for number, info in infos.items():
+        model = trimesh.load_mesh(exports["bop"] / f"models/obj_{int(number):06d}.ply")
+        assert np.abs(model.bounds[0] - [info[f"min_{axis}"] for axis in "xyz"]).max() < 1e-3
+        assert np.abs(model.extents - [info[f"size_{axis}"] for axis in "xyz"]).max() < 1e-3
+        assert np.abs(model.bounds.sum(axis=0)).max() < 1e-3
+        assert info["diameter"] == pytest.approx(scipy.spatial.distance.pdist(np.unique(model.vertices, axis=0)).max())
+    found = {info["name"]: {key: value for key, value in info.items() if "sym" in key} for info in infos.values()}
+    assert [sym["axis"] for sym in found["ball"]["symmetries_continuous"]] == np.eye(3).tolist()
+    assert len(found["pane"]["symmetries_discrete"]) == 1 and not found["floor"] and not found["cube"]
+    turns = np.reshape(found["slab"]["symmetries_discrete"], (3, 4, 4))
+    assert np.abs(turns[:, :2, :2] - [[[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]]]).max() < 1e-9
+
+
+@pytest.mark.parametrize(("sides", "key"), [(84, "continuous"), (7, "discrete"), (1, None)])
+def test_a_solid_of_revolution_is_symmetric_around_its_axis(sides: int, key: str | None) -> None:
+    points = lathe([(0.0, 0.0), (0.03, 0.0), (0.04, 0.1), (0.0, 0.1)], segments=84).vertices.astype(float)
+    if key != "continuous":  # Dents at as many of its sides.
+        turn = np.arctan2(points[:, 1], points[:, 0])
+        points[:, :2] *= 1 - 0.1 * (np.cos(sides * turn) > 0.999)[:, None]
+    found = symmetries(points, points[:1], 0.13)
+    assert [*found] == ([] if key is None else [f"symmetries_{key}"])
+
+
+def test_a_sensor_sees_through_a_slab_not_into_a_ball_nor_where_the_projector_is_hidden(
+    dataset: Dataset, exports: dict[str, Path]
+) -> None:
+    scene = exports["bop-sensor"] / "train_pbr/000000"
+    cube = trimesh.Trimesh(surfaces_of(dataset).meshes[4].vertices, surfaces_of(dataset).meshes[4].faces)
+    num_hidden = num_through = 0
+    for name, read in read_bop(scene).items():
+        found = quantities(view_of(dataset, name))
+        camera, depth = found.view.camera, sensor_depth(found)
+        stored = read_picture(scene / f"depth/{read.frame['number']:06d}.png") / 1000
+        assert np.abs(stored - depth).max() <= 0.0005 + 1e-6 and not depth[found.background].any()
+        true = np.where(found.glass, found.light_ends.depth_along_axis, found.depth_along_axis)
+        steps, exact = (8 * camera.focal * BASELINE / values[depth > 0] for values in (depth, true))
+        assert np.abs(steps - np.rint(steps)).max() < 0.01 and np.abs(steps - exact).max() < 0.51
+        on_floor = found.object_mask("floor")
+        towards = camera.world_from_camera[:3] @ [BASELINE, 0, 0, 1] - found.position[on_floor]
+        is_hidden = cube.ray.intersects_any(found.position[on_floor] + 1e-3 * towards, towards)
+        assert ((depth[on_floor] == 0) == is_hidden).mean() > 0.995
+        # A ball turns what is behind it upside down.
+        assert not depth[found.object_mask("ball") & (found.opaque_object_id == 1)].any()
+        through = found.object_mask("slab") & (depth > 0) & (found.light_ends.object_id == 1)
+        num_hidden, num_through = num_hidden + is_hidden.sum(), num_through + through.sum()
+    assert num_hidden > 5 and num_through > 300
 
 
 def test_points_lie_on_surfaces_in_their_colours(dataset: Dataset, exports: dict[str, Path]) -> None:

@@ -24,20 +24,11 @@ from datagen.terminal.plugins import Group
 from hyaline_import.commands import DatasetImportChoices
 from hyaline_import.confined_import import save_answer, scene_from
 from hyaline_import.datasets.layouts import ROLES, ForeignDataset, ForeignView, view_files
-from hyaline_import.foreign import PLAIN, ForeignObject, check_surfaces, z_up_from
+from hyaline_import.foreign import PLAIN, ForeignObject, z_up_from
 from hyaline_import.importing import Made, World, unique_names
 from hyaline_import.mapping import Mapper
-from hyaline_import.overlaps import apart, nested
 from hyaline_import.remarks import Remarks
-from hyaline_import.source import READERS as FILES
-from hyaline_import.source import (
-    check_ending,
-    check_overrides,
-    ending_of,
-    override,
-    parse_overrides,
-    scene_name,
-)
+from hyaline_import.source import chosen_materials, read_scene, scene_name
 from hyaline_import.staging import even_sky
 
 READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
@@ -48,7 +39,6 @@ READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
 )
 """Each gets a folder, and returns None where it is not of its layout."""
 
-PRESET = "imported"
 UNKNOWN_LIGHT = (0.5, 0.5, 0.5)
 """Stands in for the unknown light: such a scene is never rendered."""
 
@@ -105,7 +95,9 @@ def plan_import(folder: Path, choices: DatasetImportChoices) -> Plan:
 def imported_config(name: str, size: Resolution, views: Mapping[Split, Sequence[ForeignView]]) -> DatasetConfig:
     """The configuration of a dataset of these views."""
     train, near, far = (SplitConfig(views=len(views[split]), spp=None) for split in SPLITS)
-    return DatasetConfig(scene=name, preset=PRESET, resolution=size, train=train, interpolating=near, extrapolating=far)
+    return DatasetConfig(
+        scene=name, preset="imported", resolution=size, train=train, interpolating=near, extrapolating=far
+    )
 
 
 def read_foreign_dataset(root: Path) -> ForeignDataset:
@@ -152,7 +144,7 @@ def digest_of(files: Sequence[Path], choices: str) -> str:
 
 
 def _save_scene(folder: Path, name: str, cameras: dict[Split, Cameras], choices: DatasetImportChoices) -> None:
-    remarks, overrides, made = Remarks(), parse_overrides(choices.material), Made()
+    remarks, made = Remarks(), Made()
     world = World(
         linear=choices.scale * z_up_from(choices.up),
         offset=np.zeros(3),
@@ -161,15 +153,13 @@ def _save_scene(folder: Path, name: str, cameras: dict[Split, Cameras], choices:
     )
     parts: list[tuple[str, ForeignObject]] = []
     for file in choices.mesh:
-        check_ending(file)
-        parts += [(file.stem, part) for part in FILES.find(ending_of(file))(file, remarks).objects]
-    check_surfaces([part for _, part in parts], where=name)
+        parts += [(file.stem, part) for part in read_scene(file, remarks).objects]
     if len(parts) > MAX_OBJECTS:
         raise HyalineError(f"{name}: its meshes have {len(parts):,} objects; expected at most {MAX_OBJECTS}")
     names = unique_names([stem for stem, _ in parts])
-    check_overrides(overrides, names)
+    materials = chosen_materials(choices.material, names)
     for object_name, (stem, part) in zip(names, parts, strict=True):
-        chosen = override(object_name, overrides)
+        chosen = materials.get(object_name)
         if chosen is None and part.material is PLAIN:
             chosen = Dielectric(ior=choices.ior)
             remarks.approximate(
@@ -189,11 +179,11 @@ def unlit_scene(name: str, made: Made, world: World, cameras: dict[Split, Camera
     scene = Scene(
         name=name,
         description=f"{how} from {name}; its light is unknown",
-        objects=tuple(nested(apart(made.objects, world.remarks), world.remarks)),
+        objects=tuple(made.placed(world.remarks, where=name)),
         environment=even_sky(UNKNOWN_LIGHT),
         cameras=CameraList(**{split: cameras[split] for split in SPLITS}),
     )
-    return made.finished(scene, world, where=name)
+    return made.finished(scene, world)
 
 
 # Splits

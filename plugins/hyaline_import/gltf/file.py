@@ -64,31 +64,14 @@ class Asset(Entry):
     extras: Any = None
 
 
-class Part(Struct, rename="camel"):
-    """Where the places or the values of a sparse array are."""
-
-    buffer_view: Index
-    byte_offset: Index = 0
-    component_type: Literal[5121, 5123, 5125] = 5123
-
-
-class Sparse(Struct, rename="camel"):
-    """The elements of an array that differ from its base."""
-
-    count: Count
-    indices: Part
-    values: Part
-
-
 class Accessor(Entry):
     component_type: Literal[5120, 5121, 5122, 5123, 5125, 5126]
     count: Count
     type: str
     buffer_view: Index | None = None
-    """None for an array of zeros."""
     byte_offset: Index = 0
     normalized: bool = False
-    sparse: Sparse | None = None
+    sparse: Any = None
 
 
 class BufferView(Entry):
@@ -172,25 +155,17 @@ class Primitive(Entry):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Meta(ge=0, le=6)] = 4
-    targets: list[dict[str, Index]] = []
 
 
 class Mesh(Entry):
     primitives: Annotated[list[Primitive], Meta(min_length=1)]
     name: str = ""
     weights: list[float] = []
-    """Of its morph targets."""
-
-
-class Skin(Entry):
-    joints: Annotated[list[Index], Meta(min_length=1)]
-    inverse_bind_matrices: Index | None = None
 
 
 class Node(Entry):
     name: str = ""
     mesh: Index | None = None
-    camera: Index | None = None
     skin: Index | None = None
     weights: list[float] | None = None
     children: list[Index] = []
@@ -198,17 +173,6 @@ class Node(Entry):
     rotation: Quaternion = (0.0, 0.0, 0.0, 1.0)
     translation: Color = (0.0, 0.0, 0.0)
     scale: Color = WHITE
-
-
-class Perspective(Struct, rename="camel"):
-    yfov: Annotated[float, Meta(gt=0, lt=3.14159)]
-    aspect_ratio: Annotated[float, Meta(gt=0, lt=1000)] = 1.0
-
-
-class Camera(Entry):
-    type: str = "perspective"
-    name: str = ""
-    perspective: Perspective | None = None
 
 
 class Scene(Entry):
@@ -226,41 +190,35 @@ class Gltf(Entry):
     animations: Any = None
     buffer_views: list[BufferView] = []
     buffers: list[Buffer] = []
-    cameras: list[Camera] = []
     images: list[Image] = []
     materials: list[Material] = []
     meshes: list[Mesh] = []
     nodes: list[Node] = []
     samplers: list[Sampler] = []
     scenes: list[Scene] = []
-    skins: list[Skin] = []
     textures: list[Texture] = []
     extras: Any = None
 
 
-LISTS = ("accessors", "buffer_views", "buffers", "cameras", "images", "materials", "meshes", "nodes", "samplers",
-         "scenes", "skins", "textures")  # fmt: skip
+LISTS = ("accessors", "buffer_views", "buffers", "images", "materials", "meshes", "nodes", "samplers",
+         "scenes", "textures")  # fmt: skip
 """The lists of `Gltf` whose entries know their places."""
 
 
 _JSON, _BIN = 0x4E4F534A, 0x004E4942
 COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
-WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT4": 16}
-MAX_VALUES = 1 << 27
-"""Numbers in one array."""
-MAX_JSON_BYTES = 1 << 28
-"""A .gltf may hold its buffers as base64."""
+WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3}
 READ_EXTENSIONS = {
-    "EXT_mesh_features", "EXT_texture_webp", "KHR_lights_punctual", "KHR_materials_anisotropy",
-    "KHR_materials_clearcoat",
-    "KHR_materials_diffuse_transmission", "KHR_materials_dispersion", "KHR_materials_emissive_strength",
-    "KHR_materials_ior", "KHR_materials_iridescence", "KHR_materials_pbrSpecularGlossiness",
-    "KHR_materials_sheen", "KHR_materials_specular", "KHR_materials_transmission", "KHR_materials_unlit",
-    "KHR_materials_variants", "KHR_materials_volume", "KHR_mesh_quantization", "KHR_texture_transform", "KHR_xmp",
-    "KHR_xmp_json_ld",
+    "EXT_mesh_features", "EXT_texture_webp", "KHR_lights_punctual", "KHR_mesh_quantization", "KHR_texture_transform",
+    "KHR_xmp", "KHR_xmp_json_ld",
 }  # fmt: skip
-"""Extensions that a file may require: read, without effect, or left out with a remark of their own."""
+"""Extensions that a file may require, as it may those of materials: read, without effect, or left out with a remark."""
 Listed = TypeVar("Listed", bound=Entry)
+
+
+def unread(extensions: list[str]) -> list[str]:
+    """The extensions that are not read, in order."""
+    return sorted(name for name in {*extensions} - READ_EXTENSIONS if not name.startswith("KHR_materials_"))
 
 
 class GltfFile:
@@ -270,15 +228,13 @@ class GltfFile:
         self.path = path
         data = read_foreign(path)
         text, self._binary = _split_glb(data, path) if data[:4] == b"glTF" else (data, None)
-        if len(text) > MAX_JSON_BYTES:
-            raise HyalineError(f"{path}: its JSON has {len(text):,} bytes; expected at most {MAX_JSON_BYTES:,}")
         self.root = read(Gltf, parse_json(text.removeprefix(b"\xef\xbb\xbf"), where=str(path)), where=str(path))
         for name in LISTS:
             for index, entry in enumerate(getattr(self.root, name)):
                 entry.where = f"{path}: {name}[{index}]"
         if self.root.asset.version.split(".")[0] != "2":
             raise HyalineError(f"{path}: is glTF of version {shown(self.root.asset.version)}; expected version 2")
-        if unknown := sorted({*self.root.extensions_required} - READ_EXTENSIONS):
+        if unknown := unread(self.root.extensions_required):
             raise HyalineError(f"{path}: requires {shown(unknown[0])}, which is not read; export it without that")
         self._buffers: dict[int, bytes] = {}
         self._arrays: dict[int, np.ndarray] = {}
@@ -341,20 +297,18 @@ class GltfFile:
 
     def _decoded(self, accessor: Accessor, width: int) -> np.ndarray:
         where, shape = accessor.where, (accessor.count, width)
-        if accessor.count * width > MAX_VALUES:
-            raise HyalineError(f"{where}: has {accessor.count:,} elements; expected {MAX_VALUES // width}")
+        if accessor.buffer_view is None or accessor.sparse is not None:
+            raise HyalineError(f"{where}: is a sparse array, which is not read; export the file without those")
         dtype = np.dtype(COMPONENTS[accessor.component_type])
-        raw = np.zeros(shape, dtype)
-        if accessor.buffer_view is not None:
-            raw = self._rows(accessor.buffer_view, accessor.byte_offset, shape, dtype, where=where)
-        if (sparse := accessor.sparse) is not None:
-            places, values = sparse.indices, sparse.values
-            kind = np.dtype(COMPONENTS[places.component_type])
-            rows = self._rows(places.buffer_view, places.byte_offset, (sparse.count, 1), kind, where=where)[:, 0]
-            if rows.max() >= len(raw):
-                raise HyalineError(f"{where}: changes element {rows.max()} of {len(raw)}; export the file again")
-            raw = raw.copy()
-            raw[rows] = self._rows(values.buffer_view, values.byte_offset, (sparse.count, width), dtype, where=where)
+        content, stride = self.buffer_view(accessor.buffer_view, where=where)
+        size = width * dtype.itemsize
+        stride = stride or size  # Each row begins that many bytes after the last one.
+        end = accessor.byte_offset + (accessor.count - 1) * stride + size
+        if stride < size or end > len(content):
+            raise HyalineError(
+                f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
+            )
+        raw = np.ndarray(shape, dtype, content, accessor.byte_offset, (stride, dtype.itemsize))
         if dtype.kind == "f":
             with np.errstate(invalid="ignore"):  # Some kinds of NaN warn when they are cast.
                 values = raw.astype(np.float64)
@@ -365,18 +319,6 @@ class GltfFile:
             return raw[:, 0].astype(np.int64)
         largest = float(2 ** (8 * dtype.itemsize - (dtype.kind == "i")) - 1)
         return np.maximum(raw / largest, -1.0) if accessor.normalized else raw.astype(np.float64)
-
-    def _rows(self, view: int, offset: int, shape: tuple[int, int], dtype: np.dtype, *, where: str) -> np.ndarray:
-        """Rows of numbers in a view of a buffer."""
-        content, stride = self.buffer_view(view, where=where)
-        size = shape[1] * dtype.itemsize
-        stride = stride or size  # Each row begins that many bytes after the last one.
-        end = offset + (shape[0] - 1) * stride + size
-        if stride < size or end > len(content):
-            raise HyalineError(
-                f"{where}: needs {end:,} of {len(content):,} bytes, {size} every {stride}; export the file again"
-            )
-        return np.ndarray(shape, dtype, content, offset, (stride, dtype.itemsize))
 
 
 def _split_glb(data: bytes, path: Path) -> tuple[bytes, bytes | None]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from datagen.disk.errors import HyalineError
 from datagen.scene.materials import Color
@@ -32,9 +32,7 @@ READ = {
 ALPHA_MODES: dict[str, Literal["opaque", "mask", "blend"]] = {"OPAQUE": "opaque", "MASK": "mask", "BLEND": "blend"}
 REPEAT = 10497
 GLOSS, TRANSMISSION = "KHR_materials_pbrSpecularGlossiness", "KHR_materials_transmission"
-VOLUME = "KHR_materials_volume"
-ROUNDING = 1e-4
-"""Largest distance of uv from an image's edge, in images, that counts as rounding."""
+REPEATS = "its image does not repeat in the file; here it does, where uv reach beyond it"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +44,6 @@ class TextureUse:
     offset: tuple[float, ...]
     scale: tuple[float, ...]
     rotation: float
-    repeats: tuple[bool, bool]
-    """Along u and v; else its edges are extended, or every other repeat is mirrored."""
 
     def uv_from_file(self, uv: Float[np.ndarray, "vertex 2"]) -> Float[np.ndarray, "vertex 2"]:
         """From uv of the file, v down, to uv of its image, v up. Source: KHR_texture_transform's README."""
@@ -96,7 +92,7 @@ def read_material(file: GltfFile, index: int | None, remarks: Remarks) -> tuple[
         elif factor == "metallic":
             # The factor's default of 1 would turn into metal what the missing image may not.
             metallic = pbr.metallic_factor or 0.0
-    volume = entry.extension(VOLUME)
+    volume = entry.extension("KHR_materials_volume")
     material = ForeignMaterial(
         name=name,
         base_color=clipped_color(color),
@@ -164,33 +160,14 @@ def _texture(
     else:
         raise HyalineError(f"{image.where}: has no bytes; the file is incomplete, export it again")
     transform = texture.extension("KHR_texture_transform")
-    sampler = records.Sampler()
     if entry.sampler is not None:
         sampler = file.item(file.root.samplers, entry.sampler, where=entry.where)
+        if not sampler.wrap_s == sampler.wrap_t == REPEAT:
+            remarks.approximate(name, REPEATS)
     use = TextureUse(
         channel=texture.tex_coord if transform.tex_coord is None else transform.tex_coord,
         offset=transform.offset,
         scale=transform.scale,
         rotation=transform.rotation,
-        repeats=(sampler.wrap_s == REPEAT, sampler.wrap_t == REPEAT),
     )
     return ForeignImage(name=name, data=data), use
-
-
-def wrapped(
-    uv: Float[np.ndarray, "vertex 2"],
-    faces: Int[np.ndarray, "face 3"],
-    repeats: tuple[bool, bool],
-    remarks: Remarks,
-    *,
-    where: str,
-) -> Float[np.ndarray, "vertex 2"]:
-    """uv of an image that repeats in ours, and does not along u or v in the file: on its edge where they miss it by
-    rounding; a remark if they reach beyond it."""
-    inside, ends = np.clip(uv, 0, 1), np.logical_not(repeats)
-    uv = np.where(ends & (np.abs(uv - inside) < ROUNDING), inside, uv)
-    if (ends & (uv != inside))[faces].any():
-        remarks.approximate(
-            where, "its uv reach beyond its image, which the file extends or mirrors there; the image repeats"
-        )
-    return uv

@@ -16,6 +16,7 @@ from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import find_file
 from datagen.scene.materials import Color
 from hyaline_import.foreign import ForeignImage, ForeignMaterial, clipped, clipped_color, read_foreign
+from hyaline_import.gltf.materials import REPEATS
 from hyaline_import.pictures import stored
 from hyaline_import.remarks import Remarks
 
@@ -216,8 +217,6 @@ class FoundMaterial:
 
     material: ForeignMaterial
     image_from_uv: np.ndarray = field(default_factory=lambda: np.eye(4))
-    repeats: bool = True
-    """Else the image's edges are extended, or every other repeat is mirrored."""
 
 
 def read_bsdf(node: Node, remarks: Remarks, *, depth: int = 0) -> FoundMaterial:
@@ -379,8 +378,6 @@ def _colored(material: ForeignMaterial, node: Node, key: str, default: float, re
     if texture.flag("raw"):
         remarks.approximate(node.name, "has an image of linear values; drawn as sRGB")
     image = ForeignImage(name=node.name, data=read_foreign(texture.file("filename")))
-    return FoundMaterial(
-        material=replace(material, image=image),
-        image_from_uv=texture.matrix("to_uv"),
-        repeats=texture.text("wrap_mode", "repeat") == "repeat",
-    )
+    if texture.text("wrap_mode", "repeat") != "repeat":
+        remarks.approximate(node.name, REPEATS)
+    return FoundMaterial(material=replace(material, image=image), image_from_uv=texture.matrix("to_uv"))

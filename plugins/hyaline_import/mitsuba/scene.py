@@ -3,7 +3,6 @@
 Loading one would run native code from plugin folders beside the file, and read any file that it names.
 """
 
-import math
 import struct
 import zlib
 from collections.abc import Callable
@@ -12,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from datagen.data.cameras import MAX_SKEW, Camera
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import MAP_ENDINGS, RectangleLight
 from datagen.scene.images import read_map
@@ -27,18 +25,14 @@ from hyaline_import.foreign import (
     ForeignObject,
     ForeignScene,
     elementwise,
-    lens_of,
     read_foreign,
 )
-from hyaline_import.gltf.materials import wrapped
 from hyaline_import.mitsuba.nodes import FoundMaterial, Node, NodeList, absorption_of, read_bsdf
 from hyaline_import.plain import read_obj, read_ply_file
 from hyaline_import.remarks import Remarks
 
 QUIET = ("Integrator", "Sampler", "Film", "BSDF", "Texture", "Medium")
 """Top-level nodes that do not change the scene, or that shapes refer to."""
-FOV_DEG = math.degrees(2 * math.atan(math.hypot(36, 24) / 100))
-"""Diagonal angle of a sensor without one: that of a lens of 50 mm on film of 36 x 24 mm."""
 MAGIC = 0x041C
 NORMALS, UV, COLORS, DOUBLE = 0x0001, 0x0002, 0x0008, 0x2000
 MAX_NAME = 4096
@@ -46,11 +40,10 @@ MAX_MESHES = 20_000
 
 
 def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
-    """The shapes, materials, lights and cameras of a scene file."""
+    """The shapes, materials and lights of a scene file."""
     nodes = NodeList(path)
     objects: list[ForeignObject] = []
     lights: list[RectangleLight] = []
-    cameras: list[Camera] = []
     sensors: list[Node] = []
     sky: Color | ForeignMap | None = None
     for node in nodes.root.children():
@@ -58,7 +51,6 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
             _add_shape(node, objects, lights, remarks)
         elif node.kind == "Sensor":
             sensors.append(node)
-            cameras += _camera(node, remarks)
         elif node.kind == "Emitter" and node.plugin == "constant":
             sky = node.color("radiance", 1.0)
         elif node.kind == "Emitter" and node.plugin == "envmap":
@@ -74,7 +66,6 @@ def read_mitsuba(path: Path, remarks: Remarks) -> ForeignScene:
         up=_up(sensors),
         lights=tuple(lights),
         sky=sky,
-        cameras=tuple(cameras),
         is_complete=True,
     )
 
@@ -101,7 +92,6 @@ def _add_shape(node: Node, objects: list[ForeignObject], lights: list[RectangleL
             flat = np.stack([uv[:, 0], 1 - uv[:, 1], np.zeros(len(uv)), np.ones(len(uv))], axis=-1)
             flat = flat @ found.image_from_uv.T
             uv = np.stack([flat[:, 0], 1 - flat[:, 1]], axis=-1)
-            uv = wrapped(uv, item.faces, (found.repeats, found.repeats), remarks, where=node.name)
         objects.append(replace(item, uv=uv, material=material))
 
 
@@ -129,44 +119,6 @@ def _map(node: Node) -> ForeignMap:
         raise HyalineError(f"{node.where}: scale is {scale:g}; expected more than 0")
     middle, up = (column / np.linalg.norm(column) for column in (world[:, 2], world[:, 1]))
     return ForeignMap(data=data, ending=path.suffix.lower(), scale=scale, middle=middle, up=up)
-
-
-def _camera(node: Node, remarks: Remarks) -> list[Camera]:
-    """The camera of a sensor; none if it is skewed or mirrored."""
-    if node.plugin == "thinlens":
-        remarks.approximate(node.name, "is out of focus in places; drawn sharp everywhere")
-    elif node.plugin != "perspective":
-        remarks.approximate(node.name, f"is a camera of kind {node.plugin}, which is left out")
-        return []
-    film = node.inner("Film") or node  # A sensor has none of a film's numbers.
-    width, height = film.number("width", 768), film.number("height", 576)
-    left, top = film.number("crop_offset_x", 0), film.number("crop_offset_y", 0)
-    shown_width, shown_height = film.number("crop_width", width), film.number("crop_height", height)
-    if not (shown_width >= 1 and shown_height >= 1):
-        raise HyalineError(
-            f"{node.where}: makes pictures of {shown_width:g} x {shown_height:g} pixels; expected at least 1 x 1"
-        )
-    if "focal_length" in node:
-        raise HyalineError(f"{node.where}: gives a focal length; expected fov, in degrees")
-    tangent = math.tan(math.radians(min(max(node.number("fov", FOV_DEG), 1e-3), 179.0)) / 2)
-    axis = node.text("fov_axis", "x" if "fov" in node else "diagonal")
-    sizes = {"x": width, "y": height, "smaller": min(width, height), "larger": max(width, height),
-             "diagonal": math.hypot(width, height)}  # fmt: skip
-    if axis not in sizes:
-        raise HyalineError(f"{node.where}: fov_axis is {axis[:40]!r}; expected one of {', '.join(sizes)}")
-    world = node.matrix("to_world")
-    # Mitsuba's cameras look along +z and have +x on their left; OpenGL's look along -z, +x on their right.
-    rotation = world[:3, :3] / np.linalg.norm(world[:3, :3], axis=0) * [-1, 1, -1]
-    if np.abs(rotation.T @ rotation - np.eye(3)).max() > MAX_SKEW or np.linalg.det(rotation) < 0:
-        remarks.approximate(node.name, "is a camera that its to_world skews or mirrors, which is left out")
-        return []
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, world[:3, 3]
-    # The offset is in sizes of the whole film, against the axes of the pixels (Mitsuba 3.9).
-    column = width * (0.5 - node.number("principal_point_offset_x", 0.0)) - left
-    row = height * (0.5 - node.number("principal_point_offset_y", 0.0)) - top
-    focal = 0.5 * sizes[axis] / tangent
-    return [lens_of(focal, shown_width, shown_height, (column, row), where=node.where).camera(matrix)]
 
 
 def _up(sensors: list[Node]) -> Axis:

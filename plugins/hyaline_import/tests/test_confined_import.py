@@ -23,8 +23,8 @@ from support.hostile import png as png_of
 from datagen.data.ply import write_ply
 from datagen.disk.errors import HyalineError
 from datagen.machine import processes
-from hyaline_import.importing import READERS
 from hyaline_import.remarks import Remarks
+from hyaline_import.source import READERS
 
 
 @pytest.fixture(autouse=True)

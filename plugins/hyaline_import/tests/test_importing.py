@@ -323,9 +323,7 @@ def test_the_command_writes_a_folder_that_holds_the_scene_and_a_line_for_each_ap
     # Read as any scene, nothing is left to mend, and it is the same to the last byte.
     assert {**scene_files(load_scene(root)), "import.json": written["import.json"]} == written
     again = call("datagen import 'my things.glb'")
-    assert again.status == 1 and "pass --overwrite" in again.error
-    assert call("datagen import 'my things.glb' --overwrite --ground never").status == 0
-    assert not (root / "meshes" / "ground.ply").exists()
+    assert again.status == 1 and "holds an imported scene; remove it" in again.error
 
 
 def test_materials_by_name_override_those_of_the_file_and_a_wrong_name_names_those_that_are_there(

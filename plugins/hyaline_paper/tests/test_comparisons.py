@@ -11,7 +11,7 @@ import pytest
 from support.commands import call, run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
-from datagen.data.config import TEST_SPLITS, Imported, Split, square
+from datagen.data.config import TEST_SPLITS, Split, square
 from datagen.data.dataset import Dataset
 from datagen.data.images import png_bytes
 from datagen.data.paths import TRUTH
@@ -23,9 +23,7 @@ from eval.score.runs import open_run
 from eval.score.scores import SceneScores, Truth, read_truth, score_run
 from eval.tables.grids import MISSING
 from hyaline_paper import claims
-from hyaline_paper.comparisons import known_to
 from hyaline_paper.tried import enlarge
-from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperBestConfig, PaperConfig
 from model.run.run_folder import TrainConfig
 from model.run.train_flags import Asked, flags_asked
@@ -37,12 +35,6 @@ BEST = dataclasses.replace(
     method="paper-best",
     net=dataclasses.replace(PaperBestConfig().usual(TRUTH), width=128, texture_size=128),
     loss=LossConfig(softness=0.03),
-)
-LIGHT = TrainConfig(
-    method="light-path",
-    geometry="truth",
-    net=LightPathConfig().usual("truth").sized((64, 64)),
-    loss=LossConfig(softness=0.05),
 )
 
 
@@ -328,42 +320,6 @@ def test_edited_scenes_decide_whether_zero_layers_help_edits(
 
 
 # What is refused, and what the records must be
-
-
-def test_runs_are_told_apart_by_what_is_known_of_the_glass(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for seed in range(2):
-        write_run(dataset, tmp_path, f"light-path-seed{seed}", dataclasses.replace(LIGHT, seed=seed), 4 + seed, 6)
-        (tmp_path / "synthetic" / f"light-path-seed{seed}" / "costs.json").write_text(
-            f'{{"cpu_seconds": {60 + 60 * seed}}}'
-        )
-    for geometry, level in (("fitted", 8), ("fitted-hull", 16), ("fitted-materials", 7)):
-        write_run(dataset, tmp_path, geometry, dataclasses.replace(LIGHT, geometry=geometry), level, level)
-    write_run(dataset, tmp_path, "proxies", dataclasses.replace(LIGHT, geometry="box"), 9, 9)
-    changed = dataclasses.replace(LIGHT, net=dataclasses.replace(LIGHT.net, branches=4))
-    write_run(dataset, tmp_path, "changed", changed, 5, 5)
-    write_run(dataset, tmp_path, "paper", paper(), 10, 11)
-    write_run(dataset, tmp_path, "a_field", "somebodys", 20, 20, geometry="none")
-    tables(dataset, tmp_path, "known")
-    rows = [row[:5] + row[6:] for row in rows_of(capsys.readouterr().out)[1:]]
-
-    def line(known: str, run: str, geometry: str, level: int) -> list[str]:
-        return [known, run, geometry, "1", f"{decibels(level):.2f}", MISSING]
-
-    mean, deviation = statistics.fmean([decibels(4), decibels(5)]), statistics.stdev([decibels(4), decibels(5)])
-    assert rows == [
-        ["everything", "light-path", "truth", "2", f"{mean:.2f}±{deviation:.2f}", "1.50±0.71"],
-        line("materials unknown", "fitted-materials", "fitted-materials", 7),
-        line("materials unknown", "paper", "truth", 10),
-        line("shapes from masks", "fitted-hull", "fitted-hull", 16),
-        line("shapes, materials from masks", "fitted", "fitted", 8),
-        line("pictures alone", "a_field", "none", 20),
-    ]
-    run = open_run(tmp_path / "synthetic" / "fitted", tmp_path)
-    source = Imported(layout="capture", source="photos", source_sha256="0", has_masks=True, has_depth=False)
-    imported = dataclasses.replace(dataset, imported=source)
-    assert known_to(dataclasses.replace(run, dataset=imported)) == "pictures alone"
 
 
 def test_a_table_without_runs_names_the_sweep_that_makes_them(dataset: Dataset, tmp_path: Path) -> None:

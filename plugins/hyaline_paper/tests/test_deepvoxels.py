@@ -299,7 +299,6 @@ def test_what_it_cannot_learn_from_is_refused(dataset: Dataset) -> None:
         ),
         "is 100 x 100; .* so build the dataset with --resolution 128": lambda: TINY.sized(square(100)),
         "is 8 x 8; .* so build the dataset with --resolution 16": lambda: TINY.sized(square(8)),
-        "adversarial: is true; this version": lambda: DeepVoxelsConfig(adversarial=True),
     }
     for message, call_it in refused.items():
         with pytest.raises(HyalineError, match=message):

@@ -15,7 +15,7 @@ from support.scenarios import BUILD, GRID, QUICK, SCENARIOS, TRAIN
 from datagen.machine.mitsuba_variant import use_mitsuba
 
 RENDER = "model predict runs/one/paper --device cpu"
-IMPORT = "datagen import thing.glb --out mine --overwrite"
+IMPORT = "datagen import thing.glb --out mine"
 
 FREE = (
     *(pytest.param(item.start, item.line, marks=() if item.name in QUICK else pytest.mark.full) for item in SCENARIOS),

@@ -9,16 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from PIL import Image, ImageSequence
 from support.builds import tree
 from support.commands import Answer, call
 from support.synthetic import synthetic_scene
 
+from datagen.builder.variants import plan_stereo
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS
 from datagen.data.dataset import open_dataset
 from datagen.data.images import read_png
 from datagen.data.variants import evenly, has_variant, open_variant
 from datagen.disk.errors import HyalineError
+from datagen.quantities import quantities
 from datagen.scene.folder import save_scene
 from eval.page.report import make_report
 
@@ -26,7 +29,7 @@ FLAGS = (
     *("--preset", "tiny", "--resolution", "16", "--num-layers", "4"),
     *("--views", "3", "--test-views", "3", "--spp", "2", "--test-spp", "2"),
 )
-MORE = ("--angles", "--larger", "2", "--larger-views", "2")
+MORE = ("--angles", "--larger", "2", "--larger-views", "2", "--stereo", "0.06")
 
 
 def command(*words: object) -> Answer:
@@ -80,6 +83,38 @@ def test_larger_truth_is_that_of_the_same_cameras(made: tuple[Path, dict[str, by
         assert layers.object_id.shape == (4, 32, 32)
 
 
+def test_every_view_has_a_right_one_with_noise_of_its_own(made: tuple[Path, dict[str, bytes]]) -> None:
+    dataset = open_dataset(made[0] / "data/mine")
+    right = open_variant(dataset, "stereo-60mm")
+    assert right.num_views == dataset.num_views and right.home.seal == dataset.seal
+    for split in right.splits:
+        for left, other in zip(dataset.views(split), right.views(split), strict=True):
+            moved = np.linalg.inv(left.camera.world_from_camera) @ other.camera.world_from_camera
+            assert np.abs(moved - [[1, 0, 0, 0.06], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]).max() < 1e-12
+            assert other.record.seed != left.record.seed and other.layers().object_id.any()
+    with pytest.raises(HyalineError, match="stereo: is 60; expected metres, more than 0 and at most 10"):
+        plan_stereo(dataset, 60)
+
+
+def test_a_labelled_film_shows_the_views_of_a_variant_that_goes_on(made: tuple[Path, dict[str, bytes]]) -> None:
+    data, out = made[0] / "data/mine", made[0] / "film.webp"
+    film = ("datagen", "film", data, "--labels", "--frames", 3, "--spp", 4, "--width", 24, "--out", out)
+    assert command(*film).out.split() == [str(data / "variants/film-orbit"), str(out)]
+    first = tree(data / "variants/film-orbit")
+    frames = open_variant(open_dataset(data), "film-orbit").views("interpolating")
+    with Image.open(out) as shown:
+        for view, picture in zip(frames, ImageSequence.Iterator(shown), strict=True):
+            assert np.abs(np.asarray(picture.convert("RGB")).astype(float) - view.image).mean() < 4
+    depth = quantities(frames[2]).opaque_depth_along_axis
+    assert depth.shape == (24, 24) and (depth > quantities(frames[2]).depth_along_axis).any()
+    out.unlink()
+    frames[1].record_path.unlink()
+    assert command(*film).status == 0 and tree(data / "variants/film-orbit") == first
+    assert command("datagen", "export", frames[0].dataset.root, "--format", "bop", "--out", made[0] / "bop").status == 0
+    assert len([*(made[0] / "bop/test_pbr/000000/rgb").iterdir()]) == 3
+    shutil.rmtree(data / "variants/film-orbit")
+
+
 def test_a_variant_of_other_data_is_refused_and_replaced(made: tuple[Path, dict[str, bytes]], tmp_path: Path) -> None:
     shutil.copytree(made[0] / "data/mine", tmp_path / "mine")
     build = ("datagen", "build", "--scene", made[0] / "scene/mine", "--out", tmp_path / "mine", *FLAGS)
@@ -112,13 +147,13 @@ def test_runs_predict_variants_and_the_report_scores_them(
     assert read_png(drawn / "x2/predictions/extrapolating/0001.png").shape == (32, 32, 3)
     advice = "make it with `datagen add`"
     refused = command(*render, "--variant", "x4").err
-    assert f"x4: no such variant (there are: angles, x2); {advice}" in refused
+    assert f"x4: no such variant (there are: angles, stereo-60mm, x2); {advice}" in refused
 
     # A foreign method that knows the truth, and one that enlarges its own pictures.
     dataset = open_dataset(root / "data/mine")
     for split in TEST_SPLITS:
         shutil.copytree(dataset.root / "images" / split, runs / "perfect/predictions" / split)
-    for name in ("angles", "x2"):
+    for name in ("angles", "x2", "stereo-60mm"):
         shutil.copytree(root / "data/mine/variants" / name / "images", runs / "perfect/variants" / name / "predictions")
     make_report(tmp_path / "runs", root / "data", tmp_path / "out", output_format="markdown")
     text = capsys.readouterr().out
@@ -136,5 +171,5 @@ def test_runs_predict_variants_and_the_report_scores_them(
     scaled = scene["variants"]["x2"]
     assert scaled["runs"]["perfect"]["extrapolating"]["psnr_db"]["mean"] == "inf"
     assert set(scaled["runs"]) == {"paper", "perfect"}
-    titles = ("mine: variant angles", "mine: variant x2")
+    titles = ("mine: variant angles", "mine: variant x2", "mine: variant stereo-60mm")
     assert all(title in text for title in titles)

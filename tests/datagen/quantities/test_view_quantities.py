@@ -1,9 +1,12 @@
 """Tests the quantities of views against closed formulas: a ball, a slab, a pane and a cube above a floor."""
 
+from typing import Literal
+
 import numpy as np
 import pytest
 from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
 
+from datagen.builder.variants import plan_stereo
 from datagen.data.dataset import Dataset, View, open_dataset
 from datagen.disk.errors import HyalineError
 from datagen.quantities import ViewQuantities, quantities
@@ -55,9 +58,36 @@ def test_positions_lie_on_the_surfaces_that_the_masks_name(found: ViewQuantities
     assert on_floor.any() and np.abs(found.opaque_position[on_floor][:, 2]).max() < 1e-4
     names = [item.name for item in found.view.dataset.objects]
     masks = np.stack([found.background, *(found.object_mask(name) for name in names)])
+    whole = found.object_mask("floor", amodal=True)
+    assert np.array_equal(whole, (found.layers.object_id == 1).any(axis=0)) and whole.sum() > masks[1].sum()
     assert (masks.sum(axis=0) == 1).all() and found.background.any()
     with pytest.raises(HyalineError, match="has no object 'teapot'"):
         found.object_mask("teapot")
+
+
+@pytest.mark.parametrize("surface", ["first", "opaque"])
+def test_the_right_camera_sees_the_point_of_a_pixel_further_left_by_its_disparity(
+    dataset: Dataset, surface: Literal["first", "opaque"]
+) -> None:
+    right, num_seen, num_hidden = plan_stereo(dataset, 0.06).cameras["train"], 0, 0
+    for view in dataset.views("train"):
+        found, camera = quantities(view), right[view.index]
+        points = found.position if surface == "first" else found.opaque_position
+        there, disparity = points.any(axis=-1), found.disparity(0.06, surface)
+        assert disparity[there].min() > 0.5 and not disparity[~there].any()
+        rows, columns = np.nonzero(there)
+        pixels = np.stack([columns + 0.5 - disparity[there], rows + 0.5, np.ones(len(rows))])
+        directions = (np.linalg.inv(camera.intrinsics) @ pixels).T * [1, -1, -1] @ camera.world_from_camera[:3, :3].T
+        directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
+        origin = camera.world_from_camera[:3, 3]
+        hits = found.surfaces.peeler.trace(origin.astype(np.float32), directions.astype(np.float32), 8)
+        is_seen = (hits.shape >= 0) & ((surface == "first") | ~found.surfaces.is_glass[hits.shape + 1])
+        distance = np.take_along_axis(hits.t, is_seen.argmax(axis=0)[None], axis=0)[0]
+        off = np.linalg.norm(origin + distance[:, None] * directions - points[there], axis=-1)
+        is_hidden = distance < np.linalg.norm(points[there] - origin, axis=-1) - 1e-3
+        assert off[~is_hidden].max() < 1e-3
+        num_seen, num_hidden = num_seen + (~is_hidden).sum(), num_hidden + is_hidden.sum()
+    assert num_seen > 5000 and 0 < num_hidden < 0.05 * num_seen
 
 
 def test_masks_and_materials_are_those_of_the_scene(found: ViewQuantities) -> None:

@@ -1,15 +1,14 @@
-"""Tests that a glTF file is read as viewers read it: arrays, nodes, instances, images, cameras."""
+"""Tests that a glTF file is read as viewers read it: arrays, nodes, instances, images."""
 
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.foreign import add, glass_entry, use_of
+from support.foreign import add, use_of
 from support.gltf import BOX, GltfBuilder
 
 from datagen.data.meshes import face_corners, signed_volume
-from datagen.scene.description import CameraList
 from datagen.scene.finding import ImportChoices
 from datagen.scene.modelling import ball
 from hyaline_import.foreign import ForeignObject, ForeignScene
@@ -102,18 +101,10 @@ def test_a_texture_transform_moves_uv_as_its_extension_says(tmp_path: Path) -> N
     np.testing.assert_allclose(found, np.stack([u, 1 - v], axis=-1), atol=1e-6)
 
 
-MIRRORED, CLAMPED = 33648, 33071
-
-
-@pytest.mark.parametrize("wrap", [CLAMPED, MIRRORED])
-@pytest.mark.parametrize(("beyond", "is_told"), [(1e-5, False), (0.5, True)])
-def test_uv_beyond_an_image_that_does_not_repeat_are_told(
-    wrap: int, beyond: float, is_told: bool, tmp_path: Path
-) -> None:
-    uv = np.array([[0.5, 0.5], [1 + beyond, 0.5], [0.5, 7]])
+@pytest.mark.parametrize(("sampler", "is_told"), [({}, False), ({"wrapS": 33648}, True), ({"wrapT": 33071}, True)])
+def test_an_image_that_the_file_mirrors_or_clamps_is_told(sampler: dict, is_told: bool, tmp_path: Path) -> None:
     remarks = Remarks()
-    (item,) = read(card({"wrapS": wrap}, np.zeros((2, 2, 3)), uv), tmp_path, remarks).objects
-    assert item.uv is not None and item.uv[1, 0] == pytest.approx(1.5 if is_told else 1.0, abs=1e-9)
+    read(card(sampler, np.zeros((2, 2, 3)), np.eye(3)[:, :2]), tmp_path, remarks)
     assert told(remarks) == [("stuff", True)] * is_told
 
 
@@ -128,73 +119,12 @@ def test_a_mesh_without_normals_is_flat(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.normals[mesh.faces], np.repeat(normals[:, None], 3, axis=1), atol=1e-3)
 
 
-def test_a_mesh_with_a_skin_is_where_its_joints_are_and_not_where_its_node_is(tmp_path: Path) -> None:
+def test_skinned_meshes_are_left_out_and_shape_keys_are_not_read_and_both_are_told(tmp_path: Path) -> None:
     builder = GltfBuilder()
-    mesh = builder.mesh(BOX)
-    share = (BOX.vertices[:, 0] + 0.5).clip(0, 1)  # The right end hangs on the second joint alone.
-    attributes = builder.content["meshes"][mesh]["primitives"][0]["attributes"]
-    attributes["JOINTS_0"] = builder.array(np.tile([0, 1, 0, 0], (len(share), 1)), "u1")
-    attributes["WEIGHTS_0"] = builder.array(np.stack([1 - share, share, 0 * share, 0 * share], axis=1))
-    quarter = [0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)]
-    joints = [builder.node(translation=[1, 2, 3]), builder.node(rotation=quarter, scale=[2, 2, 2])]
-    binds = np.tile(np.eye(4), (2, 1, 1))
-    binds[1, :3, 3] = (0.0, 0.5, 0.0)
-    inverse = builder.array(binds.swapaxes(1, 2).reshape(2, 16))
-    skin = builder.add("skins", {"joints": joints, "inverseBindMatrices": inverse})
-    builder.node(mesh=mesh, skin=skin, scale=[100, 100, 100])
-    (item,) = read(builder, tmp_path).objects
-    x, y, z = BOX.vertices.T.astype(np.float64)
-    first = np.stack([x + 1, y + 2, z + 3], axis=1)
-    second = 2 * np.stack([-(y + 0.5), x, z], axis=1)  # A quarter turn about z, twice as large.
-    expected = first + share[:, None] * (second - first)
-    np.testing.assert_allclose(item.positions, expected, atol=1e-6)
-    end = share == 1
-    assert item.normals is not None
-    turned = item.normals[end] / np.linalg.norm(item.normals[end], axis=1, keepdims=True)
-    np.testing.assert_allclose(turned, BOX.normals[end][:, [1, 0, 2]] * [-1, 1, 1], atol=1e-6)
-
-
-@pytest.mark.parametrize("is_of_node", [False, True])
-def test_a_shape_key_counts_with_its_weight_also_where_few_vertices_move(is_of_node: bool, tmp_path: Path) -> None:
-    builder = GltfBuilder()
-    mesh = builder.mesh(BOX)
-    moved = np.array([3, 7])
-    sparse = {
-        "count": 2,
-        "indices": {"bufferView": builder.view(moved.astype("<u2").tobytes()), "componentType": 5123},
-        "values": {"bufferView": builder.view(np.array([[0, 0, 2], [4, 0, 0]], "<f4").tobytes())},
-    }
-    few = builder.accessor({"componentType": 5126, "count": len(BOX.vertices), "type": "VEC3", "sparse": sparse})
-    whole = builder.array(np.full_like(BOX.vertices, 8.0))
-    entry = builder.content["meshes"][mesh]
-    entry["primitives"][0]["targets"] = [{"POSITION": few}, {"POSITION": whole}]
-    entry["weights"] = [0.0, 1.0] if is_of_node else [0.5, 0.0]
-    builder.node(mesh=mesh, **({"weights": [0.5, 0.0]} if is_of_node else {}))
-    (item,) = read(builder, tmp_path).objects
-    expected = BOX.vertices.astype(np.float64)
-    expected[moved] += [[0, 0, 1], [2, 0, 0]]
-    np.testing.assert_allclose(item.positions, expected, atol=1e-6)
-
-
-WIDE = {"type": "perspective", "perspective": {"yfov": 0.5, "aspectRatio": 2.0}}
-
-
-def with_camera(folder: Path, camera: dict, **node: object) -> Path:
-    builder = add(GltfBuilder(), "box", BOX, glass_entry())
-    builder.node(camera=builder.add("cameras", camera), translation=[0, 0.2, 3], **node)
-    return builder.written(folder)
-
-
-def test_gltfs_own_cameras_are_taken_when_asked_for(tmp_path: Path) -> None:
-    path = with_camera(tmp_path, WIDE, scale=[2, 2, 2])
-    around = import_scene(path, ImportChoices())
-    assert any("the file brings 1, which --cameras file takes" in line for line in around.told())
-    cameras = import_scene(path, ImportChoices(cameras="file")).scene.cameras
-    assert isinstance(cameras, CameraList)
-    lens = cameras.train
-    assert (lens.width, lens.height) == (2000, 1000)
-    assert lens.fov_x == pytest.approx(2 * math.atan(2 * math.tan(0.25)))
-    # glTF's +z is our -y, and the scene's box is on the ground.
-    height = float(BOX.vertices[:, 1].max())
-    np.testing.assert_allclose(lens.world_from_camera[0, :3, 3], (0, -3, 0.2 + height), atol=1e-5)
-    np.testing.assert_allclose(lens.world_from_camera[0, :3, 2], (0, -1, 0), atol=1e-9)
+    skin = builder.add("skins", {"joints": [0]})
+    builder.node(mesh=builder.mesh(BOX), name="arm", skin=skin, scale=[100, 100, 100])
+    builder.node(mesh=builder.mesh(BOX), name="face", weights=[0.0, 0.5])
+    builder.node(mesh=builder.mesh(BOX), name="still", weights=[0.0, 0.0])
+    remarks = Remarks()
+    assert [item.name for item in read(builder, tmp_path, remarks).objects] == ["face", "still"]
+    assert told(remarks) == [("arm", True), ("face", True)]

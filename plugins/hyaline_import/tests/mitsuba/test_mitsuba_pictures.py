@@ -1,17 +1,17 @@
 """Tests that an imported Mitsuba scene looks, from its own sensor, as Mitsuba itself renders its file."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from datagen.data.config import DatasetConfig, Resolution, SplitConfig
+from datagen.data.cameras import Cameras, look_at
 from datagen.data.images import srgb_from_linear
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.render.truth import Renderer, render_view
 from datagen.scene.finding import ImportChoices
-from datagen.scene.rig import make_cameras
 from hyaline_import.importing import import_scene
 
 WIDTH, HEIGHT = 30, 20
@@ -82,17 +82,10 @@ def test_a_file_looks_from_its_own_sensor_as_mitsuba_renders_it(name: str, tmp_p
     write_picture(tmp_path)
     path = tmp_path / "scene.xml"
     path.write_text(f'<scene version="3.0.0">{SENSOR}{FLOOR}{CASES[name]}</scene>')
-    scene = import_scene(path, ImportChoices(cameras="file")).scene
-    split = SplitConfig(views=1, spp=SPP)
-    config = DatasetConfig(
-        scene="scene",
-        preset="tiny",
-        resolution=Resolution(width=WIDTH, height=HEIGHT),
-        train=split,
-        interpolating=split,
-        extrapolating=split,
-    )
-    cameras = make_cameras(scene.cameras, config)["train"]
+    scene = import_scene(path, ImportChoices()).scene
+    pose = look_at(np.array([1.2, -4, 2.2]), np.array([0.1, 0, 0.4]))[None]
+    fov_x = 2 * math.atan(math.tan(math.radians(21)) * WIDTH / HEIGHT)
+    cameras = Cameras(world_from_camera=pose, fov_x=fov_x, width=WIDTH, height=HEIGHT)
     ours = render_view(Renderer(scene, max_depth=24), cameras, 0, spp=SPP, view_seed=0, ceiling_db=None).radiance
     theirs = np.array(mi.render(mi.load_file(str(path)), spp=SPP), np.float64)[..., :3]
     pictures = [srgb_from_linear(np.asarray(picture, np.float64)) for picture in (ours, theirs)]

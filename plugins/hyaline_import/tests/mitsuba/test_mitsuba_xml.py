@@ -17,7 +17,7 @@ from datagen.data.images import encode_float_exr
 from datagen.data.meshes import face_corners, signed_volume
 from datagen.data.ply import write_ply
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.scene.description import CameraList, EnvironmentMap, SoftEnvironment
+from datagen.scene.description import EnvironmentMap, SoftEnvironment
 from datagen.scene.finding import ImportChoices
 from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.materials import Color, Conductor, Dielectric, Plastic, RoughDielectric
@@ -93,7 +93,7 @@ def test_a_scene_of_mitsuba_before_2_is_what_mitsuba_makes_of_it(tmp_path: Path)
     boxes = sorted((shape.bbox() for shape in theirs.shapes()), key=lambda box: -box.volume())
     for item, box in zip((cube, ball), boxes, strict=True):
         np.testing.assert_allclose([item.positions.min(0), item.positions.max(0)], [box.min, box.max], atol=2e-3)
-    np.testing.assert_allclose(scene.cameras[0].world_from_camera[:3, 3], [0, -3, 1.5], atol=1e-6)
+    assert scene.up == "z"
 
 
 def test_glass_is_relative_to_what_is_around_it_and_absorbs_by_its_medium(tmp_path: Path) -> None:
@@ -206,20 +206,14 @@ def test_normals_that_a_file_lacks_are_those_that_mitsuba_computes(tmp_path: Pat
         np.testing.assert_allclose(ours, np.array(si.sh_frame.n).T, atol=1e-3)
 
 
-def test_cameras_and_lights_are_where_the_file_puts_them(tmp_path: Path) -> None:
+def test_lights_are_where_the_file_puts_them(tmp_path: Path) -> None:
     lamp = (
         '<shape type="rectangle"><transform name="to_world"><rotate x="1" angle="180"/><translate z="4"/></transform>'
         '<emitter type="area"><rgb name="radiance" value="6,5,4"/></emitter></shape>'
     )
     sky = '<emitter type="constant"><rgb name="radiance" value="0.5,0.6,0.7"/></emitter>'
-    scene = import_scene(xml_of(tmp_path, f"{SENSOR}{BALL}{lamp}{sky}"), ImportChoices(cameras="file")).scene
+    scene = import_scene(xml_of(tmp_path, f"{SENSOR}{BALL}{lamp}{sky}"), ImportChoices()).scene
     assert [item.name for item in scene.objects] == ["ball"], "no ground is added, and lamps are no objects"
-    assert isinstance(scene.cameras, CameraList)
-    camera = scene.cameras.interpolating.world_from_camera[0]
-    np.testing.assert_allclose(camera[:3, 3], [0, -3, 1.5], atol=1e-6)
-    ahead = np.array([0, 3, -1]) / math.sqrt(10)
-    np.testing.assert_allclose(camera[:3, :3].T, [[1, 0, 0], np.cross([1, 0, 0], ahead), -ahead], atol=1e-6)
-    assert math.degrees(scene.cameras.train.fov_x) == pytest.approx(40)
     (light,) = scene.lights
     normal = np.cross(light.edge_u, light.edge_v)
     np.testing.assert_allclose(normal / 4, [0, 0, -1], atol=1e-12)
@@ -227,34 +221,6 @@ def test_cameras_and_lights_are_where_the_file_puts_them(tmp_path: Path) -> None
     assert all(value == 0 or abs(value) > 1e-6 for value in (*light.edge_u, *light.edge_v))
     assert isinstance(scene.environment, SoftEnvironment)
     np.testing.assert_allclose([light.radiance, scene.environment.zenith], [[6, 5, 4], [0.5, 0.6, 0.7]], rtol=1e-6)
-
-
-@pytest.mark.parametrize(
-    "numbers",
-    [
-        {"width": 96, "height": 64},
-        *({"width": 96, "height": 64, "fov": 40, "fov_axis": axis} for axis in ("x", "y", "smaller", "larger")),
-        {"width": 64, "height": 96, "principal_point_offset_x": 0.2, "principal_point_offset_y": -0.1, "fov": 50},
-        {"width": 96, "height": 64, "crop_offset_x": 30, "crop_offset_y": 10, "crop_width": 40, "crop_height": 20,
-         "principal_point_offset_x": 0.1, "principal_point_offset_y": 0.3},
-    ],
-)  # fmt: skip
-def test_rays_of_a_camera_are_those_of_mitsubas_sensor(numbers: dict[str, float | str], tmp_path: Path) -> None:
-    kinds = {int: "integer", float: "float", str: "string"}
-    given = {key: float(value) if key == "fov" else value for key, value in numbers.items()}
-    tags = {key: f'<{kinds[type(value)]} name="{key}" value="{value}"/>' for key, value in given.items()}
-    film = "".join(tag for key, tag in tags.items() if key[0] in "cwh")
-    of_sensor = "".join(tag for key, tag in tags.items() if key[0] not in "cwh")
-    place = '<transform name="to_world"><lookat origin="0,-3,1.5" target="0.2,0,0.5" up="0,0,1"/></transform>'
-    body = f'<sensor type="perspective">{of_sensor}{place}<film type="hdrfilm">{film}</film></sensor>{BALL}'
-    (camera,) = read(tmp_path, body).cameras
-    sensor = mi.load_file(str(tmp_path / "a.xml")).sensors()[0]
-    assert list(sensor.film().crop_size()) == [camera.width, camera.height]
-    directions = camera.rays()[1]
-    for row, column in ((0, 0), (3, 17), (camera.height - 1, camera.width - 1)):
-        at = (column + 0.5) / camera.width, (row + 0.5) / camera.height
-        ray, _ = sensor.sample_ray(0, 0, mi.Point2f(*at), mi.Point2f(0.5, 0.5))
-        np.testing.assert_allclose(directions[row, column], np.array(ray.d).reshape(3), atol=1e-5)
 
 
 # Serialized meshes
