@@ -12,8 +12,7 @@ DEV_STAMP := $(STAMP)-dev
 setup: $(STAMP)
 
 PIP := $(BIN)/python -m pip install $(if $(CI),--quiet) --disable-pip-version-check --no-compile -c $(ENVIRONMENT)/hyaline-constraints.txt
-# PyTorch of PyPI for Linux brings CUDA libraries of 4 GB; its own index has a build without them.
-CPU_INDEX := https://download.pytorch.org/whl/cpu
+# PyTorch of PyPI for Linux brings CUDA libraries of 4 GB; uv knows where a build without them is.
 NEEDS_CPU_TORCH := [ "$$(uname)" = Linux ] && ! command -v nvidia-smi >/dev/null && grep '^torch==' $(ENVIRONMENT)/hyaline-constraints.txt
 
 # A torch that is there stays (its line is dropped from the constraints). All of a recipe is expanded as it begins.
@@ -24,8 +23,8 @@ $(STAMP): pyproject.toml constraints.txt
 	@if $(BIN)/python -c "import torch" 2>/dev/null; then grep -v '^torch==' constraints.txt; else cat constraints.txt; fi \
 		> $(ENVIRONMENT)/hyaline-constraints.txt
 	@if torch=$$($(NEEDS_CPU_TORCH)); then \
-		echo "setup: no NVIDIA GPU here, so PyTorch comes without CUDA, from $(CPU_INDEX)"; \
-		$(PIP) --retries 1 --timeout 20 --extra-index-url $(CPU_INDEX) "$$torch+cpu" || \
+		echo "setup: no NVIDIA GPU here, so PyTorch comes without CUDA"; \
+		$(PIP) uv && UV_HTTP_TIMEOUT=20 $(BIN)/uv pip install --python $(BIN)/python --torch-backend=cpu "$$torch" || \
 		echo "setup: that failed; if pip now downloads CUDA libraries, press Ctrl-C and see docs/install.md"; \
 	fi
 	$(PIP) -e ".[all]"
