@@ -153,16 +153,18 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
         out: Page to write, a .html file. Default: NAME-look.html.
-        overwrite: Replace an existing file.
+        overwrite: Replace a file that is not such a page.
     """
     from datagen.data.dataset import open_dataset
     from datagen.disk.ownership import refuse_file
     from datagen.disk.storage import commit
     from datagen.look.look import look_page
+    from datagen.pages.html import GENERATOR
 
     opened = open_dataset(find_dataset(dataset))
     path = out if out is not None else Path(f"{opened.name}-look.html")
-    refuse_file(path, overwrite=overwrite)
+    is_own = path.is_file() and GENERATOR.encode() in path.read_bytes()[:200]
+    refuse_file(path, overwrite=overwrite or is_own)
     if path.suffix != ".html":
         raise UsageError(f"--out {path}: ends in {path.suffix!r}; expected .html")
     say(f"{opened.root}: writing {path}")

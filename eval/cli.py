@@ -36,7 +36,8 @@ def report(
         data: Folder with the datasets, DATA/SCENE, for runs that do not name their dataset.
         dataset: Score only the runs of this dataset: its folder, or its name under DATA.
         format: Format of the tables on stdout.
-        out: Folder for index.html and results.json. Default: RUNS/report.
+        out: Folder for index.html and results.json. Default: RUNS/report, with --dataset
+            RUNS/report-NAME.
         table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
             network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or known
             (scores by prior knowledge of the glass). May be repeated. With --json, these tables are part of the
@@ -53,7 +54,7 @@ def report(
     if table:
         make_tables(runs, data, tables=table, output_format=output_format, only=only)
     else:
-        place = out if out is not None else runs / "report"
+        place = out or runs / ("report" if only is None else f"report-{only.name}")
         make_report(runs, data, place, output_format=output_format, only=only)
 
 

@@ -140,29 +140,35 @@ def build_dataset(
         # Now, so that a dataset that is stopped while it renders says which layers it is to have.
         with holding(layers_root(root, TRUTH), LAYERS, within=root, shared=shard is not None):
             _start_layers(dataset, TRUTH, meshes_hash, num_layers=num_layers, overwrite=False, shard=shard)
-        render_dataset(dataset, workers=workers, shard=shard)
-    peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
+        made = render_dataset(dataset, workers=workers, shard=shard)
+    made += peel_dataset(dataset, TRUTH, num_layers=num_layers, overwrite=False, workers=workers, shard=shard)
+    if not made:
+        say(f"{root}: is built already; nothing to do")
     return dataset
 
 
-def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> None:
-    """Renders every view, or those of a part, that is not there yet; the caller holds the dataset's folder."""
+def render_dataset(dataset: Dataset, *, workers: int, shard: Shard | None = None) -> int:
+    """Renders every view, or those of a part, that is not there yet; returns how many. The caller holds the folder."""
     views = {task: dataset.view(*task) for task in _tasks(dataset, shard)}
     missing = [task for task, view in views.items() if not view.is_built]
     if not missing:
-        return
+        return 0
     from datagen.machine.mitsuba_variant import use_mitsuba
 
     say(f"{dataset.root}: rendering {len(missing)} of {len(views)} views with {use_mitsuba()}")
     finished = in_workers(render_task, missing, workers, RenderJob, (dataset.root,))
     where, done = f"{dataset.root}: render", len(views) - len(missing)
     _wait_for(finished, label="render", where=where, total=len(views), done=done)
+    return len(missing)
 
 
 def peel_dataset(
     dataset: Dataset, geometry: str, *, num_layers: int, overwrite: bool, workers: int = 1, shard: Shard | None = None
-) -> None:
-    """Peels every view of a geometry, or those of one part, that is not peeled yet, into `num_layers` of each ray."""
+) -> int:
+    """Peels every view of a geometry, or those of one part, that is not peeled yet, into `num_layers` of each ray.
+
+    Returns how many it peeled.
+    """
     check_settings(num_layers=num_layers, workers=workers)
     meshes_hash = geometry_hash(dataset, geometry)
     root = layers_root(dataset.root, geometry)
@@ -174,6 +180,7 @@ def peel_dataset(
             finished = in_workers(peel_task, missing, workers, PeelJob, (dataset.root, geometry))
             done = len(tasks) - len(missing)
             _wait_for(finished, label=f"peel {geometry}", where=f"{root}: peel", total=len(tasks), done=done)
+        return len(missing)
 
 
 def _start_layers(
@@ -216,25 +223,23 @@ def _wait_for(work: Iterable[object], *, label: str, where: str, total: int, don
 
 
 def summary(dataset: Dataset, geometry: str) -> list[str]:
-    """What was made, in a few lines: noise ceilings, rays that were cut off."""
+    """What was made, in a line for each split: its noise ceiling, and rays that were cut off."""
     views: dict[Split, int] = {split: count for split, count in dataset.num_views.items() if count}
     store = dataset.layer_store(geometry)
-    lines: list[str] = []
-    for split in views:
+    lines, most = [], 0.0
+    for split, count in views.items():
         ceiling = dataset.noise_ceiling_db(split)
         value = "unknown" if ceiling is None else f"{ceiling:.1f} dB"
-        is_measured = ceiling is None or ceiling <= MOST_DECIBELS
-        lines.append(f"noise ceiling {split}: {value if is_measured else 'none measured: the pictures have no noise'}")
-    shares = {
-        split: 100 * float(np.mean([store.record(split, view).overflow_share for view in range(count)]))
-        for split, count in views.items()
-    }
-    most = f"rays with more than {store.head.num_layers} hits"
-    lines += [f"{most} {split}: {share:.2f} %" for split, share in shares.items()]
-    if max(shares.values(), default=0) > MANY_PERCENT:
+        if ceiling is not None and ceiling > MOST_DECIBELS:
+            value = "none measured (the pictures have no noise)"
+        share = 100 * float(np.mean([store.record(split, view).overflow_share for view in range(count)]))
+        crossing = f"{share:.2f} % of rays cross more surfaces than the {store.head.num_layers} that are stored"
+        lines.append(f"{split}: noise ceiling {value}; {crossing}")
+        most = max(most, share)
+    if most > MANY_PERCENT:
         words = ["datagen", "peel", str(dataset.root), *(["--geometry", geometry] if geometry != TRUTH else [])]
         more = shlex.join([*words, "--num-layers", str(2 * store.head.num_layers), "--overwrite"])
-        lines.append(f"deeper surfaces are not stored in straight layers; `{more}` stores more")
+        lines.append(f"`{more}` stores more")
     return lines
 
 

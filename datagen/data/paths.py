@@ -59,7 +59,7 @@ BUILT_IN_SCENES = {
 """The built-in scenes, which datagen/scene/builtin makes, and a line about each."""
 
 
-BUILD = "datagen build --scene glass_table"
+BUILD = "datagen build glass_table"
 """An example of the command that makes a dataset."""
 
 HIDDEN = re.compile(r"hidden-[0-9]+")

@@ -117,7 +117,7 @@ def refuse_file(path: Path, *, overwrite: bool = False) -> None:
     if path.exists() and not path.is_file():
         raise HyalineError(f"{path}: is a folder, a device or a pipe; choose another --out")
     if os.path.lexists(path) and not overwrite:
-        raise HyalineError(f"{path}: is there already; pass --overwrite to replace it, or choose another --out")
+        raise HyalineError(f"{path}: already exists; use --overwrite to replace it, or choose another --out")
     try_place(path)
 
 

@@ -2,9 +2,11 @@
 
 from collections.abc import Callable
 
+import numpy as np
+
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset
+from datagen.data.dataset import Dataset, has_glass_mask
 from datagen.data.geometries import list_geometries
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
@@ -52,16 +54,14 @@ def look_page(dataset: Dataset) -> bytes:
             anchor("cameras"), lambda: draw_cameras(dataset), label=CAMERAS, caption=CAMERAS
         ),
         "Stored with a view": lambda: join([tag("p", STORED, class_="note"), *_stored_views(dataset, gallery)]),
-        "Noise of the truth": lambda: definitions(
-            [(f"noise ceiling {split}", _decibels(dataset, split)) for split in dataset.splits]
-        ),
         "Objects": lambda: _objects(dataset),
         "What it is": lambda: definitions(_facts(dataset)),
         "Missing or damaged": lambda: join([problems if count else None, tag("p", end)]),
     }
     parts = [section(title, _or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
     warning = tag("p", tag("a", missing, href="#missing-or-damaged"), class_="bad") if count else None
-    return document(dataset.name, gallery.store(), tag("h1", dataset.name), warning, *parts)
+    health = _or_error(lambda: definitions([(split, _health(dataset, split)) for split in dataset.splits]))
+    return document(dataset.name, gallery.store(), tag("h1", dataset.name), warning, health, *parts)
 
 
 def _facts(dataset: Dataset) -> list[tuple[str, Part]]:
@@ -152,9 +152,17 @@ def _table(titles: tuple[str, ...], rows: list[list[Part]], *, head: int) -> Mar
     return tag("div", tag("table", top, tag("tbody", *map(line, rows))), class_="scroll", tabindex=0)
 
 
-def _decibels(dataset: Dataset, split: Split) -> str:
-    ceiling = dataset.noise_ceiling_db(split)
-    return UNKNOWN if ceiling is None else f"{ceiling:.1f} dB"
+def _health(dataset: Dataset, split: Split) -> str:
+    """The noise of a split, and what its shown views consist of."""
+    views = [dataset.view(split, view) for view in _shown(dataset, split)]
+    if not views:
+        return "no view is built yet"
+    black = 100 * np.mean([(view.image == 0).all(axis=-1).mean() for view in views])
+    ceiling, glass = dataset.noise_ceiling_db(split), UNKNOWN
+    if has_glass_mask(dataset):
+        glass = f"{100 * np.mean([view.mask('glass').mean() for view in views]):.1f} %"
+    noise = UNKNOWN if ceiling is None else f"{ceiling:.1f} dB"
+    return f"noise ceiling {noise}; pixels that see glass: {glass}; black pixels: {black:.1f} %"
 
 
 def _objects(dataset: Dataset) -> Markup:

@@ -84,6 +84,7 @@ def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     )
     head = [
         tag("meta", charset="utf-8"),
+        GENERATOR,
         # `tag` would escape the policy's quotes: the same to browsers, but hard to read.
         Markup(f'<meta http-equiv="Content-Security-Policy" content="{policy}"/>'),
         tag("meta", name="viewport", content="width=device-width, initial-scale=1"),
@@ -96,6 +97,10 @@ def document(title: str, *content: Part, navigation: Part = None) -> bytes:
     body = tag("body", skip, navigation, main, Markup(f"<script>{script}</script>"))
     lines = ["<!DOCTYPE html>", '<html lang="en">', "<head>", *head, "</head>", body, "</html>", ""]
     return "\n".join(lines).encode()
+
+
+GENERATOR = tag("meta", name="generator", content="hyaline")
+"""What a file that `document` made begins with, after at most 100 bytes."""
 
 
 def anchor(*words: str) -> str:
@@ -133,9 +138,9 @@ class Gallery:
 
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
-        self._encoded: dict[str, tuple[str, int, int]] = {}
-        """Data URIs of pictures with their width and height, by name."""
         self._stored: dict[str, Markup] = {}
+        self._sizes: dict[str, str] = {}
+        """Width and height of the stored pictures, by name."""
         self._without_room: set[str] = set()
         self.used = 0
         """Total size of the stored data URIs, in bytes."""
@@ -154,26 +159,24 @@ class Gallery:
         if name in self._stored:
             return True
         if not self._without_room:
-            if name not in self._encoded:
-                image = read()
-                self._encoded[name] = lossless_uri(image), image.shape[1], image.shape[0]
-            address, width, height = self._encoded[name]
+            image = read()
+            address, height, width = lossless_uri(image), *image.shape[:2]
             if self.used + len(address) <= self._most:
                 self.used += len(address)
                 self._stored[name] = tag("image", id=name, width=width, height=height, href=address)
+                self._sizes[name] = f"{width} {height}"
                 return True
         self._without_room.add(name)
         return False
 
     def show(self, *names: str, label: str, class_: str = "") -> Markup:
         """Stored pictures of one size on top of each other; all but the first have the class `over`."""
-        _, width, height = self._encoded[names[0]]
         uses = [tag("use", href=f"#{name}", class_="over" if place else None) for place, name in enumerate(names)]
         return tag(
             "svg",
             *uses,
             class_=f"picture {class_}".strip(),
-            viewBox=f"0 0 {width} {height}",
+            viewBox=f"0 0 {self._sizes[names[0]]}",
             role="img",
             aria_label=label,
         )

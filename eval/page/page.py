@@ -3,10 +3,12 @@
 import contextlib
 import json
 import math
+import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 
@@ -17,7 +19,7 @@ from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json
 from datagen.disk.storage import read_regular
-from datagen.pages.charts import Line, line_chart
+from datagen.pages.charts import line_chart
 from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
 from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
@@ -108,10 +110,13 @@ def truth_panel(gallery: Gallery, dataset: Dataset, split: Split, view: int, wha
 
 
 def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
-    """A prediction with its score; None if it does not fit into the gallery."""
-    label, caption = f"{item.run.name}, {item.title} view {view_name(view)}", f"{item.run.name}: {item.caption(view)}"
-    place = _prediction_name(item, view)
-    return gallery.figure(place, lambda: read_prediction(item.run, item.split, view), label=label, caption=caption)
+    """A prediction above its error, with its score; None if it does not fit into the gallery."""
+    if not store_view(gallery, item, view):
+        return None
+    what, pred = f"{item.run.name}, {item.title} view {view_name(view)}", _prediction_name(item, view)
+    error = gallery.show(_truth_name(item.run.dataset, item.split, view), pred, label=f"error, {what}", class_="error")
+    caption = tag("figcaption", f"{item.run.name}: {item.caption(view)}; below, error × 8")  # noqa: RUF001
+    return tag("figure", gallery.show(pred, label=what), error, caption)
 
 
 def _compared_figure(gallery: Gallery, item: Compared, view: int, rank: str) -> Markup:
@@ -222,8 +227,7 @@ def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Mark
     for key, points in curves.items():
         if len(points) > 1:
             title, y_title = TITLES.get(key, (key.replace("_", " "),) * 2)
-            line = Line(name=title, points=tuple(points))
-            charts.append(line_chart((line,), title=f"{title} by training step", x_title="step", y_title=y_title))
+            charts.append(line_chart(points, title=f"{title} by training step", x_title="step", y_title=y_title))
     if not charts:
         return tag("p", "The run's folder contains no training curves.", class_="note")
     note = tag("p", HELD_OUT_NOTE, class_="note") if "held_out_psnr" in curves else None
@@ -234,6 +238,8 @@ def training_charts(curves: Mapping[str, Sequence[tuple[float, float]]]) -> Mark
 
 
 PAGE = "index.html"
+EXPORTED = "scene.html"
+"""A run's file that the page links: the scene live in a browser, by `model export`."""
 MOST_BYTES = 20_000_000
 """Most bytes of a page's pictures."""
 SHOWN_VIEWS = 3
@@ -279,15 +285,16 @@ class ScenePart:
         }
 
 
-def report_page(parts: Sequence[ScenePart], *, most_bytes: int = MOST_BYTES) -> bytes:
+def report_page(parts: Sequence[ScenePart], out: Path, *, most_bytes: int = MOST_BYTES) -> bytes:
     """The page. Pictures that do not fit are left out, with a note on the page; the most important ones come first.
 
     Args:
+        out: the page's folder, where its links begin.
         most_bytes: bytes of all pictures.
     """
     gallery = Gallery(most_bytes)
     listed = [(part, part.compared()) for part in parts]
-    overview = _overview(parts, [_side_by_side(part, gallery) for part in parts])
+    overview = _overview(parts, [join([_exported(part, out), _side_by_side(part, gallery)]) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
     every = [item for _, of_part in listed for items in of_part.values() for item in items]
     shown = store_views(gallery, every, SHOWN_VIEWS)
@@ -333,6 +340,13 @@ def _row(gallery: Gallery, truths: Sequence[Part], items: Iterable[Compared], sp
         *(prediction_panel(gallery, item, view) for item in items if item.split == split),
         class_="sheet wide",
     )
+
+
+def _exported(part: ScenePart, out: Path) -> Markup:
+    """Links to the exported scenes of the runs."""
+    pages = [(scores.run.name, scores.run.folder / EXPORTED) for scores in part.scene.runs]
+    found = [(name, quote(os.path.relpath(page, out))) for name, page in pages if page.is_file()]
+    return join(tag("p", "Turn the scene and move its objects: ", tag("a", name, href=to)) for name, to in found)
 
 
 def _side_by_side(part: ScenePart, gallery: Gallery) -> Markup:

@@ -121,7 +121,7 @@ def score_runs(
 
 def write_page(found: Scored, out: Path) -> Path:
     """Writes results.json and the page into `out`, which must be new, empty or a report's; returns the page's path."""
-    page = report_page(found.parts)
+    page = report_page(found.parts, out)
     with holding(out, REPORT):
         begin(out, REPORT, {"version": REPORT_VERSION})
         for name, data in {"results.json": dump_json(found.results), PAGE: page}.items():
@@ -247,7 +247,8 @@ def _score_scene(dataset: Dataset, title: str, runs: list[Run], errors: list[Hya
         title=title,
         has_glass_mask=has_glass_mask(dataset),
         truths=truths,
-        runs=tuple(sorted(scored, key=lambda scores: scores.run.name)),
+        # As in tables, the best first.
+        runs=tuple(sorted(scored, key=lambda scores: -(scores.mean("psnr_db", TEST_SPLITS[0]) or 0))),
     )
 
 
@@ -257,5 +258,5 @@ def _print_grids(grids: Sequence[Grid], output_format: str) -> None:
 
 
 def _output_width() -> int:
-    """Columns of the terminal, at least what the tables need; the same 120 everywhere else."""
-    return max(TABLE_WIDTH, shutil.get_terminal_size().columns) if sys.stdout.isatty() else TABLE_WIDTH
+    """Columns of the terminal; the same 120 everywhere else."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else TABLE_WIDTH

@@ -7,6 +7,7 @@ import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 from datagen.data.config import Split
 from datagen.disk.errors import printable
@@ -23,6 +24,8 @@ SHORT_SPLITS: dict[Split, str] = {
     "extrapolating-40deg": "40°",
 }
 TABLE_WIDTH = 120
+FOLDS = " (?![↑↓])"
+"""Where the head of a column of numbers goes on in the next line."""
 LONGEST_LINE = 32
 """Row names up to this number of characters stay on one line."""
 
@@ -81,8 +84,21 @@ def grid_text(grid: Grid, output_format: str, *, width: int, color: bool = False
         notes=tuple(map(printable, grid.notes)),
     )
     if output_format == "table":
-        return _plain(grid, width, color)
+        return _plain(_narrowed(grid, width) if width < TABLE_WIDTH else grid, width, color)
     return _markdown(grid)
+
+
+def _narrowed(grid: Grid, width: int) -> Grid:
+    """The grid without the last columns, if all do not fit; a note says so."""
+    heads = [re.split(FOLDS, column.short) for column in grid.columns]
+    cells = zip(heads, zip(*grid.rows, strict=True), strict=True)
+    ends = list(accumulate(max(map(len, (*head, *column))) + 2 for head, column in cells))
+    count = max(1, sum(end < width for end in ends))
+    if count == len(ends):
+        return grid
+    note = f"{len(ends) - count} columns left out: the terminal is {width} wide. The page has them, as has --json."
+    rows = tuple(row[:count] for row in grid.rows)
+    return dataclasses.replace(grid, columns=grid.columns[:count], rows=rows, notes=(*grid.notes, note))
 
 
 def _plain(grid: Grid, width: int, color: bool) -> str:
@@ -99,7 +115,7 @@ def _plain(grid: Grid, width: int, color: bool) -> str:
         title=Text(grid.title), title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, padding=(0, 0, 0, 1)
     )
     for column in grid.columns:
-        lines = re.sub(" (?![↑↓])", "\n", column.short) if column.is_number else column.short
+        lines = re.sub(FOLDS, "\n", column.short) if column.is_number else column.short
         table.add_column(Text(lines), justify="right" if column.is_number else "left", vertical="top")
         table.columns[-1].overflow = "fold"
     # Scores over several seeds break after their ± before a name breaks.

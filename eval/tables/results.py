@@ -165,7 +165,7 @@ def scene_grids(scene: Stored, *, is_page: bool = False) -> list[Grid]:
         tuple(metric for metric in METRICS if metric.is_printed),
         texts if is_page else {},
         {"drop dB ↓": drops, **({"CPU min": minutes} if minutes else {})},
-        notes=(f"Data: dataset seal {scene['dataset_seal'][:12]}.",) if is_page else tuple(scene["notes"]),
+        notes=(f"Data: dataset digest {scene['dataset_seal'][:12]}.",) if is_page else tuple(scene["notes"]),
     )
     return [scores, *(_variant_grid(scene, *item) for item in scene["analyses"].get("variants", {}).items())]
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.commands import run
 from support.synthetic import write_predictions, write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS
@@ -91,7 +92,7 @@ def test_json_on_stdout_is_the_file_and_holds_the_scores_of_every_picture(
     assert results["made_by"] == {"command": "report", "code": code_version()}
     assert results["scenes"][0]["preset"] == "tiny"
     assert results["scenes"][0]["noise_ceiling_db"]["interpolating"] == pytest.approx(49.009)
-    assert list(runs) == ["foreign_nerf", "grey", "perfect"]
+    assert list(runs) == ["perfect", "foreign_nerf", "grey"]
 
     perfect, grey, foreign = runs["perfect"], runs["grey"], runs["foreign_nerf"]
     assert perfect["splits"]["interpolating"]["psnr_db"] == {"mean": "inf", "pictures": ["inf", "inf"]}
@@ -139,6 +140,15 @@ def test_every_format_has_all_cells_and_marks_the_best(
         best = "**∞**"
     assert best in rows["perfect"] and best not in rows["grey"]
     assert list(rows).index("perfect") < list(rows).index("grey")
+
+
+def test_a_narrow_terminal_gets_the_first_columns_and_is_told_of_the_others() -> None:
+    columns = (Column(group="run", is_number=False), *(Column(group=f"score{place}") for place in range(9)))
+    grid = Grid(title="a table", columns=columns, rows=(("paper", *["12.34"] * 9),))
+    text = grid_text(grid, "table", width=60)
+    assert max(map(len, text.splitlines())) <= 60 and "score5" in text and "score6" not in text
+    assert "3 columns left out: the terminal is 60 wide." in text
+    assert "score8" in grid_text(grid, "table", width=120)
 
 
 def test_without_layers_the_glass_column_is_empty(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -209,7 +219,9 @@ def test_only_the_runs_of_the_chosen_dataset_are_scored(copy: Path, capsys: pyte
     moved = copy / "elsewhere" / "synthetic"
     shutil.move(copy / "data", copy / "elsewhere")
     make_report(copy / "runs", copy / "data", copy / "out", output_format="json", only=moved)
-    assert list(runs_of(capsys.readouterr().out)) == ["foreign_nerf", "grey", "perfect"]
+    assert list(runs_of(capsys.readouterr().out)) == ["perfect", "foreign_nerf", "grey"]
+    run(f"report '{copy}/runs' --dataset '{moved}'")
+    assert (copy / "runs/report-synthetic/index.html").is_file() and not (copy / "runs/report").exists()
     with pytest.raises(HyalineError, match=r"^.*other/lost: no dataset at .*elsewhere/other"):
         make_report(copy / "runs", copy / "elsewhere", copy / "out", output_format="json")
 
@@ -224,7 +236,7 @@ def test_runs_of_one_name_are_told_apart(copy: Path, capsys: pytest.CaptureFixtu
     record.write_text(json.dumps(json.loads(record.read_text()) | {"dataset": str(copy / "data" / "synthetic")}))
     report(copy)
     rows = runs_of(capsys.readouterr().out)
-    assert list(rows) == ["again/perfect", "foreign_nerf", "grey", "synthetic/perfect"]
+    assert list(rows) == ["synthetic/perfect", "foreign_nerf", "again/perfect", "grey"]
     assert rows["again/perfect"]["splits"] == rows["grey"]["splits"]
     assert mean(rows["synthetic/perfect"], "psnr_db", "interpolating") == math.inf
 

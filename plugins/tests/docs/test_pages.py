@@ -180,6 +180,8 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
         for line in dict.fromkeys(["datagen add glass_table --stereo 0.06", *found]):
             run(line.replace("--frames 48", "--frames 2 --spp 2"))
     for usual, small in {
+        'open_dataset("demo")': 'open_dataset("glass_table")',
+        "demo/light-path-400-steps": "glass_table/light-path",
         "width=320, height=180": "width=32, height=18",
         "views=96": "views=5, test_views=1",
         'preset="demo"': 'preset="tiny", resolution=16, spp=4, test_spp=4',

@@ -34,7 +34,7 @@ def test_a_film_shows_every_picture_in_order_at_its_pace(tmp_path: Path, name: s
 @pytest.mark.parametrize(
     ("name", "fps", "message"),
     [
-        ("x.webp", 10, r"x\.webp: is there already; pass --overwrite"),
+        ("x.webp", 10, r"x\.webp: already exists; use --overwrite"),
         ("x.gif", 10, r"'\.gif' is no kind of film; expected \.webp or \.mp4"),
         ("y.webp", float("nan"), r"fps: is nan; expected more than 0"),
         ("y.webp", 1e9, r"fps: is .*; expected more than 0"),

@@ -95,7 +95,7 @@ def test_overwrite_replaces_files_and_nothing_else(tmp_path: Path) -> None:
             with pytest.raises(HyalineError, match=f"{name}: is a folder, a device or a pipe; choose another --out"):
                 refuse_file(tmp_path / name, overwrite=overwrite)
     refuse_file(tmp_path / "page.html", overwrite=True)
-    with pytest.raises(HyalineError, match=r"page\.html: is there already; pass --overwrite"):
+    with pytest.raises(HyalineError, match=r"page\.html: already exists; use --overwrite"):
         refuse_file(tmp_path / "page.html")
 
 

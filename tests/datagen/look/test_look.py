@@ -1,5 +1,6 @@
 """Tests of the look at a dataset: it shows what is there, names what is not, and its light paths obey optics."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -26,13 +27,18 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Dataset, ReadPage]:
     """A dataset in which nothing is missing, and the page that the command writes."""
     root = tmp_path_factory.mktemp("look")
     dataset = write_synthetic_dataset(root / "data" / "synthetic")
-    run(f"datagen look '{dataset.root}' --out '{root}/look.html'")
+    for _ in range(2):  # A page of its own is replaced.
+        run(f"datagen look '{dataset.root}' --out '{root}/look.html'")
     return dataset, read_page((root / "look.html").read_bytes())
 
 
 def test_the_page_shows_every_split_every_object_and_all_that_is_stored(whole: tuple[Dataset, ReadPage]) -> None:
     dataset, page = whole
     assert any(paragraph.text.endswith("files match their checksums.") for paragraph in page.all("p"))
+    health = [value.text for value in page.all("dd")][: len(dataset.splits)]
+    assert all(
+        re.fullmatch(r"noise ceiling [\d.]+ dB; pixels that see glass: [\d.]+ %; black.*", text) for text in health
+    )
     labels = {svg.attributes.get("aria-label") for svg in page.all("svg")}
     for split in dataset.splits:
         for name in ("picture", "glass", "depth", "normals", "layer 0", "layer 1"):

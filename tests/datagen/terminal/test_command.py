@@ -33,7 +33,7 @@ def test_a_process_of_its_own_answers_as_a_call_in_this_one(line: str) -> None:
         ("datagen build --shard 1/2 --overwrite", 2, "--overwrite: cannot be combined with --shard; delete"),
         ("datagen build --launcher slurm --slurm-time 0", 2, "--slurm-time, --slurm-cpus: expected at least 1"),
         ("datagen build --slurm-gpus 2 --shards 3", 2, "--slurm-gpus, --shards: need --launcher"),
-        ("datagen verify", 1, "data: no dataset there; make one with `datagen build --scene glass_table`"),
+        ("datagen verify", 1, "data: no dataset there; make one with `datagen build glass_table`"),
         ("datagen build --sceen x", 2, "datagen build: Unrecognized options: --sceen, x. See `datagen build --help`"),
         ("datagen bulid", 2, "no datagen command 'bulid'; did you mean 'build'? Choose from add, build, "),
     ],

@@ -3,6 +3,7 @@
 import json
 import math
 from pathlib import Path
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -72,6 +73,16 @@ def test_the_same_runs_give_the_same_page(root: Path, tmp_path: Path) -> None:
     pages = [write_page(root, tmp_path / name) for name in ("a", "b")]
     assert pages[0] == pages[1]
     assert str(root).encode() not in pages[0]
+
+
+def test_an_exported_scene_is_linked_from_where_the_page_lies(root: Path, tmp_path: Path) -> None:
+    run = next(path for path in (root / "runs" / "synthetic").iterdir() if path.name != "plain")
+    (run / "scene.html").touch()
+    page = read_page(write_page(root, tmp_path / "out"))
+    links = {link.attributes["href"] or "" for link in page.all("a")}
+    (scene,) = (tmp_path / "out" / unquote(link) for link in links if not link.startswith("#"))
+    assert scene.samefile(run / "scene.html")
+    (run / "scene.html").unlink()
 
 
 def test_the_worst_the_median_and_the_best_view_come_first() -> None:

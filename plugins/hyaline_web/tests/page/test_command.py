@@ -27,7 +27,7 @@ def test_a_run_becomes_one_page_of_the_same_bytes_each_time_and_replaces_no_file
     views = [f"{split}/{view}" for split in ("extrapolating", "interpolating", "train") for view in (0, 1)]
     assert sorted(json.loads(listed[1])["truth"]) == views
 
-    assert "is there already; pass --overwrite" in call("model export run --out one.html").error
+    assert "already exists; use --overwrite" in call("model export run --out one.html").error
     Path("run/predictions/interpolating/0000.png").unlink()
     answer = call("model export run --out one.html --overwrite")
     assert answer.status == 1 and "render it with `model predict" in answer.error
