@@ -95,7 +95,7 @@ def bake(dataset: Dataset) -> dict[int, np.ndarray]:
     for view in dataset.views("train"):
         layers = view.layers("fitted")
         linear = np.dstack([linear_from_srgb(view.image / np.float32(255)), np.ones(view.image.shape[:2], np.float32)])
-        first, uv = layers.object_id[0], layers.uv[0]
+        first, uv = layers.object_id[0], layers.uv[0] / 65535
         row, column = (np.clip((TEXELS * each).astype(int), 0, TEXELS - 1) for each in (1 - uv[..., 1], uv[..., 0]))
         for place in np.unique(first[first > 0]).tolist():
             is_on = first == place
@@ -124,6 +124,12 @@ def spoil(folder: Path) -> None:
         Image.fromarray(to_8bit(np.clip(taken, 0, 1))).save(data, "JPEG", quality=QUALITY)
         path.unlink()
         path.with_suffix(".jpg").write_bytes(data.getvalue())
+    for drink in sorted((folder / "masks").glob("*_drink")):  # Networks mask a glass and what it holds as one.
+        for path in sorted(drink.iterdir()):
+            glass = drink.with_name(drink.name.removesuffix("_drink")) / path.name
+            both = np.maximum(*(np.asarray(Image.open(each).convert("L")) for each in (glass, path)))
+            Image.fromarray(both).save(glass)
+        shutil.rmtree(drink)
     for path in sorted((folder / "masks").rglob("*.png")):
         inside = np.asarray(Image.open(path).convert("L")) > 127
         distance = ndimage.distance_transform_edt(inside) - ndimage.distance_transform_edt(~inside)
