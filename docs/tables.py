@@ -1,4 +1,4 @@
-"""Fills the marked tables of README.md, RESULTS.md and docs/{index,paper,claims}.md; `make results` runs it.
+"""Fills the marked tables of README.md, RESULTS.md and the pages in `DOCS`; `make results` runs it.
 
 A table lies between `<!-- table: NAME -->` and `<!-- end -->`. In that of `claims`, NAME's rows are written by hand but
 for their last two columns; every other one is a key of `TABLES`. plugins/tests/docs/test_claims.py compares tables and
@@ -20,7 +20,8 @@ from hyaline_paper.comparisons import PUBLISHED
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs/results"
-PAGES = tuple(ROOT / name for name in ("README.md", "RESULTS.md", "docs/index.md", "docs/paper.md", "docs/claims.md"))
+DOCS = ("index", "paper", "claims", "photographs")
+PAGES = tuple(ROOT / name for name in ("README.md", "RESULTS.md", *(f"docs/{name}.md" for name in DOCS)))
 TABLE = re.compile(r"(<!-- table: (\S+) -->\n)(.*?)(<!-- end -->)", re.DOTALL)
 ROW = re.compile(r"^\| (?P<claim>.+?) \| (?P<against>.+?) \| `(?P<cell>.+?)` \|.*\|$", re.MULTILINE)
 SPLITS = ("interpolating", "extrapolating")
@@ -46,6 +47,13 @@ PAIRS = (
     ("light-path", "paper-best"),
 )
 """Methods of the benchmark whose difference is printed."""
+PHOTOGRAPHS = {
+    "light-path-fitted": ("`light-path`", "fitted: full of water"),
+    "light-path-fitted-solid": ("`light-path`", "its outside as solid glass of index 1.5"),
+    "paper-best-fitted-solid": ("`paper-best`", "the same"),
+    "nerfacto": ("nerfacto, 1,500 steps", "no shape"),
+}
+"""Runs on the photographs of a shot glass: method, and the glass that it is given."""
 FITS = (
     ("fits",),
     ("fits-unseen",),
@@ -328,6 +336,16 @@ def fits_table() -> str:
     return table_of(("fits", "scenes", "median", "least", "greatest", "indices in their interval"), rows, texts=1)
 
 
+def photographs_table() -> str:
+    """PSNR on the held-out photographs of a shot glass, and in its glass."""
+    rows = []
+    for run, about in PHOTOGRAPHS.items():
+        whole, glass = (score("photographs", run, key=key) for key in ("psnr_db", "glass_psnr_db"))
+        rows.append((*about, *_both(glass).split(" / "), *_both(whole).split(" / ")))
+    columns = ("method", "glass", "in glass, inter.", "extra.", "whole picture, inter.", "extra.")
+    return table_of(columns, rows, texts=2)
+
+
 def _indices(scene: dict[str, Any]) -> list[bool]:
     """Of each fitted object's index of refraction: whether its interval contains the true one."""
     objects = [item for fit in scene["analyses"]["fits"].values() for item in fit.values() if item.get("measured")]
@@ -357,6 +375,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "pairs": pairs_table,
     "tracks": tracks_table,
     "fits": fits_table,
+    "photographs": photographs_table,
 }
 
 

@@ -19,7 +19,7 @@ from datagen.data.paths import FITTED, MIXED, PROXY_KINDS, TRUTH, geometry_root,
 from datagen.data.ply import decode_ply, write_ply
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.ownership import PROXIES, begin, is_ours, refuse_taken, remove_files
-from datagen.disk.records import Json, dump_json, entry, from_json, load_sealed, to_json
+from datagen.disk.records import Json, dump_json, from_json, load_sealed, to_json
 from datagen.disk.storage import check_name, commit_all, is_name, read_all, sha256
 from datagen.terminal.command import choose
 
@@ -232,12 +232,9 @@ def geometry_digest(dataset: Dataset, geometry: str) -> str:
 
 
 def _mesh_files(dataset: Dataset, geometry: str) -> dict[str, tuple[str, str]]:
-    """File (relative to the geometry's folder) and SHA-256 of each object's mesh, except removed objects."""
+    """File (relative to the geometry's folder) and SHA-256 of each object's mesh, except of objects without one."""
     if geometry != TRUTH:
         return {record.object: (record.file, record.sha256) for record in read_proxy_records(dataset, geometry)}
     promised = dataset.files
     files = {item.name: f"scene/meshes/{item.name}.ply" for item in dataset.objects}
-    if dataset.edit is not None:
-        files = {name: file for name, file in files.items() if file in promised}
-    where = dataset.root / "dataset.json"
-    return {name: (file, entry(promised, file, where=where)) for name, file in files.items()}
+    return {name: (file, promised[file]) for name, file in files.items() if file in promised}

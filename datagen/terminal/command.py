@@ -29,6 +29,8 @@ Item = TypeVar("Item")
 
 REPORT_EVERY_S = 15.0
 """Without a terminal, progress is a line this often."""
+REMIND_EVERY_S = 8.0
+"""While nothing is known of the progress, a line says this often that there is some."""
 
 
 def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> None:
@@ -190,6 +192,25 @@ def _track_in_lines(
             left = f", about {(now - first) / (count - 1) * rest:.0f} s left" if count > 1 else ""
             say(f"{label}: {done + count}/{total}{left} {status()}".rstrip())
             last = now
+
+
+@contextlib.contextmanager
+def waiting(label: str) -> Iterator[None]:
+    """Says what the block does, and every few seconds that it still does it: libraries report nothing."""
+    done, start = threading.Event(), time.monotonic()
+
+    def remind() -> None:
+        while not done.wait(REMIND_EVERY_S):
+            say(f"{label}: {time.monotonic() - start:.0f} s")
+
+    say(f"{label} ...")
+    thread = threading.Thread(target=remind, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 class Stopped(BaseException):

@@ -11,6 +11,11 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.terminal.command import next_command, say_all, tell
 from model.settings import RUNS, SEED
 
+SCALE = "scale: "
+"""Begins the remark of a dataset whose lengths are relative."""
+DRINK = "_drink"
+"""Ends the name of an object without a mesh that `datagen capture` keeps free for what a glass may hold."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CaptureChoices:
@@ -121,7 +126,7 @@ def fit(
     if not re.fullmatch(rf"{FITTED}(-[A-Za-z0-9_]+)*", name):
         raise UsageError(f"--name: is {name!r}; expected {FITTED}, or {FITTED}- and letters or digits")
     opened = open_dataset(find_dataset(dataset))
-    say_all(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith("scale: "))
+    say_all(line for line in (opened.imported.remarks if opened.imported else ()) if line.startswith(SCALE))
     place = out or RUNS / opened.name / name.replace(FITTED, "fit", 1)
     fit_glass(opened, name, choices, place, overwrite=overwrite)
     tell(str(place))

@@ -22,6 +22,7 @@ from datagen.scene.folder import open_scene
 from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import FoundPart, PartPage, ReportPart
 from eval.tables.results import Stored
+from hyaline_photos.commands import SCALE
 from hyaline_photos.fit.shapes import perpendicular
 
 FIT = FolderKind(what="fit", head="fit.json")
@@ -86,9 +87,12 @@ def _read_fit(folder: Path, content: dict[str, Json], dataset: Dataset) -> tuple
     for item in objects:
         if item.overruled:
             note += f" Left out for {item.name}, since other pictures show more of it: {', '.join(item.overruled)}."
+    if not knows_truth(dataset):
+        scale = [line for line in (dataset.imported.remarks if dataset.imported else ()) if line.startswith(SCALE)]
+        note = " ".join([note, "The true glass is unknown.", *scale])
     page = PartPage(
         title=folder.name,
-        note=note if knows_truth(dataset) else f"{note} The true glass is unknown.",
+        note=note,
         grids=tuple(scene_grids(dataset.name, {folder.name: stored})),
         pictures={path.stem: functools.partial(read_png, path) for path in sorted(folder.glob("*.png"))},
     )
@@ -220,17 +224,33 @@ def _grid(title: str, texts: Sequence[str], numbers: Sequence[str], rows: list[t
 
 def scene_grids(scene: str, fits: Stored) -> list[Grid]:
     """What `model fit` found of each object, beside the truth in brackets."""
+    every = [(fit, name, item) for fit, objects in fits.items() for name, item in objects.items()]
+    if not any(item["measured"]["true"] for *_, item in every):
+        rows = [(fit, name, item["kind"], *_interval_cells(item["numbers"])) for fit, name, item in every]
+        note = "In brackets, intervals. The wall is that above the floor; floor and level are heights above the bottom."
+        columns = ("wall mm", "floor mm", "level mm", "index", "absorption 1/m", "roughness")
+        return [_grid(f"{scene}: glass found from masks and pictures", ("fit", "object", "kind"), columns, rows, note)]
     columns = ("surface mm ↓", "normals ° ↓", "wall mm", "index", "absorption 1/m", "roughness")
-    rows = [
-        (fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"]))
-        for fit, objects in fits.items()
-        for name, item in objects.items()
-    ]
+    rows = [(fit, name, item["kind"], *_fit_cells(item["numbers"], item["measured"])) for fit, name, item in every]
     note = (
         "True values in brackets. Surface: Chamfer distance of the whole surface, insides too, from the true one: "
         "the mean of both directions. Normals: median error. Wall: median thickness."
     )
     return [_grid(f"{scene}: glass found from masks and pictures", ("fit", "object", "kind"), columns, rows, note)]
+
+
+def _interval_cells(numbers: Stored) -> tuple[str, ...]:
+    """Wall, floor, level, index, absorption and roughness of one object, with their intervals."""
+
+    def found(key: str, decimals: int, unit: float = 1.0) -> str:
+        if (number := numbers.get(key)) is None:
+            return MISSING
+        value, low, high = (format_number(number[each] / unit, decimals) for each in ("value", "low", "high"))
+        return f"{value} ({low} to {high})"
+
+    tints = [found(channel, 0) for channel in CHANNELS if channel in numbers]
+    lengths = [found(key, 2, unit=1e-3) for key in ("wall", "floor", "level")]
+    return *lengths, found("ior", 3), ", ".join(tints) or MISSING, found("roughness", 2)
 
 
 def _fit_cells(numbers: Stored, measured: Stored) -> tuple[str, ...]:

@@ -11,13 +11,13 @@ from jaxtyping import Float, UInt8
 from datagen.data.cameras import Cameras, Lens, with_depth_range
 from datagen.data.config import SPLITS, Imported, Resolution, Split
 from datagen.data.images import png_bytes
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, is_there, no_mesh
 from datagen.disk.errors import HyalineError
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.finding import ImportChoices
 from datagen.scene.materials import Dielectric, Diffuse
 from datagen.scene.modelling import ball, moved, transformed
-from datagen.terminal.command import track
+from datagen.terminal.command import track, waiting
 from hyaline_import.datasets.import_dataset import Plan, digest_of, imported_config, split_views, unlit_scene
 from hyaline_import.datasets.layouts import ForeignView, on_background, opened
 from hyaline_import.importing import Made, unique_names
@@ -25,13 +25,14 @@ from hyaline_import.importing import World as Placed
 from hyaline_import.mapping import Mapper
 from hyaline_import.remarks import Remarks
 from hyaline_import.source import scene_name
-from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask, waiting
+from hyaline_photos.capture.exposure import find_exposures
+from hyaline_photos.capture.folder import NAMED, Folder, Shot, read_capture, read_mask
 from hyaline_photos.capture.lenses import redrawn, redrawn_mask, shared_lens
 from hyaline_photos.capture.planes import NEAR, find_up
 from hyaline_photos.capture.room import THING, Outline, find_outline, find_panes, fit_room, is_shown, lacking
-from hyaline_photos.capture.stereo import find_depths, with_uv
-from hyaline_photos.commands import CaptureChoices
-from hyaline_photos.fit.shapes import perpendicular
+from hyaline_photos.capture.stereo import DepthMaps, find_depths, with_uv
+from hyaline_photos.commands import DRINK, SCALE, CaptureChoices
+from hyaline_photos.fit.shapes import WATER, perpendicular
 
 IOR = 1.5
 """Of the glass, until `model fit` finds it."""
@@ -91,14 +92,15 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
     flat = {pane.name: pane.outline() for pane in panes}
     outlines = tuple(flat.get(outline.name, outline) for outline in outlines)
     full, through = shared_lens(lenses, FULL)[0], [0, *(1 + folder.objects.index(name) for name in flat)]
-    every, pictures, is_glass = world.cameras(shots, full), [], []
+    wide, full_size, is_glass = world.cameras(shots, full), [], []
     for shot in track(shots, label="pictures of full size", total=len(shots)):
-        pictures.append(_picture(shot, full))
+        full_size.append(_picture(shot, full))
         is_glass.append(~np.isin(_object_ids(shot, full), through))
-    places, middle = every.world_from_camera[:, :3, 3], np.mean([outline.center for outline in outlines], axis=0)
+    places, middle = wide.world_from_camera[:, :3, 3], np.mean([outline.center for outline in outlines], axis=0)
     radius = float(np.median(np.linalg.norm(places - middle, axis=1)))
-    maps = find_depths(pictures, is_glass, every, middle, (BORDERS[0] * radius, BORDERS[1] * radius))
-    points = np.concatenate([world.points(folder.points), maps.points(NEAR * radius)])
+    maps = find_depths(full_size, is_glass, wide, middle, (BORDERS[0] * radius, BORDERS[1] * radius))
+    mapped = maps.points(NEAR * radius)
+    points = np.concatenate([world.points(folder.points), mapped])
     with waiting("surfaces of the room"):
         room = fit_room(points, outlines, places, maps, panes)
         lacks = lacking(room.parts, maps)
@@ -115,6 +117,8 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         about_world.append(f"{outline.name}: about {sides} {unit} by its masks; {kind}an ellipsoid until `model fit`")
     name = scene_name(root.resolve())
     cameras: dict[Split, Cameras] = {split: world.cameras(views[split], lens) for split in SPLITS}
+    pictures, about_exposure = _exposed(views, lens, world, maps, mapped)
+    about_world.append(about_exposure)
     with waiting("unwrapping the room"):
         parts = {
             part: with_uv(mesh, where=part) if part.startswith(THING) else mesh for part, mesh in room.parts.items()
@@ -123,7 +127,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         scene, about_scene = _scene(name, outlines, parts, cameras)
     place_of = {item.name: place for place, item in enumerate(scene.objects)}
     object_id = np.array([0, *(1 + place_of[outline.name] for outline in outlines)], np.uint8)
-    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects])
+    cameras = with_depth_range(cameras, [item.mesh for item in scene.objects if is_there(item.mesh)])
     imported = Imported(
         layout=folder.layout,
         source=root.resolve().name,
@@ -138,7 +142,7 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
         shot = cast(Shot, views[split][index])
         found = object_id[_object_ids(shot, lens)]
         return {
-            ".png": png_bytes(_picture(shot, lens)),
+            ".png": png_bytes(pictures[shot.picture]),
             ".mask.png": png_bytes(np.where(found > 0, 255, 0).astype(np.uint8)),
             ".objects.png": png_bytes(found),
         }
@@ -155,6 +159,17 @@ def plan_capture(root: Path, choices: CaptureChoices) -> Plan:
 
 def _picture(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
     return redrawn(on_background(opened(shot.picture), shot.picture, "white"), shot.lens, lens)
+
+
+def _exposed(
+    views: Mapping[Split, Sequence[ForeignView]], lens: Lens, world: World, maps: DepthMaps, points: np.ndarray
+) -> tuple[dict[Path, UInt8[np.ndarray, "h w 3"]], str]:
+    """All pictures as if equally exposed, by path, and what was corrected in words."""
+    shots = cast(list[Shot], [shot for split in SPLITS for shot in views[split]])
+    drawn = [_picture(shot, lens) for shot in track(shots, label="exposure", total=len(shots))]
+    exposures = find_exposures(drawn, world.cameras(shots, lens), maps, points)
+    corrected = (exposures.corrected(picture, view) for view, picture in enumerate(drawn))
+    return {shot.picture: picture for shot, picture in zip(shots, corrected, strict=True)}, exposures.in_words()
 
 
 def _object_ids(shot: Shot, lens: Lens) -> UInt8[np.ndarray, "h w"]:
@@ -240,7 +255,7 @@ def _place(
         places = cameras.world_from_camera[:, :3, 3]
         scale = DISTANCE / float(np.median(np.linalg.norm(places - middle, axis=1)))
         lines = [
-            f"scale: is unknown, so all lengths are relative; the cameras were put {DISTANCE:g} m away from the "
+            f"{SCALE}is unknown, so all lengths are relative; the cameras were put {DISTANCE:g} m away from the "
             "glass, --diameter sets it"
         ]
     # A transforms file's world keeps its origin; otherwise it is below the glass.
@@ -272,4 +287,9 @@ def _scene(
     placed = Placed(linear=np.eye(3), offset=np.zeros(3), mapper=mapper, choices=ImportChoices())
     made = Made(objects=objects, without_uv={name for name in names if not name.startswith(THING)})
     scene = unlit_scene(name, made, placed, cameras, how="Captured")
+    # What a glass may hold, which its masks show as one with it, has no mesh until `model fit` finds it.
+    drink = Dielectric(ior=WATER, priority=-1)
+    free = [f"{name}{DRINK}" for name in names[: len(glass)] if f"{name}{DRINK}" not in names]
+    drinks = [SceneObject(name=name, mesh=no_mesh(), material=drink) for name in free]
+    scene = dataclasses.replace(scene, objects=(*scene.objects, *drinks))
     return scene, [f"{line.where}: {line.what}" for line in remarks.lines]

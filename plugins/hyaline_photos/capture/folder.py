@@ -9,11 +9,8 @@ COLMAP finds cameras that are not there, from the training pictures alone; this 
 masked: features on it move with the light, not with the surface.
 """
 
-import contextlib
 import tempfile
-import threading
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -29,7 +26,7 @@ from datagen.data.transforms import Frame, Transforms
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.storage import check_regular, commit
 from datagen.scene.description import MAX_OBJECTS
-from datagen.terminal.command import say, track
+from datagen.terminal.command import say, track, waiting
 from hyaline_import.cameras import colmap_images, colmap_points, has_colmap
 from hyaline_import.datasets.import_dataset import OURS
 from hyaline_import.datasets.layouts import (
@@ -58,8 +55,6 @@ MAX_LACKING = 0.15
 """Share of the pictures that may lack a mask; they are left out."""
 MAX_SPECK = 0.003
 """Area of a speck or pinhole over that of its mask."""
-EVERY_S = 8.0
-"""Seconds between two lines of a step that reports nothing itself."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -103,25 +98,6 @@ def read_capture(root: Path) -> Folder:
     if not has_colmap(root):
         find_cameras(root, masks)
     return _with_colmap(root, pictures, objects, masks, remarks)
-
-
-@contextlib.contextmanager
-def waiting(label: str) -> Iterator[None]:
-    """Says what the block does, and every few seconds that it still does it: libraries report nothing."""
-    done, start = threading.Event(), time.monotonic()
-
-    def remind() -> None:
-        while not done.wait(EVERY_S):
-            say(f"{label}: {time.monotonic() - start:.0f} s")
-
-    say(f"{label} ...")
-    thread = threading.Thread(target=remind, daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        done.set()
-        thread.join()
 
 
 def find_pictures(root: Path) -> list[Path]:

@@ -40,12 +40,23 @@ from datagen.scene.folder import open_scene, with_materials
 from datagen.scene.materials import Diffuse
 from datagen.terminal.command import say, track
 from datagen.trace.surface_tables import Limits
-from hyaline_photos.commands import FitChoices
+from hyaline_photos.commands import DRINK, FitChoices
 from hyaline_photos.fit import room
 from hyaline_photos.fit.boxes import Box
-from hyaline_photos.fit.found import Objects, digest, from_state, in_words, pictures, summary, to_state, write_geometry
+from hyaline_photos.fit.found import (
+    FoundGlass,
+    Objects,
+    digest,
+    from_state,
+    in_words,
+    pictures,
+    summary,
+    to_state,
+    write_geometry,
+)
 from hyaline_photos.fit.kinds import choose_outside, choose_shown, find_holders, merged, with_drink
 from hyaline_photos.fit.search import find_absorption, guess, guesses, in_even_views, refine
+from hyaline_photos.fit.shapes import Revolution
 from hyaline_photos.fit.views import Sightings, find_unknown, height_below, known_meshes, read_sightings, with_known
 from hyaline_photos.report import FIT, FIT_VERSION
 from model.methods.light_path.pixels import LightPathPixels
@@ -288,17 +299,28 @@ class _Work:
         return {object_id: found}
 
     def _scan(self, textures: dict[str, State], found: Objects) -> Objects:
-        found, drawn = dict(found), self._room(textures, found)
+        found = {object_id: self._with_unmasked_drink(object_id, item) for object_id, item in found.items()}
+        drawn = self._room(textures, found)
         for object_id, item in found.items():
             ids, start = item.ids(object_id), item.glass
             rows, is_even = self._rows(ids, GRID_PIXELS)
             misses = drawn.misses(ids, rows, guesses(start))
-            if item.drink_id is not None:
+            if "level" in start.numbers:
                 start, _ = find_absorption(start, "drink_absorption", misses, is_even)
-            glass = guess(start, misses, is_even, label=self._name(object_id))
+            glass = guess(start, misses, is_even, label=self._name(object_id), may_be_filled=len(ids) > 1)
             drawn.put(ids, glass)
             found[object_id] = dataclasses.replace(item, glass=glass)
-        return self._shown("grid", drawn, found)
+        found = self._shown("grid", drawn, found)
+        dry = {each: item for each, item in found.items() if "level" not in item.glass.numbers}
+        return found | {each: dataclasses.replace(item, drink_id=None) for each, item in dry.items()}
+
+    def _with_unmasked_drink(self, object_id: int, item: FoundGlass) -> FoundGlass:
+        """The same with the object that `datagen capture` keeps free for its drink, if it may hold one."""
+        free = f"{self._name(object_id)}{DRINK}"
+        ids = [place for place, each in enumerate(self.dataset.objects, start=1) if each.name == free]
+        if not ids or item.drink_id is not None or not isinstance(item.glass, Revolution) or item.glass.is_closed:
+            return item
+        return item if is_there(self.meshes[ids[0] - 1]) else dataclasses.replace(item, drink_id=ids[0])
 
     def _search(self, stage: str, textures: dict[str, State], found: Objects, rounds: range) -> Objects:
         """Searches all numbers of all objects once in each round."""
@@ -336,7 +358,7 @@ class _Work:
         meshes = list(known_meshes(self.meshes, tuple(hidden or self.sightings.unknown)))
         materials = [item.material for item in self.scene.objects]
         for object_id, item in found.items():
-            for each, body in zip(item.ids(object_id), item.glass.bodies(), strict=True):
+            for each, body in item.glass.bodies(item.ids(object_id)).items():
                 meshes[each - 1], materials[each - 1] = body
         return room.load_pixels(self.dataset, self.scene, tuple(meshes), tuple(materials), limits)
 

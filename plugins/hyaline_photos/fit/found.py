@@ -91,7 +91,7 @@ def write_geometry(
     assignment = [TRUTH] * len(meshes)
     materials = dict(assumed)
     for object_id, item in found.items():
-        for each, (mesh, material) in zip(item.ids(object_id), item.glass.bodies(), strict=True):
+        for each, (mesh, material) in item.glass.bodies(item.ids(object_id)).items():
             # A search can flatten faces, as of a rounding that shrinks to nothing.
             has_area = face_areas(mesh) >= MIN_AREA
             meshes[each - 1] = dataclasses.replace(mesh, faces=mesh.faces[has_area])

@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from datagen.data.dataset import Dataset
 from datagen.disk.errors import HyalineError
-from datagen.terminal.command import say
+from datagen.terminal.command import say, waiting
 from hyaline_photos.fit.boxes import fit_box
 from hyaline_photos.fit.found import FoundGlass
 from hyaline_photos.fit.hull import HullShape, carve, overruled_views
@@ -31,7 +31,7 @@ from hyaline_photos.fit.outside import (
 )
 from hyaline_photos.fit.profiles import between_rays
 from hyaline_photos.fit.search import USUAL, WALLS
-from hyaline_photos.fit.shapes import Glass, Revolution
+from hyaline_photos.fit.shapes import WATER, Glass, Revolution
 from hyaline_photos.fit.views import NearRays, Sightings, rays_near, rays_of, unexplained, without_views
 
 STANDS = 0.1
@@ -100,7 +100,8 @@ def choose_outside(
     around = rays.only(~np.isin(rays.view, overruled_too))
     if mask_errors:
         say(f"    overruled views: {len(overruled)}, and {len(overruled_too)} more if it is round")
-    hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
+    with waiting("    axis"):
+        hull = find_hull(around, up, order=math.ceil(mask_errors / 100 * len(np.unique(around.view))))
     support = None
     if hull.radii.any():
         lowest, radius = hull.heights[hull.radii > 0][0], float(hull.radii.max())
@@ -122,7 +123,7 @@ def choose_outside(
         if (box := fit_box(rays, up, below)) is not None:
             judge(OUTLINE, box)
     if is_poor():
-        with contextlib.suppress(HyalineError):  # Nothing is inside all masks.
+        with contextlib.suppress(HyalineError), waiting("    visual hull"):  # Nothing is inside all masks.
             judge(HULL_FOR_WRONG_MASKS if mask_errors else HULL, carve(sightings, object_id, up, support))
     if not tried:
         raise HyalineError("masks do not show its shape: too few pixels see it, or no point is inside all masks")
@@ -167,8 +168,6 @@ OPENING = 0.1
 """Margin at the rim, relative to the largest radius."""
 WRONG = 0.1
 """Largest balanced error of a level: the mean of its error rates on rays that see the drink and rays that don't."""
-WATER = 1.33
-"""First guess of the index."""
 
 
 def find_holders(sightings: Sightings) -> dict[int, int]:

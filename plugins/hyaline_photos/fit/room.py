@@ -184,8 +184,7 @@ class Room:
 
     def put(self, object_ids: Sequence[int], glass: Glass) -> None:
         """Replaces objects by a glass and its drink; vertex counts must match."""
-        bodies = zip(object_ids, glass.bodies(), strict=True)
-        self.pixels.tracer.change({object_id - 1: body for object_id, body in bodies})
+        self.pixels.tracer.change({each - 1: body for each, body in glass.bodies(object_ids).items()})
 
     def draw(self, rows: Int[np.ndarray, " pixel"], samples: int = RAYS) -> Float32[np.ndarray, "pixel 3"]:
         """sRGB colours of some pixels, in [0, 1], by this number of rays each."""

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from datagen.scene.materials import as_vector
 from datagen.terminal.command import track
-from hyaline_photos.fit.shapes import USUAL_WALL, Glass, Revolution
+from hyaline_photos.fit.shapes import USUAL_WALL, WATER, Glass, Revolution
 
 STEPS = 7
 """Values that are tried of a number that was found before."""
@@ -44,6 +44,10 @@ WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
+LEAST_GLASS = 1.42
+"""Index below that of all solid glass: fluorite has 1.43."""
+FILLED_WALLS, FILLED_CORNER, LEVELS = (0.05, 0.12), 0.3, (0.3, 0.6, 0.8, 0.95)
+"""The same of vessels that hold a drink, whose walls bend light little; levels in parts of the hollow's height."""
 USUAL = (USUAL_WALL, 0.15, 0.3)
 """A usual vessel: wall, floor and corner in the same units."""
 LAST = 5
@@ -219,16 +223,22 @@ def penalty(differences: Float[np.ndarray, "*pixel 3"]) -> Float[np.ndarray, "*p
     return np.sqrt(differences**2 + SOFTNESS**2) - SOFTNESS
 
 
-def guess(outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, label: str) -> Glass:
+def guess(
+    outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *, label: str, may_be_filled: bool = False
+) -> Glass:
     """Draws the grid, and chooses a material for its best cell.
 
     Clear glass is drawn first, which may explain tint and frost by a wrong wall. So the best cell of each wall gets a
     material of its own, and the grid is drawn again like the best of these; if that is frosted, also with a tint alone:
     a little frost makes up for a wrong wall.
+
+    Args:
+        may_be_filled: it may hold a drink that masks do not tell from it.
     """
+    asked = cells_of(outside, may_be_filled=may_be_filled)
 
     def drawn(like: Glass | None) -> list[Glass]:
-        cells = list(track(scan(outside, misses, like), label=label, total=len(_cells(outside))))
+        cells = list(track(scan(asked, misses, like), label=label, total=len(asked)))
         return [glass for glass, _ in sorted(cells, key=lambda cell: cell[1])]
 
     cells = drawn(None)
@@ -243,15 +253,13 @@ def guess(outside: Glass, misses: Misses, is_even: Bool[np.ndarray, " pixel"], *
     return best_of([find_material(drawn(like)[0], misses, is_even) for like in likes], misses)
 
 
-def scan(outside: Glass, misses: Misses, like: Glass | None = None) -> Iterator[tuple[Glass, float]]:
-    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid; with their losses.
-
-    Solids have several indices: beside vessels, one of 1.8 with an index of 1.5 was found hollow.
+def scan(cells: Sequence[Glass], misses: Misses, like: Glass | None = None) -> Iterator[tuple[Glass, float]]:
+    """Cells of the grid with their losses.
 
     Args:
-        like: a glass whose tint and roughness they share; None: they keep those of the outside.
+        like: a glass whose tint and roughness they share; None: they keep their own.
     """
-    for glass in _cells(outside):
+    for glass in cells:
         shaded = glass if like is None else _as_dark_as(glass, like)
         yield shaded, float(misses(shaded).mean())
 
@@ -260,7 +268,7 @@ def guesses(outside: Glass) -> tuple[Glass, ...]:
     """The outside as solid glass, and as a usual vessel where it may be one."""
     if not isinstance(outside, Revolution) or outside.is_closed:
         return (outside,)
-    return _cells(outside)[0] if outside.hollow else outside, outside.hollowed(*USUAL)
+    return cells_of(outside)[0] if outside.hollow else outside, outside.hollowed(*USUAL)
 
 
 def _as_dark_as(glass: Glass, other: Glass) -> Glass:
@@ -277,12 +285,23 @@ def _thickness(glass: Glass) -> float:
     return glass.hollow[0] if glass.hollow else float(glass.outside[:, 0].max())
 
 
-def _cells(outside: Glass) -> list[Glass]:
+def cells_of(outside: Glass, *, may_be_filled: bool = False) -> list[Glass]:
+    """Solid, and unless the outside is closed, vessels of every wall, floor and corner of the grid.
+
+    Solids have several indices: beside vessels, one of 1.8 with an index of 1.5 was found hollow. What may be filled is
+    no solid of water's index: a full shot glass on a third of its photographs was found as one.
+    """
     if not isinstance(outside, Revolution) or outside.is_closed:
         return [outside]
-    solids: list[Glass] = [outside.having(ior=ior) for ior in INDICES]
+    solids: list[Glass] = [outside.having(ior=ior) for ior in INDICES if ior > LEAST_GLASS or not may_be_filled]
     vessels: list[Glass] = [outside.hollowed(*cell) for cell in itertools.product(WALLS, FLOORS, CORNERS)]
-    return vessels if outside.hollow else [*solids, *vessels]  # What holds a drink is a vessel.
+    if "level" in outside.numbers:  # What holds a drink is a vessel.
+        return vessels
+    filled: list[Glass] = []
+    for wall, floor, level in itertools.product(FILLED_WALLS, FLOORS, LEVELS if may_be_filled else ()):
+        height = outside.height * (floor + level * (1 - floor))
+        filled.append(outside.hollowed(wall, floor, FILLED_CORNER).having(level=height, drink_ior=WATER))
+    return [*solids, *vessels, *filled]
 
 
 def refine(

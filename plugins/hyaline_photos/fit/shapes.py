@@ -2,7 +2,7 @@
 be updated in place."""
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Self
 
@@ -20,6 +20,10 @@ MOST_FLOOR = 0.95
 """Highest floor of a hollow, in parts of the height."""
 DRINK_REACH = 0.3
 """How far a drink reaches into its glass, in parts of the thinnest wall."""
+SPECK = 1e-3
+"""Radius of the mesh that holds the place of a drink, in parts of the glass's height."""
+WATER = 1.33
+"""First guess of a drink's index."""
 USUAL_WALL = 0.05
 """Thickness of a usual vessel's wall, in parts of the largest radius."""
 FOOT = 0.04
@@ -67,9 +71,9 @@ class Glass:
     def kind(self) -> str:
         raise NotImplementedError
 
-    def bodies(self) -> tuple[Body, ...]:
-        """Mesh and material of the object, then of its drink."""
-        return ((self.mesh(), self.material()),)
+    def bodies(self, object_ids: Sequence[int]) -> dict[int, Body]:
+        """Mesh and material of the object and, given a second id, of the drink that it may hold."""
+        return {object_ids[0]: (self.mesh(), self.material())}
 
     def mesh(self) -> Mesh:
         """A closed mesh; vertex and face counts are independent of the parameters."""
@@ -154,16 +158,19 @@ class Revolution(Glass):
     def mesh(self) -> Mesh:
         return revolved(self.axis, self.outline())
 
-    def bodies(self) -> tuple[Body, ...]:
-        if "drink_ior" not in self.numbers:
-            return super().bodies()
+    def bodies(self, object_ids: Sequence[int]) -> dict[int, Body]:
         # Where the drink reaches into the wall, its lower priority lets the glass win.
-        drink = Dielectric(ior=self.numbers["drink_ior"], absorption=self.drink_absorption, priority=-1)
-        return (*super().bodies(), (revolved(self.axis, self.drink_outline()), drink))
+        drink = Dielectric(ior=self.numbers.get("drink_ior", WATER), absorption=self.drink_absorption, priority=-1)
+        drinks = {each: (revolved(self.axis, self.drink_outline()), drink) for each in object_ids[1:]}
+        return {**super().bodies(object_ids), **drinks}
 
     def drink_outline(self) -> Outline:
-        """The section of the drink; it extends slightly into floor and wall."""
-        assert self.hollow is not None, "a drink is in a vessel"
+        """The section of the drink; it extends slightly into floor and wall. Without a level, it is a speck in the
+        bottom, where the glass wins."""
+        if self.hollow is None or "level" not in self.numbers:
+            middle = self.outside[0, 1] + SPECK * self.height * 10
+            angles = np.linspace(-np.pi / 2, np.pi / 2, INSIDE + CORNER + 2)
+            return SPECK * self.height * np.stack([np.cos(angles).round(9), np.sin(angles)], axis=1) + [0, middle]
         inside = self.outline()[OUTSIDE + RIM - 1 :][::-1]
         low, high = inside[0, 1], inside[-1, 1]
         surface = float(

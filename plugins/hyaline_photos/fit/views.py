@@ -64,7 +64,8 @@ def find_unknown(dataset: Dataset, scene: Scene, names: tuple[str, ...]) -> tupl
         if not next(item.is_glass for item in dataset.objects if item.name == name):
             raise HyalineError(f"unknown {name!r}: is opaque; only glass is fitted")
     thin = {item.name for item in scene.objects if isinstance(item.material, ThinDielectric)}
-    fitted = names or [item.name for item in dataset.objects if item.is_glass and item.name not in thin]
+    there = {item.name for item in scene.objects if is_there(item.mesh)}
+    fitted = names or [item.name for item in dataset.objects if item.is_glass and item.name in there - thin]
     if not fitted:
         raise HyalineError(f"{dataset.root}: has no glass but thin panes; expected solid glass or vessels to fit")
     return tuple(place for place, item in enumerate(dataset.objects, start=1) if item.name in fitted)

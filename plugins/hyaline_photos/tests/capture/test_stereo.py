@@ -1,5 +1,6 @@
 """Tests that depth maps and the surfaces fused from them are those of a scene whose shape is known by formula."""
 
+import dataclasses
 import math
 
 import numpy as np
@@ -7,8 +8,10 @@ import pytest
 from jaxtyping import Float, Float32, UInt8
 
 from datagen.data.cameras import Cameras, Lens, look_at
+from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
 from datagen.scene.mending import atlas_fault
 from datagen.scene.rig import towards
+from hyaline_photos.capture.exposure import find_exposures
 from hyaline_photos.capture.room import Outline, fit_room, lacking
 from hyaline_photos.capture.stereo import DepthMaps, faces_apart, find_depths, fuse
 
@@ -133,3 +136,24 @@ def test_a_thing_is_its_surface_where_depth_maps_show_it(maps: DepthMaps) -> Non
     assert np.mean(lacking(room.parts, maps)) < 0.05
     assert np.mean(lacking({"floor": room.parts["floor"]}, maps)) > 0.1
     assert not any(name.startswith("thing") for name in fit_room(np.concatenate([ball, floor]), glass, places).parts)
+
+
+@pytest.mark.parametrize("spread", [0.1, 0.0])
+def test_exposures_are_found_from_points_that_pictures_share(maps: DepthMaps, spread: float) -> None:
+    rng = np.random.default_rng(1)
+    gains = spread * rng.standard_normal((VIEWS, 1)) + 0.2 * spread * rng.standard_normal((VIEWS, 3))
+    rows, columns = np.indices((SIDE, SIDE)) + 0.5 - SIDE / 2
+    falloff = -spread * (rows**2 + columns**2) / (SIDE**2 / 2)
+    pictures = []
+    for view, gain in enumerate(gains):
+        place = seen(maps.cameras, view)[1]
+        linear = 0.05 + 0.5 * linear_from_srgb(painted(place) / 255.0)
+        pictures.append(to_8bit(srgb_from_linear(linear * np.exp(gain + falloff[..., None]))))
+    # The last two stand for test pictures, of which no depths are known.
+    some = dataclasses.replace(maps.cameras, world_from_camera=maps.cameras.world_from_camera[:-2])
+    known = DepthMaps(cameras=some, depth=maps.depth[:-2])
+    found = find_exposures(pictures, maps.cameras, known, known.points(0.01))
+    assert found.gains == pytest.approx(gains - gains[:-2].mean(axis=0), abs=0.025)
+    assert found.falloff == pytest.approx(-spread, abs=0.03)
+    if not spread:
+        assert np.array_equal(found.corrected(pictures[0], 0), pictures[0])

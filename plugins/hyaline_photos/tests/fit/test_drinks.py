@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from support.silhouettes import views_around
 
-from datagen.data.meshes import Mesh, check_mesh, open_edges, signed_volume
+from datagen.data.meshes import Mesh, check_mesh, face_corners, open_edges, signed_volume
+from datagen.data.queries import windings
 from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.materials import Dielectric
 from hyaline_photos.fit.kinds import find_holders, merged, with_drink
@@ -20,7 +21,7 @@ OUTER = Revolution(axis=AXIS, outside=SIDE)
 FULL = dataclasses.replace(OUTER.hollowed(0.08, 0.15, 0.3), drink_absorption=(1.0, 2.0, 30.0)).having(
     level=LEVEL, drink_ior=1.36
 )
-VESSEL, DRINK = 1, 2
+VESSEL, DRINK = BOTH = 1, 2
 
 
 def ball(radius: float, height: float) -> Mesh:
@@ -55,7 +56,7 @@ def seen(*meshes: Mesh, unknown: tuple[int, ...]) -> Sightings:
 
 
 def test_a_drink_is_closed_fills_the_hollow_and_gives_way_to_the_glass() -> None:
-    (vessel, glass), (drink, liquid) = FULL.bodies()
+    (vessel, glass), (drink, liquid) = FULL.bodies(BOTH).values()
     check_mesh(drink, where="drink")
     assert open_edges(drink) == 0
     assert isinstance(glass, Dielectric)
@@ -68,13 +69,23 @@ def test_a_drink_is_closed_fills_the_hollow_and_gives_way_to_the_glass() -> None
     assert drink.vertices[:, 2].min() == pytest.approx(floor - 0.3 * wall, abs=2e-4)
     assert vessel.vertices.shape == OUTER.mesh().vertices.shape
     for level in (0.0, 0.02, 0.2):
-        other = FULL.having(level=level).bodies()[1][0]
+        other = FULL.having(level=level).bodies(BOTH)[DRINK][0]
         assert other.vertices.shape == drink.vertices.shape
         assert open_edges(other) == 0
 
 
+def test_a_glass_without_a_drink_hides_the_mesh_that_holds_its_place() -> None:
+    for glass in (OUTER, OUTER.hollowed(0.08, 0.15, 0.3)):
+        (body, _), (speck, liquid) = glass.bodies(BOTH).values()
+        assert speck.vertices.shape == FULL.bodies(BOTH)[DRINK][0].vertices.shape
+        assert liquid.priority < 0
+        corners = face_corners(body).astype(np.float64)
+        assert (windings(corners, speck.vertices[::500].astype(np.float64)) == 1).all()
+        assert np.ptp(speck.vertices, axis=0).max() < 0.003 * HEIGHT
+
+
 def test_masks_show_which_object_is_a_drink_and_its_level() -> None:
-    (vessel, _), (drink, _) = FULL.bodies()
+    (vessel, _), (drink, _) = FULL.bodies(BOTH).values()
     sightings = seen(vessel, drink, unknown=(VESSEL, DRINK))
     assert find_holders(sightings) == {DRINK: VESSEL}
     both = merged(sightings, {DRINK: VESSEL})
@@ -86,7 +97,7 @@ def test_masks_show_which_object_is_a_drink_and_its_level() -> None:
 
 
 def test_a_ball_beside_a_vessel_and_what_lies_in_a_solid_are_no_drinks() -> None:
-    (vessel, _), (drink, _) = FULL.bodies()
+    (vessel, _), (drink, _) = FULL.bodies(BOTH).values()
     beside = ball(0.03, 0.03)
     beside = dataclasses.replace(beside, vertices=beside.vertices + np.float32([0.075, 0, 0]))
     assert find_holders(seen(vessel, beside, unknown=(VESSEL, DRINK))) == {}

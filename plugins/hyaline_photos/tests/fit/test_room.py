@@ -36,7 +36,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
 
 def test_frosted_glass_is_drawn_by_more_rays_which_it_needs(dataset: Dataset) -> None:
     meshes, materials = list(read_meshes(dataset, TRUTH)), [item.material for item in open_scene(dataset).objects]
-    meshes[BALL - 1], materials[BALL - 1] = SHAPE.bodies()[0]
+    meshes[BALL - 1], materials[BALL - 1] = SHAPE.bodies([BALL])[BALL]
     pixels = room.load_pixels(dataset, open_scene(dataset), tuple(meshes), tuple(materials), room.COARSE)
     rows = np.arange(len(pixels.rgb))
     learned = room.learn(pixels, rows, rows[:0], np.zeros((0, 3), np.float32), 1, seed=0)

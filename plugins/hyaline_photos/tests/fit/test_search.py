@@ -7,12 +7,12 @@ import pytest
 from support.drawn_glass import IS_EVEN, OUTSIDE_OF, PIXELS, TRUTH, misses_of
 
 from hyaline_photos.fit.found import intervals
-from hyaline_photos.fit.search import INDEX_HELD, Misses, find_absorption, guess, in_even_views, refine, scan
+from hyaline_photos.fit.search import INDEX_HELD, Misses, cells_of, find_absorption, guess, in_even_views, refine, scan
 from hyaline_photos.fit.shapes import Glass, Revolution
 
 
 def best_of_grid(misses: Misses) -> Glass:
-    return min(scan(OUTSIDE_OF, misses), key=lambda cell: cell[1])[0]
+    return min(scan(cells_of(OUTSIDE_OF), misses), key=lambda cell: cell[1])[0]
 
 
 def test_the_grid_tells_a_vessel_from_a_solid_and_the_cells_next_to_the_truth() -> None:
@@ -34,9 +34,21 @@ def test_a_solid_of_high_index_is_not_taken_for_a_vessel() -> None:
     assert "wall" not in best.numbers and best.numbers["ior"] in (1.75, 1.8)
 
 
+def test_a_filled_vessel_is_told_from_an_empty_one_where_it_may_be_filled() -> None:
+    filled = OUTSIDE_OF.hollowed(0.05, 0.25, 0.3).having(level=0.7 * OUTSIDE_OF.height, drink_ior=1.33)
+
+    def misses(glass: Revolution) -> np.ndarray:
+        off = abs(glass.numbers.get("level", 0) - filled.numbers["level"]) / OUTSIDE_OF.height
+        return np.full((PIXELS, 3), off + abs(glass.numbers.get("floor", 0) - filled.numbers["floor"]) + 0.01)
+
+    found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass", may_be_filled=True)
+    assert found.numbers["level"] == pytest.approx(0.7 * OUTSIDE_OF.height, rel=0.01)
+    assert "level" not in guess(OUTSIDE_OF, misses, IS_EVEN, label="glass").numbers
+
+
 def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
     like = dataclasses.replace(OUTSIDE_OF.hollowed(0.08, 0.1, 0.3), absorption=(30.0, 0.0, 6.0)).having(roughness=0.1)
-    for glass, _ in scan(OUTSIDE_OF, misses_of(TRUTH), like):
+    for glass, _ in scan(cells_of(OUTSIDE_OF), misses_of(TRUTH), like):
         length = glass.numbers.get("wall", 0.05)
         assert np.array(glass.absorption) * length == pytest.approx(np.array([30.0, 0.0, 6.0]) * 0.08 * 0.05)
         assert glass.numbers["roughness"] == 0.1

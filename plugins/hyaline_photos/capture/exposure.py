@@ -1,0 +1,129 @@
+"""Exposure, white balance and vignetting of photographs, from opaque points that many of them show.
+
+The logarithm of a picture's linear colour at a point is the point's own, plus a gain of the picture and channel, plus a
+falloff towards the corners that all pictures share (the first term of Goldman 2010, "Vignette and Exposure Calibration
+and Compensation"). Medians over pictures and over points in turn (Tukey's median polish) find them: gloss, shadows and
+wrong depths are outliers.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, UInt8
+
+from datagen.data.cameras import Cameras
+from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
+from hyaline_photos.capture.stereo import DepthMaps, projections_of
+
+POINTS = 6000
+DARKEST, BRIGHTEST = 0.02, 0.9
+"""Linear colours outside of these say little: they are noise, or clipped."""
+HIDDEN = 0.03
+"""Relative difference from a view's depth at which the view shows something else."""
+LEAST_VIEWS, LEAST_POINTS = 4, 100
+"""Training pictures that must show a point, and points that a picture must show; otherwise it keeps its exposure."""
+OUTLIER = 0.15
+"""Difference of logarithms above which a colour does not count for the falloff."""
+ROUNDS = 40
+EQUAL = 0.025
+"""Standard deviation of the gains, and darkening of the corners, below which pictures are left as they are."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Exposures:
+    """Gains of pictures, and the falloff that all of them share."""
+
+    gains: Float[np.ndarray, "view 3"]
+    """Logarithms by colour channel; over training pictures, their mean is 0."""
+    falloff: float
+    """Of the logarithm, from the middle to the corners."""
+
+    def in_words(self) -> str:
+        if not self.gains.any():
+            return f"exposure: pictures differ by less than {EQUAL:.1%}; they were left as they are"
+        brightness, balance = self.gains.mean(axis=1), self.gains - self.gains.mean(axis=1, keepdims=True)
+        low, high = np.exp([brightness.min(), brightness.max()])
+        return (
+            f"exposure: pictures were {low:.2f} to {high:.2f} times as bright as in the mean (standard deviation "
+            f"{brightness.std():.1%}), channels differed by {balance.std():.1%}, corners were "
+            f"{1 - np.exp(self.falloff):.1%} darker; corrected"
+        )
+
+    def corrected(self, picture: UInt8[np.ndarray, "h w 3"], view: int) -> UInt8[np.ndarray, "h w 3"]:
+        """A picture as if it had the mean exposure, and no falloff."""
+        if not self.gains.any():
+            return picture
+        height, width = picture.shape[:2]
+        log = self.gains[view] + self.falloff * _radii(width, height)[..., None]
+        return to_8bit(srgb_from_linear(linear_from_srgb(picture / np.float32(255)) * np.exp(-log).astype(np.float32)))
+
+
+def find_exposures(
+    pictures: Sequence[UInt8[np.ndarray, "h w 3"]],
+    cameras: Cameras,
+    maps: DepthMaps,
+    points: Float[np.ndarray, "point 3"],
+) -> Exposures:
+    """Finds the training pictures' gains together, then those of the others from the points' colours.
+
+    Args:
+        pictures: of all splits, those with a depth map first.
+        points: that the depth maps show.
+    """
+    points = points[np.random.default_rng(0).permutation(len(points))[:POINTS]]
+    count, radii = len(maps.depth), _radii(cameras.width, cameras.height)
+    logs = np.full((len(pictures), len(points), 3), np.nan)
+    squares = np.zeros(logs.shape[:2])
+    seen = _visible(points, maps)
+    places = cameras.world_from_camera[:, :3, 3]
+    for view, picture in enumerate(pictures):
+        # A picture without a depth map shows what the nearest one with a map does.
+        nearest = int(np.linalg.norm(places[:count] - places[view], axis=1).argmin()) if view >= count else view
+        row, column, is_in = _pixels(points, projections_of(cameras)[view], (cameras.height, cameras.width))
+        linear = linear_from_srgb(picture[row, column] / 255.0)
+        is_good = is_in & seen[nearest] & (linear > DARKEST).all(axis=1) & (linear < BRIGHTEST).all(axis=1)
+        logs[view, is_good] = np.log(linear[is_good])
+        squares[view] = radii[row, column]
+    is_kept = np.isfinite(logs[:count, :, 0]).sum(axis=0) >= LEAST_VIEWS
+    logs, squares = logs[:, is_kept], squares[:, is_kept, None]
+    is_shown = np.isfinite(logs[..., 0]).sum(axis=1) >= LEAST_POINTS
+    gains, falloff, train = np.zeros((len(pictures), 3)), 0.0, is_shown & (np.arange(len(pictures)) < count)
+    if not train.any():
+        return Exposures(gains=gains, falloff=0.0)
+    for _ in range(ROUNDS):
+        own = np.nanmedian((logs - gains[:, None] - falloff * squares)[train], axis=0)
+        left = logs - own - falloff * squares
+        gains[is_shown] = np.nanmedian(left[is_shown], axis=1)
+        gains[is_shown] -= gains[train].mean(axis=0)
+        left = left[train] - gains[train, None]
+        bend = np.broadcast_to(squares[train], left.shape)[inside := np.abs(left) < OUTLIER]
+        falloff += float(np.cov(bend, left[inside])[0, 1] / bend.var())
+    is_equal = gains[train].std() < EQUAL and abs(falloff) < EQUAL
+    return Exposures(gains=np.zeros_like(gains) if is_equal else gains, falloff=0.0 if is_equal else falloff)
+
+
+def _radii(width: int, height: int) -> Float[np.ndarray, "h w"]:
+    """Squared distance of pixels from the middle of the picture; 1 in the corners."""
+    rows, columns = np.indices((height, width)) + 0.5
+    return ((rows - height / 2) ** 2 + (columns - width / 2) ** 2) / ((height**2 + width**2) / 4)
+
+
+def _pixels(
+    points: Float[np.ndarray, "point 3"], projection: Float[np.ndarray, "3 4"], size: tuple[int, int]
+) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " point"]]:
+    """Rows and columns where a camera sees points, and whether they are in its picture."""
+    u, v, ahead = projection[:, :3] @ points.T + projection[:, 3:]
+    column, row = (np.floor(np.clip(each / np.where(ahead > 0, ahead, np.inf), -1, 1e6)).astype(int) for each in (u, v))
+    is_in = (ahead > 0) & (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
+    return np.where(is_in, row, 0), np.where(is_in, column, 0), is_in
+
+
+def _visible(points: Float[np.ndarray, "point 3"], maps: DepthMaps) -> Bool[np.ndarray, "view point"]:
+    """Which points each depth map shows."""
+    found = []
+    for depth, projection in zip(maps.depth, projections_of(maps.cameras), strict=True):
+        row, column, is_in = _pixels(points, projection, depth.shape)
+        ahead = projection[2, :3] @ points.T + projection[2, 3]
+        found.append(is_in & (np.abs(depth[row, column] - ahead) < HIDDEN * ahead))
+    return np.stack(found)
