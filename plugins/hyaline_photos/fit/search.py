@@ -44,6 +44,9 @@ WALLS = (0.03, 0.05, 0.08, 0.12, 0.2)
 FLOORS = (0.05, 0.1, 0.15, 0.25, 0.4, 0.5, 0.6)
 CORNERS = (0.15, 0.5)
 """The grid: parts of the largest radius, of the height, and of the floor's radius."""
+WORTH_A_DRINK = 0.2
+"""Share of the loss that a drink which masks do not show has to take away. It took 44 % from a full shot glass on a
+third of its photographs, and 10 % from a solid frustum, of which nothing explained the pictures well."""
 LEAST_GLASS = 1.42
 """Index below that of all solid glass: fluorite has 1.43."""
 FILLED_WALLS, FILLED_CORNER, LEVELS = (0.05, 0.12), 0.3, (0.3, 0.6, 0.8, 0.95)
@@ -237,11 +240,15 @@ def guess(
     """
     asked = cells_of(outside, may_be_filled=may_be_filled)
 
-    def drawn(like: Glass | None) -> list[Glass]:
-        cells = list(track(scan(asked, misses, like), label=label, total=len(asked)))
-        return [glass for glass, _ in sorted(cells, key=lambda cell: cell[1])]
+    def drawn(like: Glass | None) -> list[tuple[Glass, float]]:
+        cells = track(scan(asked, misses, like), label=label, total=len(asked))
+        return sorted(cells, key=lambda cell: cell[1])
 
-    cells = drawn(None)
+    found = drawn(None)
+    dry = [cell for cell in found if "level" not in cell[0].numbers]
+    if dry and found[0][1] > (1 - WORTH_A_DRINK) * dry[0][1]:
+        found, asked = dry, [glass for glass in asked if "level" not in glass.numbers]
+    cells = [glass for glass, _ in found]
     glass = find_material(cells[0], misses, is_even)
     if len(cells) == 1 or not (any(glass.absorption) or "roughness" in glass.numbers):
         return glass
@@ -250,7 +257,7 @@ def guess(
     likes = [best_of([find_absorption(each, "absorption", misses, is_even)[0] for each in apart], misses)]
     if "roughness" in glass.numbers:
         likes.insert(0, best_of([find_material(each, misses, is_even) for each in apart], misses))
-    return best_of([find_material(drawn(like)[0], misses, is_even) for like in likes], misses)
+    return best_of([find_material(drawn(like)[0][0], misses, is_even) for like in likes], misses)
 
 
 def scan(cells: Sequence[Glass], misses: Misses, like: Glass | None = None) -> Iterator[tuple[Glass, float]]:

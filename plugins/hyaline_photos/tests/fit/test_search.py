@@ -44,6 +44,10 @@ def test_a_filled_vessel_is_told_from_an_empty_one_where_it_may_be_filled() -> N
     found = guess(OUTSIDE_OF, misses, IS_EVEN, label="glass", may_be_filled=True)
     assert found.numbers["level"] == pytest.approx(0.7 * OUTSIDE_OF.height, rel=0.01)
     assert "level" not in guess(OUTSIDE_OF, misses, IS_EVEN, label="glass").numbers
+    # What explains hardly more than the best empty one is not taken for a drink.
+    dry = min(loss for _, loss in scan(cells_of(OUTSIDE_OF), misses))
+    hardly = guess(OUTSIDE_OF, lambda glass: misses(glass) + 4 * dry, IS_EVEN, label="glass", may_be_filled=True)
+    assert "level" not in hardly.numbers
 
 
 def test_cells_are_as_dark_as_tinted_glass_and_as_rough() -> None:
