@@ -91,6 +91,8 @@ def find_exposures(
     gains, falloff, train = np.zeros((len(pictures), 3)), 0.0, is_shown & (np.arange(len(pictures)) < count)
     if not train.any():
         return Exposures(gains=gains, falloff=0.0)
+    is_known = np.isfinite(logs[train][..., 0]).any(axis=0)
+    logs, squares = logs[:, is_known], squares[:, is_known]
     for _ in range(ROUNDS):
         own = np.nanmedian((logs - gains[:, None] - falloff * squares)[train], axis=0)
         left = logs - own - falloff * squares
