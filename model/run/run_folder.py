@@ -154,15 +154,17 @@ def describe_run(
 
 def _told(config: TrainConfig, dataset: Dataset) -> tuple[str, ...]:
     """Names of the objects of which a fitted geometry tells the method more than `model fit` found."""
+    from datagen.data.meshes import is_there
     from datagen.scene.folder import open_scene  # Not before: training on other geometries needs no scene.
     from datagen.scene.materials import Diffuse
 
-    materials = [item.material for item in open_scene(dataset, config.geometry).objects]
     found = read_materials(dataset, config.geometry)
     return tuple(
         item.name
-        for item, material in zip(dataset.objects, materials, strict=True)
-        if item.name not in found and (item.is_glass or (config.net.knowledge and not isinstance(material, Diffuse)))
+        for item in open_scene(dataset, config.geometry).objects
+        if is_there(item.mesh)
+        and item.name not in found
+        and (item.material.is_glass or (config.net.knowledge and not isinstance(item.material, Diffuse)))
     )
 
 
