@@ -25,7 +25,7 @@ class Format:
     hint: str
     """The command that opens the export, with OUT for the folder."""
     takes_variants: bool = False
-    """Whether a dataset may be a variant, most of which have test views alone."""
+    """Whether variants can be exported; most of them have only test views."""
 
 
 FORMATS: Group[Format] = Group(

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from datagen.data.cameras import Cameras
+from datagen.data.cameras import Camera, Cameras
 from datagen.data.images import linear_from_srgb, srgb_from_linear, to_8bit
-from hyaline_photos.capture.stereo import DepthMaps, projections_of
+from hyaline_photos.capture.stereo import DepthMaps
 
 POINTS = 6000
 DARKEST, BRIGHTEST = 0.02, 0.9
@@ -80,7 +80,7 @@ def find_exposures(
     for view, picture in enumerate(pictures):
         # A picture without a depth map shows what the nearest one with a map does.
         nearest = int(np.linalg.norm(places[:count] - places[view], axis=1).argmin()) if view >= count else view
-        row, column, is_in = _pixels(points, projections_of(cameras)[view], (cameras.height, cameras.width))
+        row, column, _, is_in = _pixels(points, cameras[view])
         linear = linear_from_srgb(picture[row, column] / 255.0)
         is_good = is_in & seen[nearest] & (linear > DARKEST).all(axis=1) & (linear < BRIGHTEST).all(axis=1)
         logs[view, is_good] = np.log(linear[is_good])
@@ -112,20 +112,19 @@ def _radii(width: int, height: int) -> Float[np.ndarray, "h w"]:
 
 
 def _pixels(
-    points: Float[np.ndarray, "point 3"], projection: Float[np.ndarray, "3 4"], size: tuple[int, int]
-) -> tuple[np.ndarray, np.ndarray, Bool[np.ndarray, " point"]]:
-    """Rows and columns where a camera sees points, and whether they are in its picture."""
-    u, v, ahead = projection[:, :3] @ points.T + projection[:, 3:]
-    column, row = (np.floor(np.clip(each / np.where(ahead > 0, ahead, np.inf), -1, 1e6)).astype(int) for each in (u, v))
-    is_in = (ahead > 0) & (row >= 0) & (row < size[0]) & (column >= 0) & (column < size[1])
-    return np.where(is_in, row, 0), np.where(is_in, column, 0), is_in
+    points: Float[np.ndarray, "point 3"], camera: Camera
+) -> tuple[np.ndarray, np.ndarray, Float[np.ndarray, " point"], Bool[np.ndarray, " point"]]:
+    """Rows and columns where a camera sees points, their depths, and whether they are in its picture."""
+    pixels, depth = camera.project(points)
+    column, row = np.floor(np.clip(pixels, -1, 1e6)).astype(int).T
+    is_in = (depth > 0) & (row >= 0) & (row < camera.height) & (column >= 0) & (column < camera.width)
+    return np.where(is_in, row, 0), np.where(is_in, column, 0), depth, is_in
 
 
 def _visible(points: Float[np.ndarray, "point 3"], maps: DepthMaps) -> Bool[np.ndarray, "view point"]:
     """Which points each depth map shows."""
     found = []
-    for depth, projection in zip(maps.depth, projections_of(maps.cameras), strict=True):
-        row, column, is_in = _pixels(points, projection, depth.shape)
-        ahead = projection[2, :3] @ points.T + projection[2, 3]
-        found.append(is_in & (np.abs(depth[row, column] - ahead) < HIDDEN * ahead))
+    for view, shown in enumerate(maps.depth):
+        row, column, depth, is_in = _pixels(points, maps.cameras[view])
+        found.append(is_in & (np.abs(shown[row, column] - depth) < HIDDEN * depth))
     return np.stack(found)
