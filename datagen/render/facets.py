@@ -1,8 +1,8 @@
 """Microfacets of rough surfaces (GGX), sampled by visible area. Call `use_mitsuba` first.
 
 Source: GGX facets with Smith's shadowing, sampled by their visible area (Dupuy and Benyoub 2023, "Sampling Visible GGX
-Normals with Spherical Caps"). A sampled direction has the weight Fresnel's term times shadowing. Light reflected
-between facets is lost, as in Mitsuba's own plugins.
+Normals with Spherical Caps"). A sampled direction has the weight Fresnel's term times shadowing. Light that goes from
+facet to facet is left out here, as in Mitsuba's own plugins; render/albedo.py makes up for it.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -74,6 +74,28 @@ def lobe_of_glass(wi, wo, eta, alpha):
     value = dr.select(is_reflected, mirrored, refracted) * unshadowed(wo, alpha)
     pdf = dr.select(is_reflected, mirrored, refracted * dr.square(across))
     return dr.select(is_seen, value, 0), dr.select(is_seen, pdf, 0)
+
+
+def bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes):
+    """Whether a facet reflects, the new direction in the surface's frame, and the factor of radiance; of rough glass.
+
+    Args:
+        wi, eta, alpha: as of `lobe_of_glass`; alpha = 0 is smooth.
+        sample1, sample2: a number and a point in [0, 1).
+        vanishes: where nothing is reflected, since both sides are the same.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    side = dr.sign(wi.z)
+    facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
+    reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)
+    is_reflected = (sample1 <= reflectance) & ~vanishes
+    wo = dr.select(is_reflected, mi.reflect(wi, facet), mi.refract(wi, facet, cos_t, eta_ti))
+    # Light that leaves on the wrong side is lost.
+    is_lost = ((wo.z * side > 0) != is_reflected) & ~vanishes
+    share = dr.select(is_reflected, 1, dr.square(eta_ti)) * dr.select(vanishes, 1, unshadowed(wo, alpha))
+    return is_reflected, wo, dr.select(is_lost, 0, share)
 
 
 class Facet(NamedTuple):

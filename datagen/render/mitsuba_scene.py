@@ -9,6 +9,7 @@ from jaxtyping import Float, Float32, Int32
 from datagen.data.cameras import Camera
 from datagen.data.meshes import Mesh, face_areas
 from datagen.machine.processes import ROOT
+from datagen.render.albedo import below_coat
 from datagen.scene.atlas import bake_positions, find_arrays, keep_arrays, key_of
 from datagen.scene.description import (
     Card,
@@ -189,7 +190,7 @@ def _load_mesh(mesh: Mesh, props: "mi.Properties") -> "mi.Mesh":
 
 
 def _bsdf(scene: Scene, item: SceneObject) -> Plugin:
-    return item.material.bsdf(lambda reflectance: _texture(scene, item.mesh, reflectance))
+    return item.material.bsdf(lambda reflectance: _texture(scene, item, reflectance))
 
 
 def linear_texels(
@@ -221,13 +222,17 @@ def bake_texture(texture: SolidTexture, mesh: Mesh, size: int) -> Float32[np.nda
     )
 
 
-def _texture(scene: Scene, mesh: Mesh, color: Reflectance) -> Plugin:
+def _texture(scene: Scene, item: SceneObject, color: Reflectance) -> Plugin:
     import mitsuba as mi
 
-    if not isinstance(color, Texture):
+    surface = item.material.surface()
+    texels = linear_texels(scene, item.mesh, color) if isinstance(color, Texture) else np.array([[color]], np.float32)
+    if surface.event == "coated":
+        texels = below_coat(texels, surface.ior, surface.roughness)
+    elif not isinstance(color, Texture):
         return rgb(color)
     # Mitsuba's bitmap has v = 0 in its first row, our textures have v = 1 there.
-    pixels = np.ascontiguousarray(np.flipud(linear_texels(scene, mesh, color)), np.float32)
+    pixels = np.ascontiguousarray(np.flipud(texels), np.float32)
     return {"type": "bitmap", "bitmap": mi.Bitmap(pixels), "raw": True, "wrap_mode": "clamp"}
 
 

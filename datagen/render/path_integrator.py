@@ -19,15 +19,16 @@ Import this module after `use_mitsuba`.
 # pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 from jaxtyping import Float32
 
+from datagen.render.albedo import albedo, albedo_table
 from datagen.render.caustics import CausticMap, Spot
-from datagen.render.facets import lobe_of_glass, sample_facet, unshadowed
+from datagen.render.facets import bounce_off_facet, lobe_of_glass, unshadowed
 from datagen.render.sobol import SobolPoints
 from datagen.scene.materials import Surface
 from datagen.scene.media import (
@@ -72,7 +73,7 @@ class PathTracer:
         aims: bool,
     ) -> None:
         """Args:
-        surfaces: of each object that is solid glass; others are smooth and white.
+        surfaces: of each object.
         has_lamps: whether there are emitters besides the environment.
         aims: whether emitters are sampled at each rough vertex, too.
         """
@@ -84,15 +85,19 @@ class PathTracer:
             table[ids[: len(values)]] = values
             return table.ravel()
 
+        is_glass = np.array([surface.event == "refracts" for surface in surfaces])
         roughness = np.array([surface.roughness for surface in surfaces], np.float32)
         tint = np.array([surface.color for surface in surfaces], np.float32)
+        ior = np.array([surface.ior for surface in surfaces], np.float32)
         offsets = [_ray_offset(shape) for shape in scene.shapes()]
         self.scene, self.media = scene, media
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.offset = mi.Float(by_id(np.array(offsets, np.float32), 0))
         self.lamp_offset = max(offsets[len(media.rank) :], default=0.0)
-        self.has_rough_glass, self.alpha = bool(roughness.any()), mi.Float(by_id(roughness, 0))
-        self.has_tint, self.tint = bool((tint != 1).any()), mi.Float(by_id(tint, 1))
+        self.has_facets, self.has_rough_glass = bool(roughness.any()), bool(roughness[is_glass].any())
+        self.alpha, self.coat_ior = mi.Float(by_id(roughness, 0)), mi.Float(by_id(ior, 1))
+        self.albedo = mi.Float(albedo_table().ravel()) if self.has_facets else mi.Float(1)
+        self.has_tint, self.tint = bool((tint[is_glass] != 1).any()), mi.Float(by_id(tint, 1))
         self.rank = mi.Int32(by_id(media.rank, -1))
         self.disperses = bool(media.parts_colors.any())
         self.parts_colors = mi.Bool(media.parts_colors)
@@ -184,25 +189,27 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         dimension += 3
         bsdf = si.bsdf(ray)
         is_rough = active & ~is_glass
-        alpha, tint = surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
+        surface = surface_at(tables, si, eta, is_glass, active & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light sampled from here; smooth glass has no such term.
-            active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | (alpha > 0))
+            active_light = active & ((mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth) & ~is_glass) | surface.is_frosted)
             place = points.sample_2d(scramble, index, dimension, active_light)
             dimension += 2
             ds, light = scene.sample_emitter_direction(si, place, False, active_light)
             active_light &= _is_lit(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = _scatter(tables, context, si, bsdf, wo, sample1, sample2, is_rough)
-            value, pdf = _scattered_by_glass(tables, si, eta, wo, alpha, tint, (value, pdf))
+            value *= _gain(tables, bsdf, surface, wo, value / dr.maximum(pdf, 1e-20))
+            value, pdf = _scattered_by_glass(tables, si, eta, wo, surface, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
+        bsdf_weight *= _gain(tables, bsdf, surface, bsdf_sample.wo, bsdf_weight)
 
         # Glass reflects or refracts. Where its surface vanishes, both media are the same and nothing is reflected.
         samples = sample1, sample2
-        is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
+        is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, surface, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
@@ -212,8 +219,8 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         d = dr.select(vanishes, ray.d, to_world)
         ray = dr.select(active, mi.Ray3f(start_off(si, offset, d), d), ray)
         previous = mi.Interaction3f(si)
-        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, alpha, tint, (bsdf_weight, bsdf_sample.pdf))
-        previous_is_delta = (is_glass & (alpha == 0)) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
+        _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, surface, (bsdf_weight, bsdf_sample.pdf))
+        previous_is_delta = (is_glass & ~surface.is_frosted) | mi.has_flag(bsdf_sample.sampled_type, mi.BSDFFlags.Delta)
         active &= dr.max(throughput) > 0
         depth += dr.select(vanishes, 0, 1)
         vanished += dr.select(vanishes, 1, 0)
@@ -308,20 +315,50 @@ def ratio_of_indices(tables, sides, colors, is_glass) -> Lanes:
     return inner / outer
 
 
-def surface_of_glass(tables, si, eta, is_solid) -> tuple[Lanes, Lanes]:
-    """GGX alpha of rough glass, 0 elsewhere, and the transmitted share of refracted light."""
+class SurfaceOptics(NamedTuple):
+    """What surfaces do to light, besides refracting it."""
+
+    alpha: Lanes
+    """GGX roughness; 0 where a surface is smooth or vanishes."""
+    is_frosted: Lanes
+    """Whether it is rough glass."""
+    tint: Lanes
+    """Transmitted share of refracted light."""
+    albedo: Lanes
+    """Share of light that facets keep (render/albedo.py)."""
+
+
+def surface_at(tables, si, eta, is_glass, active) -> SurfaceOptics:
+    """Looks up the surfaces that are hit, and how rough glass, metals and coats scatter towards the rays."""
     shape = dr.reinterpret_array(mi.UInt32, si.shape)
-    alpha, tint = mi.Float(0), mi.Spectrum(1)
-    if tables.has_rough_glass:
-        alpha = dr.gather(mi.Float, tables.alpha, shape, is_solid)
+    alpha, tint, kept = mi.Float(0), mi.Spectrum(1), mi.Float(1)
+    if tables.has_facets:
+        alpha = dr.gather(mi.Float, tables.alpha, shape, active)
+        cosine = mi.Frame3f.cos_theta(si.wi)
+        across = dr.select(cosine > 0, eta, dr.rcp(eta))
+        across = dr.select(is_glass, across, dr.gather(mi.Float, tables.coat_ior, shape, active))
+        kept = albedo(tables.albedo, dr.abs(cosine), alpha, across)
     if tables.has_tint:
         # Overlapping parts of one glass have no surface between them that could tint.
+        is_solid = active & is_glass
         is_one = (dr.abs(eta - 1) < SAME_INDEX) | ~is_solid
         tint = dr.select(is_one, 1, dr.gather(mi.Spectrum, tables.tint, shape, is_solid))
-    return alpha, tint
+    return SurfaceOptics(alpha=alpha, is_frosted=is_glass & (alpha > 0), tint=tint, albedo=kept)
 
 
-def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[Lanes, Lanes]:
+def _gain(tables, bsdf, surface, wo, share) -> Lanes:
+    """The factor by which coats and metals scatter more than single facets do; metal tints light at each facet.
+
+    Args:
+        share: scattered light over the density of `wo`. Of metal, that is its colour times the shadowing.
+    """
+    if not tables.has_facets:
+        return mi.Spectrum(1)
+    color = dr.select(is_matt(bsdf), 1, share / unshadowed(wo, surface.alpha))
+    return dr.rcp(1 - color * (1 - surface.albedo))
+
+
+def _scattered_by_glass(tables, si, eta, wo, surface, otherwise) -> tuple[Lanes, Lanes]:
     """The share of light scattered from `wo` towards the ray, and the density with which the surface samples `wo`.
 
     Args:
@@ -329,18 +366,20 @@ def _scattered_by_glass(tables, si, eta, wo, alpha, tint, otherwise) -> tuple[La
     """
     if not tables.has_rough_glass:
         return otherwise
-    value, pdf = lobe_of_glass(si.wi, wo, eta, alpha)
-    value = dr.select(si.wi.z * wo.z < 0, tint, 1) * value
-    return dr.select(alpha > 0, value, otherwise[0]), dr.select(alpha > 0, pdf, otherwise[1])
+    value, pdf = lobe_of_glass(si.wi, wo, eta, surface.alpha)
+    value = dr.select(si.wi.z * wo.z < 0, surface.tint, 1) * value / surface.albedo
+    is_frosted = surface.is_frosted
+    return dr.select(is_frosted, value, otherwise[0]), dr.select(is_frosted, pdf, otherwise[1])
 
 
-def meet_glass(tables, si, eta, alpha, tint, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
+def meet_glass(tables, si, eta, surface, vanishes, samples) -> tuple[Lanes, Lanes, Lanes]:
     """Whether glass reflects, the new direction in the surface's frame, and the factor of radiance."""
     if tables.has_rough_glass:
-        is_reflected, wo, share = _bounce_off_facet(si.wi, eta, alpha, *samples, vanishes)
+        is_reflected, wo, share = bounce_off_facet(si.wi, eta, surface.alpha, *samples, vanishes)
+        share /= surface.albedo
     else:
         is_reflected, wo, share = _reflect_or_refract(si.wi, eta, samples[0], vanishes)
-    return is_reflected, wo, dr.select(is_reflected, 1, tint) * share if tables.has_tint else share
+    return is_reflected, wo, dr.select(is_reflected, 1, surface.tint) * share if tables.has_tint else share
 
 
 def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:
@@ -349,19 +388,6 @@ def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]
     is_reflected = (sample <= reflectance) & ~vanishes
     wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
     return is_reflected, wo, dr.select(is_reflected, 1, dr.square(eta_ti))
-
-
-def _bounce_off_facet(wi, eta, alpha, sample1, sample2, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`meet_glass` for rough glass, by one of its facets; alpha = 0 is smooth."""
-    side = dr.sign(mi.Frame3f.cos_theta(wi))
-    facet = sample_facet(wi * side, alpha, sample2.x, sample2.y)
-    reflectance, cos_t, _, eta_ti = mi.fresnel(dr.dot(wi, facet), eta)
-    is_reflected = (sample1 <= reflectance) & ~vanishes
-    wo = dr.select(is_reflected, mi.reflect(wi, facet), mi.refract(wi, facet, cos_t, eta_ti))
-    # Light that leaves on the wrong side is lost.
-    is_lost = ((wo.z * side > 0) != is_reflected) & ~vanishes
-    share = dr.select(is_reflected, 1, dr.square(eta_ti)) * dr.select(vanishes, 1, unshadowed(wo, alpha))
-    return is_reflected, wo, dr.select(is_lost, 0, share)
 
 
 def _balance(pdf, other) -> Lanes:

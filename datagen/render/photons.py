@@ -19,7 +19,7 @@ from datagen.render.path_integrator import (
     pass_medium,
     ratio_of_indices,
     start_off,
-    surface_of_glass,
+    surface_at,
 )
 from datagen.scene.media import medium_of, no_solids, solids_around
 
@@ -98,13 +98,13 @@ def _trace_photons(scene, ray, power, sampler, tables):
         active &= ~ends & (depth + 1 < tables.max_depth)
 
         samples = sampler.next_1d(active), sampler.next_2d(active)
-        alpha, tint = surface_of_glass(tables, si, eta, active & is_glass & ~vanishes)
+        surface = surface_at(tables, si, eta, is_glass, active & ~vanishes)
         bsdf_sample, bsdf_weight = bsdf.sample(context, si, *samples, active & ~is_glass)
-        is_reflected, glass_wo, _ = meet_glass(tables, si, eta, alpha, tint, vanishes, samples)
+        is_reflected, glass_wo, _ = meet_glass(tables, si, eta, surface, vanishes, samples)
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
         # Power, unlike radiance, is not squeezed as it enters glass.
-        power *= dr.select(active & ~is_glass, bsdf_weight, dr.select(active & ~is_reflected, tint, 1))
+        power *= dr.select(active & ~is_glass, bsdf_weight, dr.select(active & ~is_reflected, surface.tint, 1))
         d = dr.select(vanishes, ray.d, si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo)))
         ray = dr.select(active, mi.Ray3f(start_off(si, offset, d), d), ray)
         active &= dr.max(power) > 0

@@ -18,7 +18,6 @@ from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
 from datagen.render.mitsuba_scene import has_small_light, load_scene_mitsuba, load_sensor
 from datagen.scene.description import Scene
-from datagen.scene.materials import Surface
 from datagen.scene.media import find_media
 
 MAX_PATHS_PER_PASS = 1 << 23
@@ -26,8 +25,6 @@ MAX_PATHS_PER_PASS = 1 << 23
 
 MAX_SPP_PER_PASS = 1 << 12
 """Samples per pixel of one pass, which limits small pictures: the table of Sobol's points should fit into a cache."""
-
-NO_GLASS = Surface(event="ends")
 
 MAX_SPP = 1 << 17
 """Samples per pixel after which `--ceiling` gives up."""
@@ -57,11 +54,10 @@ class Renderer:
         scene = dataclasses.replace(scene, objects=tuple(item for item in scene.objects if is_there(item.mesh)))
         materials, meshes = zip(*((item.material, item.mesh) for item in scene.objects), strict=True)
         has_lamps, aims_at_sky = bool(scene.lights), has_small_light(scene.environment)
-        surfaces = [material.surface() if material.medium else NO_GLASS for material in materials]
         self._tracer = PathTracer(
             load_scene_mitsuba(scene, aims_at_sky=aims_at_sky),
             find_media(materials, meshes),
-            surfaces,
+            [material.surface() for material in materials],
             max_depth=max_depth,
             has_lamps=has_lamps,
             aims=has_lamps or aims_at_sky,

@@ -92,6 +92,9 @@ Reflectance = Color | SolidTexture | ImageTexture
 
 MAX_PRIORITY = 9
 
+MIRROR_IOR = 1e6
+"""Index of refraction by which Fresnel's equations mirror everything at every angle."""
+
 Plugin = dict[str, object]
 """A Mitsuba plugin as a dictionary for `mi.load_dict`."""
 
@@ -116,7 +119,7 @@ class Surface:
 
     event: Event
     ior: float = 1.0
-    """Index of refraction of a coat or a pane."""
+    """Index of refraction of a coat or a pane; `MIRROR_IOR` of a metal."""
     roughness: float = 0.0
     """Microfacet (GGX) alpha of a coat, a metal or solid glass; 0 is smooth."""
     color: Color = (1.0, 1.0, 1.0)
@@ -375,8 +378,8 @@ class Conductor(Optics):
     def surface(self) -> Surface:
         """Ends the path, and reflects in its colour."""
         if isinstance(self.color, Texture):
-            return Surface(event="mirrors", roughness=self.roughness, texture=self.color)
-        return Surface(event="mirrors", roughness=self.roughness, color=self.color)
+            return Surface(event="mirrors", ior=MIRROR_IOR, roughness=self.roughness, texture=self.color)
+        return Surface(event="mirrors", ior=MIRROR_IOR, roughness=self.roughness, color=self.color)
 
 
 Material = Dielectric | RoughDielectric | ThinDielectric | Diffuse | Plastic | Conductor

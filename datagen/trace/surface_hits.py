@@ -6,6 +6,7 @@
 
 from typing import TYPE_CHECKING, NamedTuple
 
+from datagen.render.albedo import albedo
 from datagen.render.facets import facet_towards, mirrored_by, refracted_by
 from datagen.render.mitsuba_scene import id_of_shape
 from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
@@ -217,7 +218,9 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
     facet = facet_towards(d, facing, alpha, *_random_point(kernel, step))
     facet_d, shadowing = mirrored_by(facet)
     facet_reflectance, facet_cos_t, _, _ = mi.fresnel(facet.cosine, eta)
-    facet_share = dr.select(is_metal, color, mi.Color3f(facet_reflectance)) * shadowing
+    # Light that goes from facet to facet makes the lobes brighter; metal tints it at each.
+    gain = dr.rcp(1 - dr.select(is_metal, color, 1) * (1 - albedo(tables.albedo, cos_i, alpha, eta)))
+    facet_share = dr.select(is_metal, color, mi.Color3f(facet_reflectance)) * shadowing * gain
     mirrored = dr.select(coated, facet_d, mirrored)
 
     share = dr.select(total, 1, (1 - reflectance) * dr.select(sides.is_glass, dr.square(eta_ti), 1))
@@ -237,6 +240,7 @@ def bounce_of(kernel: Kernel, hit: Hit, sides: Sides, d, step) -> Bounce:
         mirror_share=facet_share,
         next_d=dr.select(total, facet_d, refracted),
         next_share=dr.select(tints & ~total, color, 1)
+        * gain
         * dr.select(total, shadowing, (1 - facet_reflectance) * passed * dr.square(eta_ti)),
         total=total,
     )

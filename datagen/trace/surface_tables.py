@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from datagen.data.meshes import Mesh, is_there
+from datagen.render.albedo import albedo_table
 from datagen.render.mitsuba_scene import linear_texels
 from datagen.scene.description import Scene
 from datagen.scene.materials import Event, Material, Surface
@@ -64,6 +65,7 @@ class SurfaceTables(NamedTuple):
     """Index of an object by the number that `id_of_shape` gives."""
     kind: "mi.UInt32"
     coat_ior: "mi.Float"
+    """Index of refraction of coats, metals and panes."""
     roughness: "mi.Float"
     color: "list[mi.Float]"
     offset: "mi.Float"
@@ -81,6 +83,8 @@ class SurfaceTables(NamedTuple):
     has_rough_glass: bool
     disperses: bool
     """Whether some medium disperses."""
+    albedo: "mi.Float"
+    """`albedo_table`, flat."""
     tints: tuple | None
     """`TintTables` as a plain tuple: Dr.Jit's frozen functions accept no other kind here."""
 
@@ -125,6 +129,7 @@ def make_tables(
         uv=corners([mesh.uv[mesh.faces] for mesh in meshes]),
         has_rough_glass=any(surface.event == "refracts" and surface.roughness > 0 for surface in surfaces),
         disperses=bool(media.parts_colors.any()),
+        albedo=mi.Float(albedo_table().ravel()),
         tints=None if tint_tables is None else tuple(tint_tables),
     )
 

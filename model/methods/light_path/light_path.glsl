@@ -91,12 +91,15 @@ vec3 trace(vec3 o, vec3 d, vec2 row, uint ray) {
                 vec2 at_facet = fresnel(facet.cosine, eta);
                 float shadowing, passed;
                 mirrored = mirrored_by(facet, shadowing);
-                m_beta = beta * shadowing * (kind == MIRRORS ? metal_color(hit.object, place.uv) : vec3(at_facet.x));
+                // Light that goes from facet to facet makes the lobes brighter; metal tints it at each.
+                vec3 metal = kind == MIRRORS ? metal_color(hit.object, place.uv) : vec3(1.0);
+                vec3 gain = 1.0 / (1.0 - metal * (1.0 - albedo(cos_i, optics.z, eta)));
+                m_beta = beta * gain * shadowing * (kind == MIRRORS ? metal : vec3(at_facet.x));
                 if (is_rough) {
                     total = at_facet.x >= 1.0;
                     vec3 refracted = refracted_by(facet, at_facet.y, eta, passed);
                     next_d = total ? mirrored : refracted;
-                    next_share = total ? vec3(shadowing) : tint * ((1.0 - at_facet.x) * passed / (eta * eta));
+                    next_share = gain * (total ? vec3(shadowing) : tint * ((1.0 - at_facet.x) * passed / (eta * eta)));
                 }
             }
 

@@ -100,6 +100,21 @@ float unshadowed(vec3 wo, float alpha) {
     return 2.0 / (1.0 + sqrt(1.0 + alpha * alpha * dot(wo.xy, wo.xy) / max(wo.z * wo.z, 1e-12)));
 }
 
+// The share of light that single facets keep. Source: datagen/render/albedo.py.
+float albedo(float cosine, float alpha, float eta) {
+    float contrast = (eta - 1.0) / (eta + 1.0);
+    vec3 size = vec3(ALBEDO_INDICES, ALBEDO_ALPHAS, ALBEDO_COSINES);
+    vec3 place = vec3(0.5 + 0.5 * sign(contrast) * sqrt(abs(contrast)), alpha, sqrt(cosine)) * (size - 1.0);
+    vec3 low = min(floor(place), size - 2.0), share = place - low;
+    float kept = 0.0;
+    for (int corner = 0; corner < 8; corner++) {
+        vec3 high = vec3(corner >> 2, corner >> 1 & 1, corner & 1), at = low + high, part = mix(1.0 - share, share, high);
+        int index = int((at.x * size.y + at.y) * size.z + at.z);
+        kept += part.x * part.y * part.z * fetch(weights, ALBEDO + index / 4)[index % 4];
+    }
+    return kept;
+}
+
 vec3 mirrored_by(Facet facet, out float shadowing) {
     vec3 wo = 2.0 * facet.cosine * facet.m - facet.wi;
     shadowing = wo.z > 0.0 ? unshadowed(wo, facet.alpha) : 0.0;

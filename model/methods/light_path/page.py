@@ -3,6 +3,7 @@
 import numpy as np
 from torch import nn
 
+from datagen.render.albedo import ALPHAS, COSINES, INDICES, albedo_table
 from datagen.scene.description import Scene
 from datagen.scene.media import MAX_NESTED, SAME_INDEX
 from datagen.trace.branches import FIRST_MIRROR, SPARE_STEPS
@@ -26,9 +27,11 @@ def draw_page(config: LightPathConfig, renderer: LightPathRenderer, scene: Scene
         relief = [[first + base, size, size, 0] for base, size in zip(layout.bases, layout.sizes)]
         depths = renderer.relief.table.detach().cpu().numpy().astype(np.float32).ravel()
         weights.append(np.pad(depths, (0, fours(len(depths)) - len(depths))).reshape(-1, 4))
+    defines = {**_defines(config, scene), "ALBEDO": sum(map(len, weights))}
+    weights.append(albedo_table().reshape(-1, 4))
     return MethodPage(
         shader=package_text("model.methods.light_path", *SHADERS),
-        defines=_defines(config, scene),
+        defines=defines,
         textures=renderer.textures,
         weights=weights,
         samples=config.render_samples,
@@ -50,6 +53,9 @@ def _defines(config: LightPathConfig, scene: Scene) -> dict[str, int | float]:
         "FIRST_MIRROR": FIRST_MIRROR,
         "SPARE_STEPS": SPARE_STEPS,
         "SAME_INDEX": SAME_INDEX,
+        "ALBEDO_INDICES": INDICES,
+        "ALBEDO_ALPHAS": ALPHAS,
+        "ALBEDO_COSINES": COSINES,
         "MANY_RAYS": MANY_RAYS,
         "STACKED_FIRST": stacked_first,
         "STACKED_SECOND": stacked_second,

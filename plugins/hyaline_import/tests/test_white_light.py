@@ -40,5 +40,4 @@ def test_an_imported_surface_shows_as_much_of_white_light_as_in_cycles(color: fl
         renderer = Renderer(scene_of(item), max_depth=8)
         truth = render_view(renderer, CAMERAS, 0, spp=256, view_seed=0, ceiling_db=None).radiance
         y, x = np.mgrid[:12, :12] - 5.5
-        # Cycles keeps the light that facets throw onto others; a base below a rough coat loses up to a tenth.
-        assert truth[np.hypot(x, y) < 4].mean() == pytest.approx(expected, abs=0.02, rel=0.11 if color == 0.8 else 0.05)
+        assert truth[np.hypot(x, y) < 4].mean() == pytest.approx(expected, abs=0.02, rel=0.05)
