@@ -76,7 +76,7 @@ TEST_SPLITS: tuple[Split, ...] = ("interpolating", "extrapolating")
 ANGLE_SPLITS: dict[Split, float] = {"extrapolating-10deg": 10, "extrapolating-20deg": 20, "extrapolating-40deg": 40}
 """The splits of the variant `angles`: degrees outside the directions that training cameras cover."""
 
-DATASET_VERSION = 3
+DATASET_VERSION = 4
 
 MAX_VIEWS, MAX_SPP, MAX_DEPTH = 10_000, 1 << 20, 1000
 """Upper limits on views, samples and path depth; larger values are probably typos."""
