@@ -133,7 +133,8 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
             f"scene {name}: {100 * share:.1f} % of the pixels are glass; expected {100 * GLASS_SHARE[0]:g} to "
             f"{100 * GLASS_SHARE[1]:g} %"
         )
-    backdrop = draw_backdrop(family.stands_on, extent=extent, radius=radius, rng=rng)
+    light = family.is_lit_by_lamps
+    backdrop = draw_backdrop(family.stands_on, is_lit_by_lamps=light, extent=extent, radius=radius, rng=rng)
     words = f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} %"
     told = f"; draws refused before: {' | '.join(refused)}" if refused else ""
     scene = Scene(
@@ -141,6 +142,7 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
         description=f"Random scene, family {name.family}, seed {name.seed}: {words} of the pixels{told}",
         objects=(*objects, *backdrop.objects),
         environment=backdrop.environment,
+        lights=backdrop.lamps,
         cameras=_rig(target, radius, backdrop.azimuth_deg, rng),
         baked={SKY_PATH: backdrop.sky},
     )

@@ -45,6 +45,8 @@ from hyaline_random.vessels import VESSELS, Vessel
 
 HOSTS = ("ball", "egg", "soft cube", "disc")
 """Bodies that have room for something inside."""
+PORTABLE = tuple(name for name in VESSELS if name != "tank")
+"""Vessels for a table."""
 STONES = ("ball", "soft cube", "gem", "pebble", "ring", "ribbed ball", "drilled block")
 """Bodies that lie in a drink."""
 
@@ -87,7 +89,7 @@ def solid(kind: str, *, rng: np.random.Generator) -> Thing:
     return Thing(words=words, objects=(part(kind.replace(" ", "_"), mesh, material),))
 
 
-def paperweight(*, rng: np.random.Generator) -> Thing:
+def paperweight(rng: np.random.Generator) -> Thing:
     """A body with another one in its middle: of another glass, of a liquid, or opaque."""
     host = pick(HOSTS, rng=rng)
     mesh = make_solid(host, rng=rng)
@@ -101,7 +103,7 @@ def paperweight(*, rng: np.random.Generator) -> Thing:
     return Thing(words=f"{with_article(host)} around {with_article(kind)} of {what}", objects=objects)
 
 
-def onion(*, rng: np.random.Generator) -> Thing:
+def onion(rng: np.random.Generator) -> Thing:
     """Three balls in each other, of three media."""
     radius = rng.uniform(0.05, 0.06)
     shares = (1.0, rng.uniform(0.68, 0.8), rng.uniform(0.35, 0.5))
@@ -282,7 +284,7 @@ PANES: dict[str, Maker] = {
 """Panes for a table."""
 
 
-def enclosed(*, rng: np.random.Generator) -> Thing:
+def enclosed(rng: np.random.Generator) -> Thing:
     """A body of glass with thin glass around it."""
     return glass_case(of_glass=True, rng=rng) if rng.random() < 0.5 else bauble(is_empty=False, rng=rng)
 
@@ -312,6 +314,40 @@ class Family:
     """The things of one scene, not placed yet; all random numbers come from the generator."""
     stands_on: Mapping[Support, float]
     """What the things stand on, and how often."""
+    is_lit_by_lamps: bool = False
+    """Whether lamps above the things outshine the sky."""
+
+
+def _vessel(rng: np.random.Generator) -> Thing:
+    return empty_vessel(pick(PORTABLE, rng=rng), rng=rng)
+
+
+def _drink(rng: np.random.Generator) -> Thing:
+    return filled_vessel(pick(PORTABLE, rng=rng), rng=rng)
+
+
+def _solid(rng: np.random.Generator) -> Thing:
+    return solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
+
+
+def _pane(rng: np.random.Generator) -> Thing:
+    return PANES[pick(tuple(PANES), rng=rng)](rng)
+
+
+def _frosted(rng: np.random.Generator) -> Thing:
+    """A vessel or a body of frosted or tinted glass."""
+    make, thickness = pick(((_vessel, 0.012), (_solid, 0.05)), rng=rng)
+    thing = make(rng)
+    glass = solid_glass(thickness, rng=rng, kinds={"tinted": 0.5, "frosted": 0.5})
+    return dataclasses.replace(thing, objects=(dataclasses.replace(thing.objects[0], material=glass),))
+
+
+SEVERAL_MEDIA: dict[Maker, float] = {
+    lambda rng: filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng): 0.5,
+    paperweight: 0.26,
+    onion: 0.12,
+    enclosed: 0.12,
+}
 
 
 def _object(rng: np.random.Generator) -> list[Thing]:
@@ -324,51 +360,34 @@ def _object(rng: np.random.Generator) -> list[Thing]:
         name = pick(names, rng=rng)
         thing = empty_vessel(name, rng=rng) if name in VESSELS else solid(name, rng=rng)
     elif kind == "thin":
-        thing = enclosed(rng=rng)
+        thing = enclosed(rng)
     else:
-        thing = _several_media(rng)
+        thing = weigh(SEVERAL_MEDIA, rng=rng)(rng)
     return [enlarged(thing, rng.uniform(1.6, 2.0))]
 
 
-def _table(rng: np.random.Generator) -> list[Thing]:
-    """Three to six glass things and two to four opaque ones."""
-    things = []
-    for _ in range(int(rng.integers(3, 7))):
-        match weigh({"vessel": 0.26, "drink": 0.26, "solid": 0.34, "thin": 0.14}, rng=rng):
-            case "vessel":
-                thing = empty_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
-            case "drink":
-                thing = filled_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
-            case "thin":
-                thing = PANES[pick(tuple(PANES), rng=rng)](rng)
-            case _:
-                thing = solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
-        things.append(enlarged(thing, rng.uniform(1.3, 1.5)))
-    return [*things, *_opaque(int(rng.integers(2, 5)), rng)]
+def _group(
+    makers: Mapping[Maker, float], count: tuple[int, int], *, opaque: tuple[int, int], size: tuple[float, float]
+) -> Callable[[np.random.Generator], list[Thing]]:
+    """Draws things of glass, so many times enlarged, and opaque ones; of both at least and fewer than so many."""
+
+    def draw(rng: np.random.Generator) -> list[Thing]:
+        glass = [enlarged(weigh(makers, rng=rng)(rng), rng.uniform(*size)) for _ in range(rng.integers(*count))]
+        rest = range(rng.integers(*opaque))
+        return [*glass, *(enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), rng.uniform(1.0, 1.4)) for _ in rest)]
+
+    return draw
 
 
-def _nested(rng: np.random.Generator) -> list[Thing]:
-    """One to three things of several media, and an opaque one or two."""
-    things = [enlarged(_several_media(rng), rng.uniform(1.4, 1.7)) for _ in range(int(rng.integers(1, 4)))]
-    return [*things, *_opaque(int(rng.integers(1, 3)), rng)]
-
-
-def _several_media(rng: np.random.Generator) -> Thing:
-    match weigh({"drink": 0.5, "paperweight": 0.26, "onion": 0.12, "enclosed": 0.12}, rng=rng):
-        case "drink":
-            return filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng)
-        case "paperweight":
-            return paperweight(rng=rng)
-        case "enclosed":
-            return enclosed(rng=rng)
-        case _:
-            return onion(rng=rng)
-
-
-def _opaque(count: int, rng: np.random.Generator) -> list[Thing]:
-    return [enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), rng.uniform(1.0, 1.4)) for _ in range(count)]
-
+MIXED: dict[Maker, float] = {_vessel: 0.26, _drink: 0.26, _solid: 0.34, _pane: 0.14}
+TABLE_OR_FLOOR: dict[Support, float] = {"table": 0.6, "floor": 0.4}
 
 OBJECT = Family(draw=_object, stands_on={"floor": 0.5, "plinth": 0.5})
-TABLE = Family(draw=_table, stands_on={"table": 1.0})
-NESTED = Family(draw=_nested, stands_on={"table": 0.6, "floor": 0.4})
+TABLE = Family(draw=_group(MIXED, (3, 7), opaque=(2, 5), size=(1.3, 1.5)), stands_on={"table": 1.0})
+NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), opaque=(1, 3), size=(1.4, 1.7)), stands_on=TABLE_OR_FLOOR)
+SOLID = Family(draw=_group({_solid: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
+DRINKS = Family(
+    draw=_group({_drink: 1.0}, (2, 4), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True
+)
+FROSTED = Family(draw=_group({_frosted: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
+LAMPS = dataclasses.replace(TABLE, stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True)

@@ -21,11 +21,18 @@ FAMILIES: Group = Group(
         "object": "hyaline_random.families:OBJECT",
         "table": "hyaline_random.families:TABLE",
         "nested": "hyaline_random.families:NESTED",
+        "solid": "hyaline_random.families:SOLID",
+        "drinks": "hyaline_random.families:DRINKS",
+        "frosted": "hyaline_random.families:FROSTED",
+        "lamps": "hyaline_random.families:LAMPS",
     },
     guide="docs/adding-a-random-family.md",
     kind="hyaline_random.families:Family",
 )
-"""A single glass object before a background, glass and other things on a table, and media inside of each other."""
+"""A single glass object before a background, glass and other things on a table, media inside of each other; bodies,
+drinks under lamps, frosted or tinted glass, and a table under lamps."""
+TURNS = "object", "table", "nested"
+"""Families that seeds take turns among by default; more of them would change what a seed draws."""
 
 RANDOM = "random"
 """What `datagen build --scene` takes for a scene that --seed draws."""
@@ -39,7 +46,7 @@ class RandomName:
 
     seed: int
     chosen: str | None = None
-    """The family that was asked for; by default the seeds take turns among those built in."""
+    """The family that was asked for; by default the seeds take turns among `TURNS`."""
 
     def __post_init__(self) -> None:
         if self.chosen is not None:
@@ -50,7 +57,7 @@ class RandomName:
     @property
     def family(self) -> str:
         """The family that is drawn from: seed 0 an object, 1 a table, 2 nested media, and so on."""
-        return self.chosen or tuple(FAMILIES.built_in)[self.seed % len(FAMILIES.built_in)]
+        return self.chosen or TURNS[self.seed % len(TURNS)]
 
     def __str__(self) -> str:
         """The name of the scene, and of its dataset."""
