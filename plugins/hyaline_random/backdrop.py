@@ -79,7 +79,7 @@ def _lamps(radius: float, rng: np.random.Generator) -> tuple[RectangleLight, ...
         middle = np.array([away * np.cos(angle), away * np.sin(angle), rng.uniform(1.6, 1.9) * radius])
         across = np.array([np.sin(angle), -np.cos(angle), 0.0])
         distance = float(np.linalg.norm(middle))
-        along = np.cross(middle / distance, across)
+        along = np.cross(across, middle / distance)
         wide, tall = rng.uniform(0.15, 0.4, 2) * radius
         # Its radiance times the solid angle and the cosine over paper at the origin, by pi.
         warm = rng.uniform(-0.14, 0.14)

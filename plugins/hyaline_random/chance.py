@@ -114,11 +114,7 @@ SOLID_GLASS = {"clear": 0.5, "tinted": 0.36, "frosted": 0.14}
 
 
 def solid_glass(
-    thickness: float,
-    *,
-    rng: np.random.Generator,
-    is_cut: bool = False,
-    kinds: Mapping[str, float] = SOLID_GLASS,
+    thickness: float, *, rng: np.random.Generator, is_cut: bool = False, kinds: Mapping[str, float] = SOLID_GLASS
 ) -> Dielectric:
     """Glass of a body: by default most of it clear, much of it tinted, some frosted.
 

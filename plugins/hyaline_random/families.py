@@ -4,7 +4,7 @@ Media in each other and thin glass: vessels with drinks, ice and stones, cores a
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +45,7 @@ from hyaline_random.vessels import VESSELS, Vessel
 
 HOSTS = ("ball", "egg", "soft cube", "disc")
 """Bodies that have room for something inside."""
-PORTABLE = tuple(name for name in VESSELS if name != "tank")
-"""Vessels for a table."""
+BODIES = *CONVEX, *NOT_CONVEX
 STONES = ("ball", "soft cube", "gem", "pebble", "ring", "ribbed ball", "drilled block")
 """Bodies that lie in a drink."""
 
@@ -198,6 +197,11 @@ def fitted(mesh: Mesh, radius: float) -> Mesh:
     return transformed(around, radius / float(np.linalg.norm(around.vertices, axis=-1).max()) * np.eye(3), (0, 0, 0))
 
 
+def opaque_thing(rng: np.random.Generator) -> Thing:
+    """One of `THINGS`."""
+    return THINGS[pick(tuple(THINGS), rng=rng)](rng)
+
+
 def with_article(name: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
@@ -249,11 +253,7 @@ def glass_case(*, of_glass: bool, rng: np.random.Generator) -> Thing:
     Args:
         of_glass: the body is glass; else it may be an opaque thing.
     """
-    if of_glass or rng.random() < 0.4:
-        kind = pick((*CONVEX, *NOT_CONVEX), rng=rng)
-        body = solid(kind, rng=rng)
-    else:
-        body = THINGS[pick(tuple(THINGS), rng=rng)](rng)
+    body = BODY(rng) if of_glass or rng.random() < 0.4 else opaque_thing(rng)
     half, tall = body.reach + rng.uniform(0.006, 0.015), body.height + rng.uniform(0.008, 0.02)
     inside = tuple(dataclasses.replace(item, name=f"case_{item.name}") for item in body.objects)
     case = part("case", _box_of_panes(half, tall), pane_glass(0.3, rng=rng))
@@ -318,52 +318,20 @@ class Family:
     """Whether lamps above the things outshine the sky."""
 
 
-def _vessel(rng: np.random.Generator) -> Thing:
-    return empty_vessel(pick(PORTABLE, rng=rng), rng=rng)
+def _one_of(make: Callable[..., Thing], kinds: Iterable[str]) -> Maker:
+    """Makes a thing of one of these kinds."""
+    return lambda rng: make(pick(tuple(kinds), rng=rng), rng=rng)
 
 
-def _drink(rng: np.random.Generator) -> Thing:
-    return filled_vessel(pick(PORTABLE, rng=rng), rng=rng)
+def _vessel_or_solid(kind: str, *, rng: np.random.Generator) -> Thing:
+    return (empty_vessel if kind in VESSELS else solid)(kind, rng=rng)
 
 
-def _solid(rng: np.random.Generator) -> Thing:
-    return solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
-
-
-def _pane(rng: np.random.Generator) -> Thing:
-    return PANES[pick(tuple(PANES), rng=rng)](rng)
-
-
-def _frosted(rng: np.random.Generator) -> Thing:
+def _frosted(kind: str, *, rng: np.random.Generator) -> Thing:
     """A vessel or a body of frosted or tinted glass."""
-    make, thickness = pick(((_vessel, 0.012), (_solid, 0.05)), rng=rng)
-    thing = make(rng)
-    glass = solid_glass(thickness, rng=rng, kinds={"tinted": 0.5, "frosted": 0.5})
+    thing = _vessel_or_solid(kind, rng=rng)
+    glass = solid_glass(0.012 if kind in VESSELS else 0.05, rng=rng, kinds={"tinted": 0.5, "frosted": 0.5})
     return dataclasses.replace(thing, objects=(dataclasses.replace(thing.objects[0], material=glass),))
-
-
-SEVERAL_MEDIA: dict[Maker, float] = {
-    lambda rng: filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng): 0.5,
-    paperweight: 0.26,
-    onion: 0.12,
-    enclosed: 0.12,
-}
-
-
-def _object(rng: np.random.Generator) -> list[Thing]:
-    """One object, as large as a melon: a convex body, one that is not, several media, or one in thin glass."""
-    kind = weigh({"convex": 0.3, "not convex": 0.3, "media": 0.3, "thin": 0.1}, rng=rng)
-    if kind == "convex":
-        thing = solid(pick(tuple(CONVEX), rng=rng), rng=rng)
-    elif kind == "not convex":
-        names = (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")
-        name = pick(names, rng=rng)
-        thing = empty_vessel(name, rng=rng) if name in VESSELS else solid(name, rng=rng)
-    elif kind == "thin":
-        thing = enclosed(rng)
-    else:
-        thing = weigh(SEVERAL_MEDIA, rng=rng)(rng)
-    return [enlarged(thing, rng.uniform(1.6, 2.0))]
 
 
 def _group(
@@ -374,20 +342,33 @@ def _group(
     def draw(rng: np.random.Generator) -> list[Thing]:
         glass = [enlarged(weigh(makers, rng=rng)(rng), rng.uniform(*size)) for _ in range(rng.integers(*count))]
         rest = range(rng.integers(*opaque))
-        return [*glass, *(enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), rng.uniform(1.0, 1.4)) for _ in rest)]
+        return [*glass, *(enlarged(opaque_thing(rng), rng.uniform(1.0, 1.4)) for _ in rest)]
 
     return draw
 
 
-MIXED: dict[Maker, float] = {_vessel: 0.26, _drink: 0.26, _solid: 0.34, _pane: 0.14}
+PORTABLE = tuple(name for name in VESSELS if name != "tank")
+"""Vessels for a table."""
+VESSEL, DRINK, BODY = _one_of(empty_vessel, PORTABLE), _one_of(filled_vessel, PORTABLE), _one_of(solid, BODIES)
+SEVERAL_MEDIA = {_one_of(filled_vessel, VESSELS): 0.5, paperweight: 0.26, onion: 0.12, enclosed: 0.12}
+ONE = {
+    _one_of(solid, CONVEX): 0.3,
+    _one_of(_vessel_or_solid, (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")): 0.3,
+    lambda rng: weigh(SEVERAL_MEDIA, rng=rng)(rng): 0.3,
+    enclosed: 0.1,
+}
+"""A convex body, one that is not, several media, or one in thin glass."""
+MIXED = {VESSEL: 0.26, DRINK: 0.26, BODY: 0.34, lambda rng: PANES[pick(tuple(PANES), rng=rng)](rng): 0.14}
+FROSTED_ONE = _one_of(_frosted, (*PORTABLE, *BODIES))
 TABLE_OR_FLOOR: dict[Support, float] = {"table": 0.6, "floor": 0.4}
 
-OBJECT = Family(draw=_object, stands_on={"floor": 0.5, "plinth": 0.5})
+OBJECT = Family(draw=_group(ONE, (1, 2), opaque=(0, 1), size=(1.6, 2.0)), stands_on={"floor": 0.5, "plinth": 0.5})
+"""A single thing, as large as a melon."""
 TABLE = Family(draw=_group(MIXED, (3, 7), opaque=(2, 5), size=(1.3, 1.5)), stands_on={"table": 1.0})
 NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), opaque=(1, 3), size=(1.4, 1.7)), stands_on=TABLE_OR_FLOOR)
-SOLID = Family(draw=_group({_solid: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
+SOLID = Family(draw=_group({BODY: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
 DRINKS = Family(
-    draw=_group({_drink: 1.0}, (2, 4), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True
+    draw=_group({DRINK: 1.0}, (2, 4), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True
 )
-FROSTED = Family(draw=_group({_frosted: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
+FROSTED = Family(draw=_group({FROSTED_ONE: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
 LAMPS = dataclasses.replace(TABLE, stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True)
