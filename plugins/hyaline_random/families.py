@@ -40,7 +40,7 @@ from hyaline_random.chance import (
     weigh,
 )
 from hyaline_random.solids import CONVEX, CUT, NOT_CONVEX, corners_of, make_solid, polygon, with_bubbles
-from hyaline_random.things import GAP, THINGS, Thing, enlarged, free_places, part, standing, surface
+from hyaline_random.things import GAP, THINGS, Maker, Thing, enlarged, free_places, part, standing, surface
 from hyaline_random.vessels import VESSELS, Vessel
 
 HOSTS = ("ball", "egg", "soft cube", "disc")
@@ -211,8 +211,6 @@ CELLS = 6, 6
 CORES = ("ball", "soft cube", "gem", "pebble", "knot", "ring", "star", "ribbed ball")
 """Bodies that lie in a bauble."""
 
-Maker = Callable[[np.random.Generator], Thing]
-
 
 def _panes(rng: np.random.Generator) -> Thing:
     """One to three panes, most of them tinted, upright behind each other in a stand."""
@@ -314,8 +312,8 @@ class Family:
     """The things of one scene, not placed yet; all random numbers come from the generator."""
     stands_on: Mapping[Support, float]
     """What the things stand on, and how often."""
-    is_lit_by_lamps: bool = False
-    """Whether lamps above the things outshine the sky."""
+    has_lamps: bool = False
+    """Whether lamps light the things, instead of a sky."""
 
 
 def _one_of(make: Callable[..., Thing], kinds: Iterable[str]) -> Maker:
@@ -335,7 +333,11 @@ def _frosted(kind: str, *, rng: np.random.Generator) -> Thing:
 
 
 def _group(
-    makers: Mapping[Maker, float], count: tuple[int, int], *, opaque: tuple[int, int], size: tuple[float, float]
+    makers: Mapping[Maker, float],
+    count: tuple[int, int],
+    *,
+    opaque: tuple[int, int] = (1, 3),
+    size: tuple[float, float] = (1.3, 1.6),
 ) -> Callable[[np.random.Generator], list[Thing]]:
     """Draws things of glass, so many times enlarged, and opaque ones; of both at least and fewer than so many."""
 
@@ -359,16 +361,13 @@ ONE = {
 }
 """A convex body, one that is not, several media, or one in thin glass."""
 MIXED = {VESSEL: 0.26, DRINK: 0.26, BODY: 0.34, lambda rng: PANES[pick(tuple(PANES), rng=rng)](rng): 0.14}
-FROSTED_ONE = _one_of(_frosted, (*PORTABLE, *BODIES))
 TABLE_OR_FLOOR: dict[Support, float] = {"table": 0.6, "floor": 0.4}
 
 OBJECT = Family(draw=_group(ONE, (1, 2), opaque=(0, 1), size=(1.6, 2.0)), stands_on={"floor": 0.5, "plinth": 0.5})
 """A single thing, as large as a melon."""
 TABLE = Family(draw=_group(MIXED, (3, 7), opaque=(2, 5), size=(1.3, 1.5)), stands_on={"table": 1.0})
-NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), opaque=(1, 3), size=(1.4, 1.7)), stands_on=TABLE_OR_FLOOR)
-SOLID = Family(draw=_group({BODY: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
-DRINKS = Family(
-    draw=_group({DRINK: 1.0}, (2, 4), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True
-)
-FROSTED = Family(draw=_group({FROSTED_ONE: 1.0}, (2, 5), opaque=(1, 3), size=(1.3, 1.6)), stands_on=TABLE_OR_FLOOR)
-LAMPS = dataclasses.replace(TABLE, stands_on=TABLE_OR_FLOOR, is_lit_by_lamps=True)
+NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), size=(1.4, 1.7)), stands_on=TABLE_OR_FLOOR)
+SOLID = Family(draw=_group({BODY: 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
+DRINKS = Family(draw=_group({DRINK: 1.0}, (2, 4)), stands_on=TABLE_OR_FLOOR, has_lamps=True)
+FROSTED = Family(draw=_group({_one_of(_frosted, (*PORTABLE, *BODIES)): 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
+LAMPS = dataclasses.replace(TABLE, stands_on=TABLE_OR_FLOOR, has_lamps=True)
