@@ -179,17 +179,14 @@ def _protocol(preset: str) -> "Protocol":
 SHAPES = ("paper", "paper-best", "dnr", "dnr-layers", "mlp-first", "authors-code", "light-path")
 """The built-in methods that know shapes, and so can predict edits."""
 STEPS = {
-    "small": {
-        "paper": 900, "paper-best": 900, "mlp-first": 900, "authors-code": 700, "dnr": 170, "dnr-layers": 170,
-        "light-path": 400,
-    },
+    "small": dict(zip(SHAPES, (900, 900, 170, 170, 900, 700, 400), strict=True)),
     "tiny": dict.fromkeys(SHAPES, 30),
-}  # fmt: skip
+}
 """Steps of each method where they are not the usual ones. Small: as many as take about 45 CPU seconds. In presets that
 are listed here, deepvoxels is left out: it learns nothing in that time."""
 UNFITTED = ("vitrine", "prism_bench", "pool")
-"""Scenes whose glass `model fit` cannot find: vitrine has only thin panes, prism_bench bends colours apart, and pool's
-water is no vessel's. Random scenes may hold such shapes, too; a fit takes a quarter of an hour or more."""
+"""Scenes whose glass `model fit` cannot find: thin panes, colours bent apart, water without a vessel. Random scenes may
+hold such shapes, too; a fit takes a quarter of an hour or more."""
 
 
 def list_commands(preset: str, protocol: "Protocol") -> Iterator[str]:

@@ -36,9 +36,8 @@ class Summary:
     """A column's PSNR over scenes in dB."""
 
     mean: float
-    low: float | None
-    """Ends of the mean's confidence interval; None for a single scene."""
-    high: float | None
+    interval: tuple[float, float] | None
+    """Confidence interval of the mean; None for a single scene."""
     worst: float
     worst_scene: str
     ceiling: float | None
@@ -55,35 +54,27 @@ def summarise(
     """
     scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
     if among is not None:
-        scenes = {name: scene for name, scene in scenes.items() if name in among}
-        if len(scenes) < len(among):
-            return None
+        scenes = {name: scenes[name] for name in among if name in scenes}
     known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
-    if not known or len(known) < len(scenes):
+    if not known or len(known) < max(len(scenes), len(among or ())):
         return None
-    values = np.array(list(known.values()))
-    low, high = mean_interval(values, bootstrap)
     worst = min(known, key=lambda name: known[name])
     return Summary(
-        mean=float(values.mean()),
-        low=low,
-        high=high,
+        mean=fmean(known.values()),
+        interval=mean_interval(np.array(list(known.values())), bootstrap),
         worst=known[worst],
         worst_scene=worst,
         ceiling=mean_of_all([scene.ceiling_db(column) for scene in scenes.values()]),
     )
 
 
-def mean_interval(
-    values: Float[np.ndarray, "scene"],
-    bootstrap: Bootstrap,
-) -> tuple[float, float] | tuple[None, None]:
+def mean_interval(values: Float[np.ndarray, "scene"], bootstrap: Bootstrap) -> tuple[float, float] | None:
     """The percentile bootstrap's interval of the mean; None for a single value.
 
     Source: Efron and Tibshirani 1993, chapter 13.
     """
     if len(values) < 2:
-        return None, None
+        return None
     rng = np.random.default_rng(bootstrap.seed)
     means = rng.choice(values, (bootstrap.resamples, len(values))).mean(axis=1)
     tail = (1 - bootstrap.confidence) / 2
@@ -175,7 +166,7 @@ def _row(scored: Scored, protocol: Protocol) -> tuple[str, ...]:
 def _summary_cells(summary: Summary | None) -> tuple[str, ...]:
     if summary is None:
         return (MISSING,) * 3
-    interval = MISSING if summary.low is None else f"{summary.low:.1f} to {summary.high:.1f}"
+    interval = "{:.1f} to {:.1f}".format(*summary.interval) if summary.interval else MISSING
     gap = None if summary.ceiling is None else summary.ceiling - summary.mean
     return f"{summary.mean:.2f}", interval, format_number(gap, 2)
 

@@ -61,8 +61,6 @@ from hyaline_bench.protocol import (
 
 CHANGED = "changed_psnr_db"
 """Key of the PSNR of pixels that change with an edit, or if all glass is removed."""
-COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
-"""What scores repeat of a run's costs.json."""
 MEAN_ABOVE_CEILING, ABOVE_CEILING = 1.0, 3.0
 """dB by which a split's mean and a single picture's score may exceed the noise ceiling, which is an estimate. Against
 pictures of 64 times the samples, those of `pool` with 32 x 32 pixels are off by 0.6 dB (standard deviation)."""
@@ -169,7 +167,7 @@ class SceneResult:
     """PSNR of the training pictures, by their own noise and 8 bits."""
     seed: int | None
     costs: dict[str, float]
-    """What the run's costs.json has of `COSTS`."""
+    """The run's costs.json."""
     splits: dict[str, SplitResult]
     """By split; `EDIT/SPLIT` after an edit."""
 
@@ -289,7 +287,7 @@ def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
         dataset=run.dataset.seal,
         train_noise_db=run.dataset.noise_ceiling_db("train"),
         seed=run.record.seed,
-        costs={key: value for key, value in read_costs(run.folder).items() if key in COSTS},
+        costs=dict(read_costs(run.folder)),
         splits=splits,
     )
 

@@ -370,4 +370,4 @@ NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), size=(1.4, 1.7)), stands_on=T
 SOLID = Family(draw=_group({BODY: 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
 DRINKS = Family(draw=_group({DRINK: 1.0}, (2, 4)), stands_on=TABLE_OR_FLOOR, has_lamps=True)
 FROSTED = Family(draw=_group({_one_of(_frosted, (*PORTABLE, *BODIES)): 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
-LAMPS = dataclasses.replace(TABLE, stands_on=TABLE_OR_FLOOR, has_lamps=True)
+LAMPS = Family(draw=_group(MIXED, (2, 5)), stands_on=TABLE_OR_FLOOR, has_lamps=True)
