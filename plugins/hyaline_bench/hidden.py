@@ -118,14 +118,7 @@ def without_colours(scene: Scene, name: str) -> Scene:
 
 def _write(root: Path, source: Dataset, config: DatasetConfig, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
     cameras: dict[Split, Cameras] = {split: source.cameras(split) for split in source.splits}
-    made = write_head(
-        root,
-        config,
-        source.objects,
-        cameras,
-        scene,
-        stated_license=source.stated_license,
-    )
+    made = write_head(root, config, source.objects, cameras, scene, stated_license=source.stated_license)
     if made.files != {path: sha256(data) for path, data in head_contents(scene, cameras).items()}:
         raise HyalineError(f"{root}: holds another scene; choose another --out, or delete it")
     kept: list[Split] = [split for split in source.splits if is_truth or split == "train"]

@@ -24,7 +24,8 @@ NOTES = (
     "in all hidden scenes; everyone can build the truth of the others.",
     "CPU min: of training and prediction, mean over scenes, on the participant's machine, so compare it within a "
     "factor of two. Rows with other scenes than the first come after those with the same: their averages cannot be "
-    "compared. Costs and all metrics of every split are in the files of scores.",
+    "compared. Costs and all metrics of every split are in the files of scores. Of scenes: the share of glass pixels, "
+    "PSNR of the training pictures by their own noise, ceilings, and glass dB of each method.",
 )
 
 
@@ -173,7 +174,7 @@ def _summary_cells(summary: Summary | None) -> tuple[str, ...]:
 
 def scene_grid(found: Sequence[Scored]) -> Grid:
     """The scenes with what their pictures allow, and each method's PSNR of pixels whose light meets glass."""
-    scenes = {name: scene for scored in reversed(found) for name, scene in scored.scenes.items()}
+    scenes = {name: scene for scored in found for name, scene in scored.scenes.items()}
     rows = []
     for name, scene in scenes.items():
         shares = [split.changed for split in scene.values(GLASS) if split.changed is not None]
@@ -181,15 +182,7 @@ def scene_grid(found: Sequence[Scored]) -> Grid:
         scores = (scored.scenes[name].psnr_db(GLASS) if name in scored.scenes else None for scored in found)
         cells = (*(format_number(number, 1) for number in numbers), *(format_number(score, 2) for score in scores))
         rows.append((name, scene.dataset[:12], f"{100 * fmean(shares):.0f}", *cells))
-    titles = "glass %", "training dB", "ceiling dB", "glass ceiling dB", *(scored.name for scored in found)
-    return Grid(
-        title="glass dB of each scene",
-        columns=(
-            *(Column(group=text, is_number=False) for text in ("scene", "dataset")),
-            *(Column(group=text) for text in titles),
-        ),
-        rows=tuple(rows),
-        notes=(
-            "Glass %: pixels whose light meets glass. Training dB: PSNR of the training pictures, by their own noise.",
-        ),
-    )
+    truth = "scene", "dataset", "glass %", "training dB", "ceiling dB", "glass ceiling dB"
+    titles = (*truth, *(scored.name for scored in found))
+    columns = tuple(Column(group=title, is_number=place > 1) for place, title in enumerate(titles))
+    return Grid(title="glass dB of each scene", columns=columns, rows=tuple(rows))

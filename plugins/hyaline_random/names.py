@@ -14,25 +14,19 @@ if TYPE_CHECKING:
     from datagen.scene.description import Scene
     from datagen.scene.finding import ImportChoices
 
+TURNS = "object", "table", "nested"
+"""Families that seeds take turns among by default; more of them would change what a seed draws."""
 FAMILIES: Group = Group(
     name="hyaline.random_families",
     what="family",
     built_in={
-        "object": "hyaline_random.families:OBJECT",
-        "table": "hyaline_random.families:TABLE",
-        "nested": "hyaline_random.families:NESTED",
-        "solid": "hyaline_random.families:SOLID",
-        "drinks": "hyaline_random.families:DRINKS",
-        "frosted": "hyaline_random.families:FROSTED",
-        "lamps": "hyaline_random.families:LAMPS",
+        name: f"hyaline_random.families:{name.upper()}" for name in (*TURNS, "solid", "drinks", "frosted", "lamps")
     },
     guide="docs/adding-a-random-family.md",
     kind="hyaline_random.families:Family",
 )
 """A single glass object before a background, glass and other things on a table, media inside of each other; bodies,
 drinks under lamps, frosted or tinted glass, and a table under lamps."""
-TURNS = "object", "table", "nested"
-"""Families that seeds take turns among by default; more of them would change what a seed draws."""
 
 RANDOM = "random"
 """What `datagen build --scene` takes for a scene that --seed draws."""
