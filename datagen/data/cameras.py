@@ -189,9 +189,10 @@ def look_at(
     if not np.isfinite(back).all():
         raise HyalineError(f"camera at {position} that looks at {target}: expected finite numbers")
     right = np.cross([0.0, 0.0, 1.0], back)
-    if np.linalg.norm(right) < 1e-6 * max(np.linalg.norm(back), 1e-6):
+    distance, across = math.hypot(*back), math.hypot(*right)  # BLAS would differ between processors in the last bit.
+    if across < 1e-6 * max(distance, 1e-6):
         raise HyalineError(f"camera at {position}: looks straight up or down at {target}; move the target aside")
-    back, right = back / np.linalg.norm(back), right / np.linalg.norm(right)
+    back, right = back / distance, right / across
     matrix = np.eye(4)
     matrix[:3] = np.stack([right, np.cross(back, right), back, position], axis=1)
     return matrix

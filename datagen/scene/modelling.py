@@ -74,6 +74,7 @@ def lathe(
     assert (outline[:, 0] >= 0).all(), "a radius is negative"
     angles = np.arange(segments) * (2 * np.pi / segments)
     factors = np.ones((len(outline), segments)) if around is None else around(angles, outline)
+    outline, factors = np.hsplit(_with_end_rings(outline, factors, crease_deg), [2])
     area = np.sum(outline[:, 0] * np.roll(outline[:, 1], -1) - np.roll(outline[:, 0], -1) * outline[:, 1])
     if area < 0:
         outline, factors = outline[::-1], factors[::-1]
@@ -81,21 +82,36 @@ def lathe(
     is_ring = not on_axis.any()
     assert is_ring or (on_axis[[0, -1]].all() and on_axis.sum() == 2), "only the outline's ends may be on the axis"
 
-    ring_of = [np.full(segments, 0) for _ in outline]
-    positions: list[np.ndarray] = []
-    for index, (radius, z) in enumerate(outline):
-        count = sum(map(len, positions))
-        if on_axis[index]:
-            positions.append(np.array([[0.0, 0.0, z]]))
-            ring_of[index] = np.full(segments, count)
-        else:
-            height = np.full(segments, z)
-            radii = radius * factors[index]
-            positions.append(np.stack([radii * np.cos(angles), radii * np.sin(angles), height], axis=-1))
-            ring_of[index] = count + np.arange(segments)
-    following = ring_of[1:] + ring_of[:1] if is_ring else ring_of[1:]
-    faces = [_band(low, high) for low, high in zip(ring_of, following)]
+    positions, rings = [], []
+    for (radius, z), factor in zip(outline, factors):
+        radii = radius * factor
+        ring = np.stack([radii * np.cos(angles), radii * np.sin(angles), np.full(segments, z)], axis=-1)
+        ring = ring if radius > 0 else ring[:1]
+        rings.append(sum(map(len, positions)) + np.arange(segments) % len(ring))
+        positions.append(ring)
+    following = rings[1:] + rings[:1] if is_ring else rings[1:]
+    faces = [_band(low, high) for low, high in zip(rings, following)]
     return shaded(np.concatenate(positions), np.concatenate(faces), crease_deg=crease_deg)
+
+
+def _with_end_rings(outline: np.ndarray, factors: np.ndarray, crease_deg: float) -> np.ndarray:
+    """Both side by side, with a point more wherever a part meets a smooth corner that is less than a third as long.
+
+    The normals of a corner lean: without a ring near it, all of a long wall would refract as if it were curved.
+    """
+    points = np.concatenate([outline, factors], axis=-1)[[*range(len(outline)), 0]]
+    edges, first = np.diff(points[:, :2], axis=0), np.arange(len(outline))
+    lengths, places = np.linalg.norm(edges, axis=-1), [first]
+    for shift in (1, -1):
+        beside = np.roll(lengths, shift)
+        cosine = (edges * np.roll(edges, shift, axis=0)).sum(axis=-1)
+        is_long = (beside < lengths / 3) & (cosine > np.cos(np.radians(crease_deg)) * lengths * beside)
+        share = beside[is_long] / lengths[is_long]
+        places.append(first[is_long] + (share if shift == 1 else 1 - share))
+    place = np.sort(np.concatenate(places))
+    place = place[place <= len(outline) - (outline[0, 0] == 0), None]  # None on the axis.
+    before = place.astype(np.int64).ravel()
+    return points[before] + (place - before[:, None]) * (points[before + 1] - points[before])
 
 
 def cylinder(
@@ -173,6 +189,9 @@ def leaf(length: float, width: float, *, droop: float, fold: float = 0.25, rows:
 
 # Outlines
 
+ARC_STEP = 0.0015
+"""Metres along an arc from point to point, at most; more `segments` make it less."""
+
 
 def filleted(corners: Sequence[tuple[float, float, float]], *, segments: int = 4) -> list[tuple[float, float]]:
     """An open outline through corners (radius, z, fillet radius), rounded by arcs except at its ends."""
@@ -190,7 +209,8 @@ def filleted(corners: Sequence[tuple[float, float, float]], *, segments: int = 4
         centre = corner + (back + forth) / np.linalg.norm(back + forth) * (reach / np.cos(half))
         start, end = corner + reach * back - centre, corner + reach * forth - centre
         total = np.arctan2(start[0] * end[1] - start[1] * end[0], start @ end)
-        for angle in np.linspace(0, total, segments + 1):
+        steps = max(segments, int(np.ceil(abs(total) * float(np.linalg.norm(start)) / ARC_STEP)))
+        for angle in np.linspace(0, total, steps + 1):
             cos, sin = np.cos(angle), np.sin(angle)
             outline.append(
                 (float(centre[0] + cos * start[0] - sin * start[1]), float(centre[1] + sin * start[0] + cos * start[1]))

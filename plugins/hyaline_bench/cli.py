@@ -6,6 +6,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from datagen.data.variants import TWINS
 from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.records import Json, commit_sealed, to_json
 from datagen.terminal.command import choose, next_command, run, say, tell
@@ -42,8 +43,7 @@ def list_all(*, preset: str = "demo", fitted: bool = False) -> None:
         preset: Size of the benchmark's datasets: tiny, small, demo or standard.
         fitted: The track of masks instead: light-path on glass that `model fit` finds.
     """
-    protocol = _protocol(preset)
-    for line in (list_fitted_commands if fitted else list_commands)(preset, protocol):
+    for line in (list_fitted_commands if fitted else list_commands)(preset, _protocol(preset)):
         tell(line)
 
 
@@ -57,8 +57,7 @@ def floors(*, preset: str = "demo", runs: Path = Path("runs"), data: Path = Path
     """
     from hyaline_bench.floors import write_floors
 
-    protocol = _protocol(preset)
-    for folder in write_floors(runs, data, preset, protocol):
+    for folder in write_floors(runs, data, preset, _protocol(preset)):
         tell(str(folder))
     next_command(f"hyaline-bench score --preset {preset}")
 
@@ -104,7 +103,7 @@ def score(
             scored = score_runs(found[name], protocol, preset=preset, track=track)
             path = BENCH / preset / "scores" / f"{name}.json"
             commit_sealed(path, cast(dict[str, Json], to_json(scored)))
-            sys.stdout.write(grid_text(scene_grid(scored, protocol), "table", width=TABLE_WIDTH) + "\n")
+            sys.stdout.write(grid_text(scene_grid([scored]), "table", width=TABLE_WIDTH) + "\n")
             say(f"{path}: track {scored.track}, {len(scored.scenes)} scenes")
             done.append(name)
     if not done:
@@ -137,13 +136,14 @@ def secret(file: Path, /, *, preset: str = "demo") -> None:
         file: File with the secret; if it is missing, a secret is drawn. Keep it private until the round is over.
         preset: Size of the hidden datasets: small, demo or standard.
     """
-    from hyaline_bench.hidden import commitment_of, read_secret, verifier_commands
+    from datagen.disk.storage import sha256
+    from hyaline_bench.hidden import read_secret, verifier_commands
 
     protocol = _protocol(preset)
     if not protocol.hidden_scenes(preset):
         raise UsageError(f"--preset: {preset} has no hidden scenes; expected small, demo or standard")
     text = read_secret(file)
-    tell(f"# commitment: {commitment_of(text)}")
+    tell(f"# commitment: {sha256(text.encode())}")
     for line in verifier_commands(text, preset, protocol):
         tell(line)
 
@@ -179,17 +179,14 @@ def _protocol(preset: str) -> "Protocol":
 SHAPES = ("paper", "paper-best", "dnr", "dnr-layers", "mlp-first", "authors-code", "light-path")
 """The built-in methods that know shapes, and so can predict edits."""
 STEPS = {
-    "small": {
-        "paper": 900, "paper-best": 900, "mlp-first": 900, "authors-code": 700, "dnr": 170, "dnr-layers": 170,
-        "light-path": 400,
-    },
+    "small": dict(zip(SHAPES, (900, 900, 170, 170, 900, 700, 400), strict=True)),
     "tiny": dict.fromkeys(SHAPES, 30),
-}  # fmt: skip
+}
 """Steps of each method where they are not the usual ones. Small: as many as take about 45 CPU seconds. In presets that
 are listed here, deepvoxels is left out: it learns nothing in that time."""
-FITTED = ("glass_table", "plant_shelf", "drinks")
-"""Scenes whose glass `model fit` can find, in a quarter of an hour or more. Left out: vitrine has only thin panes,
-prism_bench bends colours apart, and pool's water is no vessel's; random scenes may hold shapes that no fit finds."""
+UNFITTED = ("vitrine", "prism_bench", "pool")
+"""Scenes whose glass `model fit` cannot find: thin panes, colours bent apart, water without a vessel. Random scenes may
+hold such shapes, too; a fit takes a quarter of an hour or more."""
 
 
 def list_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
@@ -215,16 +212,16 @@ def list_fitted_commands(preset: str, protocol: "Protocol") -> Iterator[str]:
 
     Everything that is not glass is taken as matt, because the track tells its shape alone.
     """
-    for scene in FITTED:
-        if scene in protocol.public_scenes(preset):
+    for scene in protocol.public_scenes(preset):
+        if scene not in UNFITTED:
             yield from _build(scene, preset, protocol)
             yield f"model fit {scene}-{preset} --room matt"
             yield f"{_train('light-path', f'{scene}-{preset}', preset)} --geometry fitted"
 
 
 def _build(scene: str, preset: str, protocol: "Protocol") -> Iterator[str]:
-    spp = protocol.size(preset).train.spp
-    yield f"datagen build {scene} --preset {preset} --spp {spp} --out data/{scene}-{preset} --quiet"
+    yield f"datagen build {scene} --preset {preset} --out data/{scene}-{preset} --quiet"
+    yield f"datagen add {scene}-{preset} --edit {TWINS[0]}"
     if scene in protocol.scenes:
         yield f"datagen add {scene}-{preset} --angles"
 

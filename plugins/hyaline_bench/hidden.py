@@ -1,11 +1,12 @@
 """Hidden tests: scenes of a secret seed, published without the pictures that score a method.
 
-A verifier keeps a secret text. The seed of hidden scene K follows from the SHA-256 of `hyaline-bench VERSION SECRET K`;
-divided by three it leaves the remainder of K, so that the families of random scenes take turns. Two datasets are made
-from that of the scene, with the same head and so the same digest:
+A verifier keeps a secret text. The seed of hidden scene K follows from the SHA-256 of `hyaline-bench VERSION SECRET K`,
+and families take turns with K, as in public scenes. Two datasets are made from that of the scene, with the same head
+and so the same digest:
 
     public/hidden-K    what participants get: training pictures, all cameras and layers, meshes, materials of glass
-    truth/hidden-K     the same with the pictures of the test splits; stays with the verifier
+    truth/hidden-K     the same with the pictures of the test splits and masks of where light meets glass; stays with
+                       the verifier
 
 With light and colours, anybody could path-trace the truth. So in both, diffuse colours and the sky are grey, lamps are
 missing, and no seed is named.
@@ -15,13 +16,14 @@ import dataclasses
 import hashlib
 import os
 import secrets
-import shlex
+import shutil
 from pathlib import Path
 
 from datagen.data.cameras import Cameras
 from datagen.data.config import DatasetConfig, Split
 from datagen.data.dataset import Dataset
 from datagen.data.paths import TRUTH
+from datagen.data.variants import EDIT_MASKS_FOLDER, variant_root
 from datagen.data.writing import commit_view, head_contents, write_head
 from datagen.disk.errors import HyalineError
 from datagen.disk.ownership import DATASET, holding
@@ -30,7 +32,7 @@ from datagen.scene.description import Scene, SoftEnvironment
 from datagen.scene.folder import open_scene, scene_files
 from datagen.scene.materials import Diffuse, Plastic
 from datagen.terminal.command import choose, say
-from hyaline_bench.protocol import Protocol, is_of_preset
+from hyaline_bench.protocol import NO_GLASS, Protocol, is_of_preset
 
 GREY = (0.5, 0.5, 0.5)
 SECRET_BYTES = 32
@@ -47,26 +49,22 @@ def read_secret(path: Path) -> str:
     return secret
 
 
-def commitment_of(secret: str) -> str:
-    """The hash that a verifier publishes before a round, and everybody can check after it."""
-    return sha256(secret.encode())
-
-
 def hidden_seed(secret: str, place: int, protocol: Protocol) -> int:
     """The seed of a hidden scene."""
     digest = hashlib.sha256(f"hyaline-bench {protocol.version} {secret} {place}".encode()).digest()
-    return 3 * (int.from_bytes(digest[:8]) % (2**63 // 3 - 1)) + place % 3
+    return int.from_bytes(digest[:8]) % 2**63
 
 
 def verifier_commands(secret: str, preset: str, protocol: Protocol) -> list[str]:
     """The commands that build the hidden scenes of a preset, and split each into both datasets."""
-    lines, spp = [], str(protocol.size(preset).train.spp)
+    lines = []
     for place, name in enumerate(protocol.hidden_scenes(preset)):
-        scene = f"random-{hidden_seed(secret, place, protocol):04d}"
+        scene = protocol.random_name(place, hidden_seed(secret, place, protocol))
         source = f"secret/{name}-{preset}"
         lines += [
-            shlex.join(["datagen", "build", scene, "--preset", preset, "--spp", spp, "--out", source]),
-            shlex.join(["hyaline-bench", "hide", source, "--scene", name]),
+            f"datagen build {scene} --preset {preset} --out {source}",
+            f"datagen add {source} --edit {NO_GLASS}",
+            f"hyaline-bench hide {source} --scene {name}",
         ]
     return lines
 
@@ -89,6 +87,9 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
     except HyalineError as error:
         reason = str(error).split("; ")[0]
         raise HyalineError(f"{reason}; `hyaline-bench secret` prints the commands that build it") from None
+    masks = variant_root(source.root, NO_GLASS) / EDIT_MASKS_FOLDER
+    if not masks.is_dir():
+        raise HyalineError(f"{masks}: missing; make them with `datagen add {source.root} --edit {NO_GLASS}`")
     scene = open_scene(source)
     files = scene_files(without_colours(scene, name))
     num_layers = source.layer_store().head.num_layers
@@ -97,6 +98,8 @@ def hide_truth(source: Dataset, name: str, out: Path, protocol: Protocol) -> tup
         with holding(root, DATASET):
             made = _write(root, source, published, files, is_truth=is_truth)
         peel_dataset(made, TRUTH, num_layers=num_layers, overwrite=False)
+        if is_truth:
+            shutil.copytree(masks, variant_root(root, NO_GLASS) / EDIT_MASKS_FOLDER, dirs_exist_ok=True)
         say(f"{root}: dataset {made.seal[:12]}, {'with' if is_truth else 'without'} the truth of its test views")
     return public, truth
 
@@ -115,14 +118,7 @@ def without_colours(scene: Scene, name: str) -> Scene:
 
 def _write(root: Path, source: Dataset, config: DatasetConfig, scene: dict[str, bytes], *, is_truth: bool) -> Dataset:
     cameras: dict[Split, Cameras] = {split: source.cameras(split) for split in source.splits}
-    made = write_head(
-        root,
-        config,
-        source.objects,
-        cameras,
-        scene,
-        stated_license=source.stated_license,
-    )
+    made = write_head(root, config, source.objects, cameras, scene, stated_license=source.stated_license)
     if made.files != {path: sha256(data) for path, data in head_contents(scene, cameras).items()}:
         raise HyalineError(f"{root}: holds another scene; choose another --out, or delete it")
     kept: list[Split] = [split for split in source.splits if is_truth or split == "train"]

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, square
+from datagen.data.config import ANGLE_SPLITS, TEST_SPLITS, DatasetConfig, Split, SplitConfig, config_difference, square
 from datagen.data.dataset import Dataset
 from datagen.data.geometries import NO_GEOMETRY
 from datagen.data.paths import MIXED, PROXY_KINDS, TRUTH, is_fitted
-from datagen.data.variants import ANGLES
+from datagen.data.variants import ANGLES, TWINS
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import from_json
 from datagen.scene.edits import edits_name, parse_edit
@@ -21,8 +21,11 @@ from eval.score.runs import Run
 
 PROTOCOL = Path(__file__).with_name("protocol.toml")
 
-ALL, EDITS = "all", "edits"
-"""Columns besides the splits: the mean over all cameras' splits, and over the test splits of both edits."""
+GLASS, ALL, EDITS = "glass", "all", "edits"
+"""Columns besides the splits: the mean over the test splits of pixels whose light meets glass, and of all; and over the
+test splits of both edits, of the pixels that change."""
+NO_GLASS = TWINS[0]
+"""The edit whose masks tell which pixels' light meets glass."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +43,8 @@ class Size:
 class Random:
     """The random scenes that everybody can build."""
 
+    families: tuple[str, ...]
+    """Families that public scenes and hidden ones take turns among."""
     first_seed: int
     count: int
 
@@ -67,12 +72,13 @@ class Protocol:
     """The content of protocol.toml."""
 
     version: int
-    about: str
     presets: dict[str, Size]
     scenes: dict[str, tuple[str, ...]]
     """The built-in scenes, and the edits of each."""
     random: Random
     hidden: Hidden
+    digests: dict[str, dict[str, str]]
+    """Digests of the public datasets by preset and scene; empty where none are fixed yet."""
     splits: dict[str, str]
     """The splits that every submission predicts, and where their cameras are."""
     tracks: dict[str, str]
@@ -84,9 +90,13 @@ class Protocol:
 
     def public_scenes(self, preset: str) -> list[str]:
         """The scenes of a preset that everybody can build."""
-        seeds = range(self.random.first_seed, self.random.first_seed + self.random.count)
-        every = [*self.scenes, *(f"random-{seed:04d}" for seed in seeds)]
+        random = (self.random_name(place, self.random.first_seed + place) for place in range(self.random.count))
+        every = [*self.scenes, *random]
         return [name for name in every if name in (self.size(preset).scenes or every)]
+
+    def random_name(self, place: int, seed: int) -> str:
+        """The name of the random scene at a place among the public or the hidden ones."""
+        return f"random-{self.random.families[place % len(self.random.families)]}-{seed:04d}"
 
     def hidden_scenes(self, preset: str) -> list[str]:
         """The names under which hidden scenes are published; none in a preset that lists its scenes."""
@@ -108,15 +118,13 @@ class Protocol:
 
     def allowed(self, track: str) -> list[str]:
         """What a track allows, and the tracks before it."""
-        names = list(self.tracks)
-        told = [self.tracks[name].removeprefix("And ") for name in names[: names.index(track) + 1]]
-        return [text[0].upper() + text[1:] for text in told]
+        return list(self.tracks.values())[: list(self.tracks).index(track) + 1]
 
     def columns(self) -> dict[str, str]:
-        """What is averaged over scenes, with a short title."""
+        """What is averaged over scenes besides `GLASS` and `ALL`, with a short title."""
         short = {"interpolating": "inter", "extrapolating": "extra"}
         angles = {split: f"{degrees:.0f}°" for split, degrees in ANGLE_SPLITS.items()}
-        return {ALL: "all", **{split: (short | angles)[split] for split in self.splits}, EDITS: EDITS}
+        return {split: (short | angles)[split] for split in self.splits} | {EDITS: EDITS}
 
 
 @functools.cache
@@ -152,11 +160,10 @@ def is_of_preset(dataset: Dataset, preset: str, protocol: Protocol) -> bool:
         interpolating=size.test,
         extrapolating=size.test,
     )
-    if config != asked:
+    if difference := config_difference(asked, config):
         raise HyalineError(
-            f"{dataset.root}: not what hyaline-bench {protocol.version} names for {preset}: {size.resolution} pixels, "
-            f"{size.train.views} + 2 times {size.test.views} views, seed {asked.seed}; build it again with `datagen "
-            f"build {config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`"
+            f"{dataset.root}: differs from the protocol's {preset} ({difference}); build it again with `datagen build "
+            f"{config.scene} --preset {preset} --out {shlex.quote(str(dataset.root))} --overwrite`"
         )
     return True
 

@@ -1,4 +1,4 @@
-"""Submissions and their scores against the truth: each scene's, and what they average to.
+"""Submissions and their scores against the truth.
 
 A submission is the runs of one method, RUNS/SCENE/METHOD, each with its predictions of all splits of the protocol.
 Folders come from anybody. Of a run that names another dataset than there is truth of, nothing is scored.
@@ -6,25 +6,34 @@ Folders come from anybody. Of a run that names another dataset than there is tru
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool
 
-from datagen.data.config import TEST_SPLITS, Split
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.config import ANGLE_SPLITS, ROUNDING_MSE, TEST_SPLITS, Split
+from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.images import srgb_from_linear
 from datagen.data.paths import list_datasets
-from datagen.data.variants import ANGLES, has_variant, open_variant, variant_root
+from datagen.data.variants import (
+    ANGLES,
+    EDIT_MASKS_FOLDER,
+    ELSEWHERE,
+    has_variant,
+    open_variant,
+    read_edit_mask,
+    variant_root,
+)
 from datagen.disk.errors import HyalineError, shown
 from datagen.disk.records import Json, dump_json, from_json, load_sealed
 from datagen.disk.storage import sha256
 from datagen.machine.doctor import code_version
 from datagen.terminal.command import say
 from datagen.terminal.command import track as progress
-from eval.score.metrics import mean_of
+from eval.score.metrics import masked_psnr, mean_of
 from eval.score.runs import (
     Run,
     has_predictions,
@@ -34,13 +43,24 @@ from eval.score.runs import (
     prediction_digests,
     prediction_path,
     read_costs,
+    read_prediction,
 )
 from eval.score.scores import METRICS, SplitScores, Truth, read_truth, score_run
 from eval.variants import run_of_variant
-from hyaline_bench.protocol import ALL, EDITS, Bootstrap, Protocol, choose_track, is_of_preset, left_out, load_protocol
+from hyaline_bench.protocol import (
+    ALL,
+    EDITS,
+    GLASS,
+    NO_GLASS,
+    Protocol,
+    choose_track,
+    is_of_preset,
+    left_out,
+    load_protocol,
+)
 
-COSTS = ("cpu_seconds", "peak_memory_bytes", "frames_per_second")
-"""What scores repeat of a run's costs.json."""
+CHANGED = "changed_psnr_db"
+"""Key of the PSNR of pixels that change with an edit, or if all glass is removed."""
 MEAN_ABOVE_CEILING, ABOVE_CEILING = 1.0, 3.0
 """dB by which a split's mean and a single picture's score may exceed the noise ceiling, which is an estimate. Against
 pictures of 64 times the samples, those of `pool` with 32 x 32 pixels are off by 0.6 dB (standard deviation)."""
@@ -84,31 +104,39 @@ def find_runs(root: Path, data_root: Path, preset: str, protocol: Protocol) -> d
     return found
 
 
-def list_predictions(run: Run, protocol: Protocol) -> list[tuple[Run, list[Split]]]:
-    """A run and its predictions of variants, each with the splits that it has.
+Part = tuple[Run, Split, Truth]
+"""The predictions of a dataset or a variant on one split, and their truth."""
+
+
+def list_parts(run: Run, protocol: Protocol) -> list[Part]:
+    """What is scored of a run: its test splits, angles, and edits, of which there are all or none.
 
     Raises:
         HyalineError: a split that the protocol asks for is missing.
     """
-    listed: list[tuple[Run, list[Split]]] = [(run, list(TEST_SPLITS))]
-    for name, splits in protocol.variant_splits(run.dataset.config.scene).items():
-        if not has_variant(run.dataset, name):
-            if name == ANGLES:
-                raise HyalineError(f"{run.dataset.root}: has no {name}; make them with `datagen add --angles`")
-            continue
-        found = run_of_variant(run, open_variant(run.dataset, name))
-        if found is not None:
-            listed.append((found, list(splits)))
-        elif name == ANGLES:
-            folder = variant_root(run.folder, name) / "predictions"
-            raise HyalineError(f"{folder}: missing; the protocol asks for {', '.join(splits)}")
+    dataset = run.dataset
+    if not (masks := variant_root(dataset.root, NO_GLASS) / EDIT_MASKS_FOLDER).is_dir():
+        raise HyalineError(f"{masks}: missing; make them with `datagen add {dataset.root} --edit {NO_GLASS}`")
+    wanted = protocol.variant_splits(dataset.config.scene)
+    found = {
+        name: run_of_variant(run, open_variant(dataset, name)) if has_variant(dataset, name) else None
+        for name in wanted
+    }
+    if ANGLES in found and found[ANGLES] is None:
+        raise HyalineError(
+            f"{variant_root(run.folder, ANGLES) / 'predictions'}: missing; the protocol asks for "
+            f"{', '.join(wanted[ANGLES])}, whose cameras `datagen add {dataset.root} --angles` makes"
+        )
+    has_edits = all(found[name] for name in found if name != ANGLES)
+    listed = [(run, TEST_SPLITS)]
+    listed += [(part, wanted[name]) for name, part in found.items() if part and (has_edits or name == ANGLES)]
     for part, splits in listed:
         for split in splits:
             if not has_split(part, split):
                 raise HyalineError(
                     f"{part.folder / 'predictions' / split}: missing; the protocol asks for all its views"
                 )
-    return listed
+    return [(part, split, read_truth(part.dataset, split)) for part, splits in listed for split in splits]
 
 
 # Scores
@@ -119,11 +147,14 @@ class SplitResult:
     """The scores of one split, or of one split after an edit."""
 
     metrics: dict[str, float | None]
-    """Means over the split's pictures, by the metric's key; None if undefined."""
+    """Means over the split's pictures, by the metric's key; None if undefined. `CHANGED` is the PSNR of those pixels
+    that change with the edit, or else if all glass is removed: whose light meets glass. Splits by angle lack it."""
     psnr_db: tuple[float | None, ...]
-    """PSNR of each picture; None, in files of earlier versions, if it equals the truth."""
-    ceiling_db: float | None
-    """PSNR of the truth's own noise; None if it is unknown."""
+    """PSNR of each picture."""
+    ceilings_db: dict[str, float | None]
+    """PSNR that noise and 8 bits would leave a perfect method, of all pixels and of those that change."""
+    changed: float | None
+    """Share of pixels that change."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,28 +163,36 @@ class SceneResult:
 
     dataset: str
     """Digest of the dataset."""
+    train_noise_db: float | None
+    """PSNR of the training pictures, by their own noise and 8 bits."""
     seed: int | None
-    num_parameters: int | None
     costs: dict[str, float]
-    """What the run's costs.json has of `COSTS`."""
+    """The run's costs.json."""
     splits: dict[str, SplitResult]
     """By split; `EDIT/SPLIT` after an edit."""
 
     def values(self, column: str) -> list[SplitResult]:
         """The splits that a column averages."""
-        if column == ALL:
-            return [result for name, result in self.splits.items() if "/" not in name]
         if column == EDITS:
             return [result for name, result in self.splits.items() if "/" in name]
-        return [self.splits[column]] if column in self.splits else []
+        names = TEST_SPLITS if column in (GLASS, ALL) else (column,)
+        return [self.splits[name] for name in names if name in self.splits]
 
     def psnr_db(self, column: str) -> float | None:
-        return _mean([result.metrics["psnr_db"] for result in self.values(column)])
+        return mean_of_all([result.metrics.get(metric_of(column)) for result in self.values(column)])
 
-    def gap_db(self, column: str) -> float | None:
-        """How far the PSNR is below the noise ceiling."""
-        pairs = [(result.ceiling_db, result.metrics["psnr_db"]) for result in self.values(column)]
-        return _mean([None if ceiling is None or psnr is None else ceiling - psnr for ceiling, psnr in pairs])
+    def ceiling_db(self, column: str) -> float | None:
+        return mean_of_all([result.ceilings_db.get(metric_of(column)) for result in self.values(column)])
+
+
+def mean_of_all(values: Sequence[float | None]) -> float | None:
+    """The mean; None if there are none, or one is missing."""
+    return mean_of(values) if None not in values else None
+
+
+def metric_of(column: str) -> str:
+    """The metric that a column averages: of all pixels, or of those that change."""
+    return "psnr_db" if column == ALL or column in ANGLE_SPLITS else CHANGED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,33 +204,13 @@ class Scored:
     preset: str
     name: str
     track: str
-    method: str | None
-    knowledge: str | None
-    """What the method was told besides pictures and cameras, by its record."""
     submission: str
-    """Digest of the predictions; in files of earlier versions, that of the archive that they came in."""
-    packed_by: str = ""
-    """Version of the code that packed the archive, in files of earlier versions."""
+    """Digest of the predictions."""
     scored_by: str
     """Version of the code that scored it."""
     scenes: dict[str, SceneResult]
-    truths: str = ""
-    """Digest of the truth that it was scored against; files of earlier versions have none, or another kind."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Summary:
-    """A column's PSNR over scenes in dB."""
-
-    mean: float
-    low: float | None
-    """Ends of the mean's confidence interval; None for a single scene."""
-    high: float | None
-    median: float
-    worst: float
-    worst_scene: str
-    gap: float | None
-    """Mean distance to the noise ceiling; None if one is unknown."""
+    truths: str
+    """Digest of the pictures that it was scored against."""
 
 
 def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, track: str | None) -> Scored:
@@ -210,10 +229,16 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
     runs = {scene: run for scene, run in runs.items() if scene not in withheld}
     if not runs:
         raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
-    parts = {scene: _parts(run, protocol) for scene, run in runs.items()}
+    for scene, run in runs.items():
+        if run.dataset.seal != (fixed := protocol.digests.get(preset, {}).get(scene, run.dataset.seal)):
+            say(
+                f"{scene}: dataset {run.dataset.seal[:12]} is not the protocol's {fixed[:12]}; another version of "
+                "hyaline or another processor made it, so its scores belong into no table with others"
+            )
+    parts = {scene: list_parts(run, protocol) for scene, run in runs.items()}
     asked = [part for of_scene in parts.values() for part in of_scene]
     pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]
-    arrays = (array for *_, truth in asked for array in (*truth.images, *(truth.glass or ())))
+    arrays = (array for *_, truth in asked for array in truth.images)
     first = next(iter(runs.values()))
     every = progress(runs.items(), label=f"scoring {first.name}", total=len(runs))
     return Scored(
@@ -221,8 +246,6 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
         preset=preset,
         name=first.name,
         track=track,
-        method=first.record.method,
-        knowledge=first.record.knowledge,
         submission=sha256(b"".join(pictures)),
         scored_by=code_version(),
         scenes={scene: _score_scene(run, parts[scene]) for scene, run in every},
@@ -232,9 +255,7 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
 
 def read_scored(path: Path) -> Scored:
     """A scored submission from its file."""
-    content = load_sealed(path)
-    content.pop("failures", None)  # Files of earlier versions have pictures of the worst views.
-    return from_json(Scored, cast(Json, content), where=str(path))
+    return from_json(Scored, cast(Json, load_sealed(path)), where=str(path))
 
 
 def read_scores(folder: Path) -> list[Scored]:
@@ -243,9 +264,9 @@ def read_scores(folder: Path) -> list[Scored]:
     protocol = load_protocol()
     for path in sorted(folder.glob("*.json")):
         with left_out():
+            if (version := load_sealed(path).get("version")) != protocol.version:
+                raise HyalineError(f"{path}: was scored with protocol {shown(version)}; expected {protocol.version}")
             scored = read_scored(path)
-            if scored.version != protocol.version:
-                raise HyalineError(f"{path}: was scored with protocol {scored.version}; expected {protocol.version}")
             if scored.track not in protocol.tracks:
                 known = ", ".join(protocol.tracks)
                 raise HyalineError(f"{path}: is of the track {shown(scored.track)}; expected one of {known}")
@@ -253,41 +274,29 @@ def read_scores(folder: Path) -> list[Scored]:
     return found
 
 
-Part = tuple[Run, Split, Truth]
-"""The predictions of a dataset or a variant on one split, and their truth."""
-
-
-def _parts(run: Run, protocol: Protocol) -> list[Part]:
-    """What is scored of a run; means over some edits cannot be compared, so there are all or none."""
-    listed = list_predictions(run, protocol)
-    edits = {part.dataset.name for part, _ in listed if part.dataset.edit is not None}
-    has_all = edits == set(protocol.edit_variants(run.dataset.config.scene))
-    return [
-        (part, split, read_truth(part.dataset, split))
-        for part, splits in listed
-        if has_all or part.dataset.edit is None
-        for split in splits
-    ]
-
-
 def _score_scene(run: Run, parts: Sequence[Part]) -> SceneResult:
     splits: dict[str, SplitResult] = {}
+    without_glass = dataclasses.replace(run.dataset, root=variant_root(run.dataset.root, NO_GLASS))
     for part, split, truth in parts:
         scores = score_run(part, {split: truth}).splits[split]
-        assert scores is not None, "list_predictions lists splits that are there"
+        assert scores is not None, "list_parts lists splits that are there"
         home = "" if part.dataset.edit is None else f"{part.dataset.name}/"
-        splits[f"{home}{split}"] = _result(part, split, truth, scores)
+        masks = part.dataset if part.dataset.edit else without_glass if split in TEST_SPLITS else None
+        splits[f"{home}{split}"] = _result(part, split, truth, scores, masks)
     return SceneResult(
         dataset=run.dataset.seal,
+        train_noise_db=run.dataset.noise_ceiling_db("train"),
         seed=run.record.seed,
-        num_parameters=run.record.num_parameters,
-        costs={key: value for key, value in read_costs(run.folder).items() if key in COSTS},
+        costs=dict(read_costs(run.folder)),
         splits=splits,
     )
 
 
-def _result(run: Run, split: Split, truth: Truth, scores: SplitScores) -> SplitResult:
+def _result(run: Run, split: Split, truth: Truth, scores: SplitScores, masks: Dataset | None) -> SplitResult:
     """A split's scores.
+
+    Args:
+        masks: the edited dataset, whose edit masks tell which pixels change.
 
     Raises:
         HyalineError: pictures are nearer to the truth than the truth's own noise lets any method come.
@@ -304,65 +313,26 @@ def _result(run: Run, split: Split, truth: Truth, scores: SplitScores) -> SplitR
                 f"{path}: a PSNR of {psnr:.1f} dB is above the noise ceiling of {ceiling:.1f} dB; expected pictures "
                 "that do not know the truth's noise"
             )
-    means = {metric.key: scores.mean(metric.key) for metric in METRICS}
+    means, ceilings = {metric.key: scores.mean(metric.key) for metric in METRICS}, {"psnr_db": truth.ceiling_db}
+    changed = None
+    if masks is not None:
+        inside = [read_edit_mask(masks, split, view) != ELSEWHERE for view in range(len(truth.images))]
+        shown = [view for view, mask in enumerate(inside) if mask.any()]
+        pairs = ((read_prediction(run, split, view), truth.images[view], inside[view]) for view in shown)
+        means[CHANGED] = mean_of([masked_psnr(*pair) for pair in pairs])
+        ceilings[CHANGED] = mean_of([_ceiling_db(run.dataset.view(split, view), inside[view]) for view in shown])
+        changed = float(np.mean(inside))
     return SplitResult(
-        # A glass PSNR may be infinite where few pixels see glass.
+        # The PSNR of few pixels may be infinite.
         metrics={key: None if value == math.inf else value for key, value in means.items()},
         psnr_db=tuple(scores.images["psnr_db"]),
-        ceiling_db=truth.ceiling_db,
+        ceilings_db=ceilings,
+        changed=changed,
     )
 
 
-# Averages
-
-
-def summarise(
-    scored: Scored, column: str, bootstrap: Bootstrap, *, among: Collection[str] | None = None
-) -> Summary | None:
-    """A column over the scenes that have it; None if there are none, or a score is undefined.
-
-    Args:
-        among: only these scenes, each of which must have the column.
-    """
-    scenes = {name: scene for name, scene in scored.scenes.items() if scene.values(column)}
-    if among is not None:
-        scenes = {name: scene for name, scene in scenes.items() if name in among}
-        if len(scenes) < len(among):
-            return None
-    known = {name: value for name, scene in scenes.items() if (value := scene.psnr_db(column)) is not None}
-    if not known or len(known) < len(scenes):
-        return None
-    values = np.array(list(known.values()))
-    low, high = mean_interval(values, bootstrap)
-    worst = min(known, key=lambda name: known[name])
-    return Summary(
-        mean=float(values.mean()),
-        low=low,
-        high=high,
-        median=float(np.median(values)),
-        worst=known[worst],
-        worst_scene=worst,
-        gap=_mean([scene.gap_db(column) for scene in scenes.values()]),
-    )
-
-
-def mean_interval(
-    values: Float[np.ndarray, "scene"],
-    bootstrap: Bootstrap,
-) -> tuple[float, float] | tuple[None, None]:
-    """The percentile bootstrap's interval of the mean; None for a single value.
-
-    Source: Efron and Tibshirani 1993, chapter 13.
-    """
-    if len(values) < 2:
-        return None, None
-    rng = np.random.default_rng(bootstrap.seed)
-    means = rng.choice(values, (bootstrap.resamples, len(values))).mean(axis=1)
-    tail = (1 - bootstrap.confidence) / 2
-    low, high = np.quantile(means, [tail, 1 - tail])
-    return float(low), float(high)
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    """The mean; None if there are none, or one is missing."""
-    return mean_of(values) if None not in values else None
+def _ceiling_db(view: View, inside: Bool[np.ndarray, "h w"]) -> float:
+    """What `ViewRecord.ceiling_db` is of all pixels, of some."""
+    radiance, noise = view.radiance_and_noise()
+    difference = srgb_from_linear(radiance + noise) - srgb_from_linear(radiance - noise)
+    return -10 * math.log10(float(np.mean(difference[inside] ** 2)) / 4 + ROUNDING_MSE)

@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Float
 
 from datagen.data.images import encode_float_exr
-from datagen.scene.description import EnvironmentMap, SceneObject
-from datagen.scene.materials import Diffuse, Plastic, SolidTexture
+from datagen.scene.description import Environment, EnvironmentMap, RectangleLight, SceneObject, SoftEnvironment
+from datagen.scene.materials import Diffuse, Plastic, SolidTexture, as_vector
 from datagen.scene.modelling import cylinder, lathe, moved, rounded_box
 from datagen.scene.textures import fractal_noise
 from hyaline_random.chance import color_pair, pattern, pick, weigh, wood
@@ -26,6 +26,8 @@ Support = Literal["floor", "plinth", "table"]
 GAP = 0.001
 """Metres between stacked things."""
 SKY_PATH = "maps/environment.exr"
+DUSK = SoftEnvironment(zenith=(0.2, 0.2, 0.24), horizon=(0.3, 0.28, 0.26), ground=(0.1, 0.1, 0.1))
+"""The sky beside lamps."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,27 +36,48 @@ class Backdrop:
 
     words: str
     objects: tuple[SceneObject, ...]
-    environment: EnvironmentMap
+    environment: Environment
     sky: bytes
-    """The map of the environment, an EXR."""
+    """The map of the environment, an EXR; not used beside lamps."""
+    lamps: tuple[RectangleLight, ...] = ()
     azimuth_deg: tuple[float, float] = (0.0, 360.0)
     """Where cameras may be."""
 
 
 def draw_backdrop(
-    stands_on: Mapping[Support, float], *, extent: float, radius: float, rng: np.random.Generator
+    stands_on: Mapping[Support, float], *, lamps: bool, extent: float, radius: float, rng: np.random.Generator
 ) -> Backdrop:
     """A backdrop for things on z = 0.
 
     Args:
         stands_on: what the things may stand on, and how often.
+        lamps: lamps light the things in the dusk, instead of a sky.
         extent: metres that the things reach from the z axis.
         radius: metres from the cameras to the things.
     """
     support, below = _support(stands_on, extent, radius, rng)
-    kind = weigh({"room": 0.3, "screen": 0.35, "open": 0.35}, rng=rng)
+    kind = weigh({"room": 0.3, "screen": 0.35, "open": 0.0 if lamps else 0.35}, rng=rng)
     around = {"room": _room, "screen": _screen, "open": _open}[kind](radius, below, rng)
+    if lamps:
+        words = f"{around.words} under lamps"
+        around = dataclasses.replace(around, words=words, environment=DUSK, lamps=_lamps(radius, rng))
     return dataclasses.replace(around, objects=(*support, *around.objects))
+
+
+def _lamps(radius: float, rng: np.random.Generator) -> tuple[RectangleLight, ...]:
+    """Two rectangles above all cameras' sight that face the things, and together light white paper to 0.6."""
+    lamps, start = [], rng.uniform(0, 2 * np.pi)
+    for angle in (start, start + rng.uniform(1.5, 4.5)):
+        away, height = rng.uniform(0.3, 0.8) * radius, rng.uniform(1.6, 1.9) * radius
+        middle = np.array([away * np.cos(angle), away * np.sin(angle), height])
+        across = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        distance = float(np.linalg.norm(middle))
+        u, v = (rng.uniform(0.5, 0.9) * radius * side for side in (across, np.cross(across, middle / distance)))
+        # Paper at the origin has the lamp's radiance times its solid angle and the cosine, by pi.
+        bright = 0.3 * np.pi * distance**3 / (height * float(np.linalg.norm(u) * np.linalg.norm(v)))
+        corner, edge_u, edge_v = map(as_vector, np.round([middle - (u + v) / 2, u, v], 4))
+        lamps.append(RectangleLight(corner=corner, edge_u=edge_u, edge_v=edge_v, radiance=(bright, bright, bright)))
+    return tuple(lamps)
 
 
 # Below the things

@@ -110,8 +110,13 @@ def clear_ior(*, rng: np.random.Generator) -> Ior:
     return pick(GLASSES, rng=rng) if rng.random() < 0.5 else round(rng.uniform(1.45, 1.8), 3)
 
 
-def solid_glass(thickness: float, *, rng: np.random.Generator, is_cut: bool = False) -> Dielectric:
-    """Glass of a body: most of it clear, much of it tinted, some frosted.
+SOLID_GLASS = {"clear": 0.5, "tinted": 0.36, "frosted": 0.14}
+
+
+def solid_glass(
+    thickness: float, *, rng: np.random.Generator, is_cut: bool = False, kinds: Mapping[str, float] = SOLID_GLASS
+) -> Dielectric:
+    """Glass of a body: by default most of it clear, much of it tinted, some frosted.
 
     Args:
         thickness: metres over which a tint has its full colour.
@@ -119,7 +124,7 @@ def solid_glass(thickness: float, *, rng: np.random.Generator, is_cut: bool = Fa
     """
     if is_cut and rng.random() < 0.5:
         return Dielectric(ior=round(rng.uniform(1.6, 1.8), 3), dispersion=round(rng.uniform(0.4, 0.8), 3))
-    kind = weigh({"clear": 0.5, "tinted": 0.36, "frosted": 0.14}, rng=rng)
+    kind = weigh(kinds, rng=rng)
     ior = clear_ior(rng=rng)
     if kind == "frosted":
         return RoughDielectric(ior=ior, roughness=round(rng.uniform(0.05, 0.2), 3))

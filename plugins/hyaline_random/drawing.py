@@ -19,6 +19,7 @@ from datagen.data.config import OWN_LICENSE, DatasetConfig, square
 from datagen.data.meshes import face_corners
 from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
+from datagen.machine.mitsuba_variant import use_mitsuba
 from datagen.scene.description import CameraRig, Scene, SceneObject, WalkPoint
 from datagen.scene.materials import ThinDielectric, Vector
 from datagen.scene.mending import assemble
@@ -38,38 +39,14 @@ def glass_shares(objects: tuple[SceneObject, ...], cameras: Cameras) -> Float[np
         objects: those that are glass or can be in front of glass, in front of all cameras; what is only behind glass
             may be left out.
     """
-    corners = np.concatenate([face_corners(item.mesh) for item in objects]).astype(np.float64)
-    is_glass = np.repeat([item.material.is_glass for item in objects], [len(item.mesh.faces) for item in objects])
-    width, height = cameras.width, cameras.height
-    shares = []
-    for world_from_camera in cameras.world_from_camera:
-        seen = (corners - world_from_camera[:3, 3]) @ world_from_camera[:3, :3]
-        # In pixels, right and down, from the middle of the first one; depth along the axis.
-        depth = -seen[..., 2]
-        right = width / 2 - 0.5 + cameras.focal * seen[..., 0] / depth
-        down = height / 2 - 0.5 - cameras.focal * seen[..., 1] / depth
-        # Pairs of a face and a pixel whose middle is in the box around it; most boxes have none.
-        first_column, first_row = (np.maximum(np.ceil(x.min(axis=1)), 0).astype(np.int64) for x in (right, down))
-        columns = np.minimum(np.floor(right.max(axis=1)), width - 1).astype(np.int64) - first_column + 1
-        rows = np.minimum(np.floor(down.max(axis=1)), height - 1).astype(np.int64) - first_row + 1
-        counts = np.maximum(columns, 0) * np.maximum(rows, 0)
-        face = np.repeat(np.arange(len(counts)), counts)
-        place = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
-        row, column = np.divmod(place, np.maximum(columns, 1)[face])
-        row, column = first_row[face] + row, first_column[face] + column
-        # Barycentric weights: twice the area of the triangle that the middle makes with the two corners after each.
-        x, y = right[face] - column[:, None], down[face] - row[:, None]
-        areas = np.roll(x, -1, 1) * np.roll(y, -2, 1) - np.roll(x, -2, 1) * np.roll(y, -1, 1)
-        total = areas.sum(axis=-1, keepdims=True)
-        weights = np.divide(areas, total, out=np.full_like(areas, -1.0), where=total != 0)
-        inside = (weights >= 0).all(axis=-1)
-        face, pixel = face[inside], (row * width + column)[inside]
-        near = 1 / (weights[inside] / depth[face]).sum(axis=-1)  # Perspective: 1 / depth is linear in the picture.
-        nearest = np.full(width * height, np.inf)
-        np.minimum.at(nearest, pixel, near)
-        is_seen = is_glass[face] & (near == nearest[pixel])
-        shares.append(len(np.unique(pixel[is_seen])) / len(nearest))
-    return np.array(shares)
+    use_mitsuba()
+    from datagen.trace.peel import Peeler
+
+    peeler = Peeler(tuple(item.mesh for item in objects))
+    is_glass = np.array([*(item.material.is_glass for item in objects), False])  # The last where nothing is hit: -1.
+    rays = (cameras[view].rays() for view in range(len(cameras)))
+    hits = (peeler.trace(origin, directions.reshape(-1, 3), 1).shape[0] for origin, directions in rays)
+    return np.array([is_glass[shape].mean() for shape in hits])
 
 
 MAX_DRAWS = 20
@@ -133,7 +110,7 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
             f"scene {name}: {100 * share:.1f} % of the pixels are glass; expected {100 * GLASS_SHARE[0]:g} to "
             f"{100 * GLASS_SHARE[1]:g} %"
         )
-    backdrop = draw_backdrop(family.stands_on, extent=extent, radius=radius, rng=rng)
+    backdrop = draw_backdrop(family.stands_on, lamps=family.has_lamps, extent=extent, radius=radius, rng=rng)
     words = f"{_listed([thing.words for thing in things])}, {backdrop.words}; glass in {100 * share:.0f} %"
     told = f"; draws refused before: {' | '.join(refused)}" if refused else ""
     scene = Scene(
@@ -141,8 +118,9 @@ def _draw(name: RandomName, refused: tuple[str, ...], rng: np.random.Generator) 
         description=f"Random scene, family {name.family}, seed {name.seed}: {words} of the pixels{told}",
         objects=(*objects, *backdrop.objects),
         environment=backdrop.environment,
+        lights=backdrop.lamps,
         cameras=_rig(target, radius, backdrop.azimuth_deg, rng),
-        baked={SKY_PATH: backdrop.sky},
+        baked={} if backdrop.lamps else {SKY_PATH: backdrop.sky},
     )
     check_scene(scene)
     return Drawn(scene=scene, refused=refused, glass_share=share, things=tuple(things))

@@ -4,7 +4,7 @@ Media in each other and thin glass: vessels with drinks, ice and stones, cores a
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,11 +40,12 @@ from hyaline_random.chance import (
     weigh,
 )
 from hyaline_random.solids import CONVEX, CUT, NOT_CONVEX, corners_of, make_solid, polygon, with_bubbles
-from hyaline_random.things import GAP, THINGS, Thing, enlarged, free_places, part, standing, surface
+from hyaline_random.things import GAP, THINGS, Maker, Thing, enlarged, free_places, part, standing, surface
 from hyaline_random.vessels import VESSELS, Vessel
 
 HOSTS = ("ball", "egg", "soft cube", "disc")
 """Bodies that have room for something inside."""
+BODIES = *CONVEX, *NOT_CONVEX
 STONES = ("ball", "soft cube", "gem", "pebble", "ring", "ribbed ball", "drilled block")
 """Bodies that lie in a drink."""
 
@@ -87,7 +88,7 @@ def solid(kind: str, *, rng: np.random.Generator) -> Thing:
     return Thing(words=words, objects=(part(kind.replace(" ", "_"), mesh, material),))
 
 
-def paperweight(*, rng: np.random.Generator) -> Thing:
+def paperweight(rng: np.random.Generator) -> Thing:
     """A body with another one in its middle: of another glass, of a liquid, or opaque."""
     host = pick(HOSTS, rng=rng)
     mesh = make_solid(host, rng=rng)
@@ -101,7 +102,7 @@ def paperweight(*, rng: np.random.Generator) -> Thing:
     return Thing(words=f"{with_article(host)} around {with_article(kind)} of {what}", objects=objects)
 
 
-def onion(*, rng: np.random.Generator) -> Thing:
+def onion(rng: np.random.Generator) -> Thing:
     """Three balls in each other, of three media."""
     radius = rng.uniform(0.05, 0.06)
     shares = (1.0, rng.uniform(0.68, 0.8), rng.uniform(0.35, 0.5))
@@ -196,6 +197,11 @@ def fitted(mesh: Mesh, radius: float) -> Mesh:
     return transformed(around, radius / float(np.linalg.norm(around.vertices, axis=-1).max()) * np.eye(3), (0, 0, 0))
 
 
+def opaque_thing(rng: np.random.Generator) -> Thing:
+    """One of `THINGS`."""
+    return THINGS[pick(tuple(THINGS), rng=rng)](rng)
+
+
 def with_article(name: str) -> str:
     return f"{'an' if name[0] in 'aeiou' else 'a'} {name}"
 
@@ -204,8 +210,6 @@ CELLS = 6, 6
 """Cells of a pane: enough of its points lie inside of whatever it would reach into."""
 CORES = ("ball", "soft cube", "gem", "pebble", "knot", "ring", "star", "ribbed ball")
 """Bodies that lie in a bauble."""
-
-Maker = Callable[[np.random.Generator], Thing]
 
 
 def _panes(rng: np.random.Generator) -> Thing:
@@ -247,11 +251,7 @@ def glass_case(*, of_glass: bool, rng: np.random.Generator) -> Thing:
     Args:
         of_glass: the body is glass; else it may be an opaque thing.
     """
-    if of_glass or rng.random() < 0.4:
-        kind = pick((*CONVEX, *NOT_CONVEX), rng=rng)
-        body = solid(kind, rng=rng)
-    else:
-        body = THINGS[pick(tuple(THINGS), rng=rng)](rng)
+    body = BODY(rng) if of_glass or rng.random() < 0.4 else opaque_thing(rng)
     half, tall = body.reach + rng.uniform(0.006, 0.015), body.height + rng.uniform(0.008, 0.02)
     inside = tuple(dataclasses.replace(item, name=f"case_{item.name}") for item in body.objects)
     case = part("case", _box_of_panes(half, tall), pane_glass(0.3, rng=rng))
@@ -282,7 +282,7 @@ PANES: dict[str, Maker] = {
 """Panes for a table."""
 
 
-def enclosed(*, rng: np.random.Generator) -> Thing:
+def enclosed(rng: np.random.Generator) -> Thing:
     """A body of glass with thin glass around it."""
     return glass_case(of_glass=True, rng=rng) if rng.random() < 0.5 else bauble(is_empty=False, rng=rng)
 
@@ -312,63 +312,62 @@ class Family:
     """The things of one scene, not placed yet; all random numbers come from the generator."""
     stands_on: Mapping[Support, float]
     """What the things stand on, and how often."""
+    has_lamps: bool = False
+    """Whether lamps light the things, instead of a sky."""
 
 
-def _object(rng: np.random.Generator) -> list[Thing]:
-    """One object, as large as a melon: a convex body, one that is not, several media, or one in thin glass."""
-    kind = weigh({"convex": 0.3, "not convex": 0.3, "media": 0.3, "thin": 0.1}, rng=rng)
-    if kind == "convex":
-        thing = solid(pick(tuple(CONVEX), rng=rng), rng=rng)
-    elif kind == "not convex":
-        names = (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")
-        name = pick(names, rng=rng)
-        thing = empty_vessel(name, rng=rng) if name in VESSELS else solid(name, rng=rng)
-    elif kind == "thin":
-        thing = enclosed(rng=rng)
-    else:
-        thing = _several_media(rng)
-    return [enlarged(thing, rng.uniform(1.6, 2.0))]
+def _one_of(make: Callable[..., Thing], kinds: Iterable[str]) -> Maker:
+    """Makes a thing of one of these kinds."""
+    return lambda rng: make(pick(tuple(kinds), rng=rng), rng=rng)
 
 
-def _table(rng: np.random.Generator) -> list[Thing]:
-    """Three to six glass things and two to four opaque ones."""
-    things = []
-    for _ in range(int(rng.integers(3, 7))):
-        match weigh({"vessel": 0.26, "drink": 0.26, "solid": 0.34, "thin": 0.14}, rng=rng):
-            case "vessel":
-                thing = empty_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
-            case "drink":
-                thing = filled_vessel(pick([name for name in VESSELS if name != "tank"], rng=rng), rng=rng)
-            case "thin":
-                thing = PANES[pick(tuple(PANES), rng=rng)](rng)
-            case _:
-                thing = solid(pick((*CONVEX, *NOT_CONVEX), rng=rng), rng=rng)
-        things.append(enlarged(thing, rng.uniform(1.3, 1.5)))
-    return [*things, *_opaque(int(rng.integers(2, 5)), rng)]
+def _vessel_or_solid(kind: str, *, rng: np.random.Generator) -> Thing:
+    return (empty_vessel if kind in VESSELS else solid)(kind, rng=rng)
 
 
-def _nested(rng: np.random.Generator) -> list[Thing]:
-    """One to three things of several media, and an opaque one or two."""
-    things = [enlarged(_several_media(rng), rng.uniform(1.4, 1.7)) for _ in range(int(rng.integers(1, 4)))]
-    return [*things, *_opaque(int(rng.integers(1, 3)), rng)]
+def _frosted(kind: str, *, rng: np.random.Generator) -> Thing:
+    """A vessel or a body of frosted or tinted glass."""
+    thing = _vessel_or_solid(kind, rng=rng)
+    glass = solid_glass(0.012 if kind in VESSELS else 0.05, rng=rng, kinds={"tinted": 0.5, "frosted": 0.5})
+    return dataclasses.replace(thing, objects=(dataclasses.replace(thing.objects[0], material=glass),))
 
 
-def _several_media(rng: np.random.Generator) -> Thing:
-    match weigh({"drink": 0.5, "paperweight": 0.26, "onion": 0.12, "enclosed": 0.12}, rng=rng):
-        case "drink":
-            return filled_vessel(pick(tuple(VESSELS), rng=rng), rng=rng)
-        case "paperweight":
-            return paperweight(rng=rng)
-        case "enclosed":
-            return enclosed(rng=rng)
-        case _:
-            return onion(rng=rng)
+def _group(
+    makers: Mapping[Maker, float],
+    count: tuple[int, int],
+    *,
+    opaque: tuple[int, int] = (1, 3),
+    size: tuple[float, float] = (1.3, 1.6),
+) -> Callable[[np.random.Generator], list[Thing]]:
+    """Draws things of glass, so many times enlarged, and opaque ones; of both at least and fewer than so many."""
+
+    def draw(rng: np.random.Generator) -> list[Thing]:
+        glass = [enlarged(weigh(makers, rng=rng)(rng), rng.uniform(*size)) for _ in range(rng.integers(*count))]
+        rest = range(rng.integers(*opaque))
+        return [*glass, *(enlarged(opaque_thing(rng), rng.uniform(1.0, 1.4)) for _ in rest)]
+
+    return draw
 
 
-def _opaque(count: int, rng: np.random.Generator) -> list[Thing]:
-    return [enlarged(THINGS[pick(tuple(THINGS), rng=rng)](rng), rng.uniform(1.0, 1.4)) for _ in range(count)]
+PORTABLE = tuple(name for name in VESSELS if name != "tank")
+"""Vessels for a table."""
+VESSEL, DRINK, BODY = _one_of(empty_vessel, PORTABLE), _one_of(filled_vessel, PORTABLE), _one_of(solid, BODIES)
+SEVERAL_MEDIA = {_one_of(filled_vessel, VESSELS): 0.5, paperweight: 0.26, onion: 0.12, enclosed: 0.12}
+ONE = {
+    _one_of(solid, CONVEX): 0.3,
+    _one_of(_vessel_or_solid, (*NOT_CONVEX, "tumbler", "cut tumbler", "wine glass", "bottle", "jar")): 0.3,
+    lambda rng: weigh(SEVERAL_MEDIA, rng=rng)(rng): 0.3,
+    enclosed: 0.1,
+}
+"""A convex body, one that is not, several media, or one in thin glass."""
+MIXED = {VESSEL: 0.26, DRINK: 0.26, BODY: 0.34, lambda rng: PANES[pick(tuple(PANES), rng=rng)](rng): 0.14}
+TABLE_OR_FLOOR: dict[Support, float] = {"table": 0.6, "floor": 0.4}
 
-
-OBJECT = Family(draw=_object, stands_on={"floor": 0.5, "plinth": 0.5})
-TABLE = Family(draw=_table, stands_on={"table": 1.0})
-NESTED = Family(draw=_nested, stands_on={"table": 0.6, "floor": 0.4})
+OBJECT = Family(draw=_group(ONE, (1, 2), opaque=(0, 1), size=(1.6, 2.0)), stands_on={"floor": 0.5, "plinth": 0.5})
+"""A single thing, as large as a melon."""
+TABLE = Family(draw=_group(MIXED, (3, 7), opaque=(2, 5), size=(1.3, 1.5)), stands_on={"table": 1.0})
+NESTED = Family(draw=_group(SEVERAL_MEDIA, (1, 4), size=(1.4, 1.7)), stands_on=TABLE_OR_FLOOR)
+SOLID = Family(draw=_group({BODY: 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
+DRINKS = Family(draw=_group({DRINK: 1.0}, (2, 4)), stands_on=TABLE_OR_FLOOR, has_lamps=True)
+FROSTED = Family(draw=_group({_one_of(_frosted, (*PORTABLE, *BODIES)): 1.0}, (2, 5)), stands_on=TABLE_OR_FLOOR)
+LAMPS = Family(draw=_group(MIXED, (2, 5)), stands_on=TABLE_OR_FLOOR, has_lamps=True)

@@ -14,18 +14,19 @@ if TYPE_CHECKING:
     from datagen.scene.description import Scene
     from datagen.scene.finding import ImportChoices
 
+TURNS = "object", "table", "nested"
+"""Families that seeds take turns among by default; more of them would change what a seed draws."""
 FAMILIES: Group = Group(
     name="hyaline.random_families",
     what="family",
     built_in={
-        "object": "hyaline_random.families:OBJECT",
-        "table": "hyaline_random.families:TABLE",
-        "nested": "hyaline_random.families:NESTED",
+        name: f"hyaline_random.families:{name.upper()}" for name in (*TURNS, "solid", "drinks", "frosted", "lamps")
     },
     guide="docs/adding-a-random-family.md",
     kind="hyaline_random.families:Family",
 )
-"""A single glass object before a background, glass and other things on a table, and media inside of each other."""
+"""A single glass object before a background, glass and other things on a table, media inside of each other; bodies,
+drinks under lamps, frosted or tinted glass, and a table under lamps."""
 
 RANDOM = "random"
 """What `datagen build --scene` takes for a scene that --seed draws."""
@@ -39,7 +40,7 @@ class RandomName:
 
     seed: int
     chosen: str | None = None
-    """The family that was asked for; by default the seeds take turns among those built in."""
+    """The family that was asked for; by default the seeds take turns among `TURNS`."""
 
     def __post_init__(self) -> None:
         if self.chosen is not None:
@@ -50,7 +51,7 @@ class RandomName:
     @property
     def family(self) -> str:
         """The family that is drawn from: seed 0 an object, 1 a table, 2 nested media, and so on."""
-        return self.chosen or tuple(FAMILIES.built_in)[self.seed % len(FAMILIES.built_in)]
+        return self.chosen or TURNS[self.seed % len(TURNS)]
 
     def __str__(self) -> str:
         """The name of the scene, and of its dataset."""

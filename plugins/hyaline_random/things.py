@@ -197,14 +197,7 @@ def _wire(rng: np.random.Generator) -> Thing:
     return _one("knot", turned(mesh, (1, 0, 0), pick((0.0, 90.0), rng=rng)), rng)
 
 
-THINGS: dict[str, Maker] = {
-    "books": _books,
-    "pot": _pot,
-    "fruit": _fruit,
-    "block": _block,
-    "can": _can,
-    "wire": _wire,
-}
+THINGS: dict[str, Maker] = {"books": _books, "pot": _pot, "fruit": _fruit, "block": _block, "can": _can, "wire": _wire}
 
 
 def _one(name: str, mesh: Mesh, rng: np.random.Generator) -> Thing:

@@ -23,7 +23,7 @@ from hyaline_bench.score import read_scored
 @pytest.fixture
 def here(made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, small_protocol: Protocol) -> Path:
     """A folder with a dataset, split into both."""
-    shutil.copytree(made / "data" / "random-7100-tiny", tmp_path / "secret")
+    shutil.copytree(made / "data" / "random-nested-7100-tiny", tmp_path / "secret")
     monkeypatch.chdir(tmp_path)
     run("hyaline-bench hide secret --scene hidden-1")
     return tmp_path
@@ -36,9 +36,9 @@ def test_the_published_dataset_is_that_of_the_verifier_without_test_pictures_col
     published, kept = tree(here / "public/hidden-1-tiny"), tree(here / "truth/hidden-1-tiny")
     assert published.items() < kept.items()
     withheld = sorted(set(kept) - set(published))
-    secret_file = r"(images|records)/(interpolating|extrapolating)"
+    secret_file = r"(images|records)/(interpolating|extrapolating)|variants/no-glass/edit-masks/"
     assert all(re.match(secret_file, path) for path in withheld)
-    assert len(withheld) == 3 * 4  # PNG, EXR and record of each view.
+    assert len(withheld) == 3 * 4 + 5  # PNG, EXR and record of each view; the masks of where light meets glass.
     pictures = {sha256(data) for path, data in tree(here / "secret").items() if re.match(secret_file, path)}
     assert pictures.isdisjoint(map(sha256, published.values()))
     for split in ("interpolating", "extrapolating"):
@@ -72,12 +72,12 @@ def test_scenes_without_truth_are_left_out_and_the_others_scored(
     run("hyaline-bench floors --preset tiny")
     answer = call("hyaline-bench score mean-picture --preset tiny")
     assert answer.status == 0 and "left out: hidden-1: a verifier keeps the truth" in answer.err
-    assert set(read_scored(Path("bench/tiny/scores/mean-picture.json")).scenes) == {"synthetic", "random-7100"}
+    assert set(read_scored(Path("bench/tiny/scores/mean-picture.json")).scenes) == {"synthetic", "random-nested-7100"}
     # Beside what is published, the truth counts, whatever the folders are called.
     shutil.copytree("truth/hidden-1-tiny", "data/a-hidden-1-tiny")
     run("hyaline-bench score mean-picture --preset tiny")
     scenes = read_scored(Path("bench/tiny/scores/mean-picture.json")).scenes
-    assert set(scenes) == {"synthetic", "random-7100", "hidden-1"}
+    assert set(scenes) == {"synthetic", "random-nested-7100", "hidden-1"}
 
 
 def test_no_command_makes_the_test_views_of_a_published_scene(here: Path) -> None:
@@ -122,11 +122,13 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
     assert Path("secret.txt").stat().st_mode & 0o777 == 0o600 and re.fullmatch("[0-9a-f]{64}", text)
     assert answer.out.startswith(f"# commitment: {sha256(text.encode())}\n")
     assert call("hyaline-bench secret secret.txt --preset tiny") == answer
-    seeds = [int(seed) for seed in re.findall(r"datagen build random-(\d+) --preset tiny", answer.out)]
-    assert [seed % 3 for seed in seeds] == [0, 1]
+    built = re.findall(r"datagen build random-(\w+)-(\d+) --preset tiny", answer.out)
+    families, seeds = [family for family, _ in built], [int(seed) for _, seed in built]
+    assert families == ["nested", "table"]
     assert seeds == [hidden_seed(text, place, small_protocol) for place in (0, 1)]
     assert not set(seeds) & {hidden_seed("f" * 64, place, small_protocol) for place in (0, 1)}
-    assert "hyaline-bench hide secret/hidden-1-tiny --scene hidden-1" in answer.out
+    lines = "datagen add secret/hidden-1-tiny --edit no-glass\nhyaline-bench hide secret/hidden-1-tiny --scene hidden-1"
+    assert lines in answer.out
     Path("short.txt").write_text("glass")
     assert (
         "short.txt: has 5 characters; expected a secret of 64"
@@ -135,13 +137,14 @@ def test_a_secret_is_drawn_once_and_names_the_scenes(
 
 
 def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
-    same_size = write_synthetic_dataset(here / "same size", scene_name="random-7103", sees_nothing=True)
+    same_size = write_synthetic_dataset(here / "same size", scene_name="random-nested-7103", sees_nothing=True)
+    shutil.copytree("secret/variants/no-glass", same_size.root / "variants/no-glass")
     before = tree(here)
     for line, message in (
-        ("hyaline-bench hide secret --scene random-7100", "no scene 'random-7100'"),
+        ("hyaline-bench hide secret --scene random-nested-7100", "no scene 'random-nested-7100'"),
         (
             f"hyaline-bench hide {other.root} --scene hidden-0",
-            "8 + 2 times 2 views, seed 0; `hyaline-",
+            "differs from the protocol's tiny (train is 8 views",
         ),
         (
             f"hyaline-bench hide '{same_size.root}' --scene hidden-1",
