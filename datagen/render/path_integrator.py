@@ -208,15 +208,13 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         bsdf_weight *= _gain(tables, bsdf, surface, bsdf_sample.wo, bsdf_weight)
 
         # Glass reflects or refracts. Where its surface vanishes, both media are the same and nothing is reflected.
-        samples = sample1, sample2
-        is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, surface, vanishes, samples)
+        is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, surface, vanishes, (sample1, sample2))
         goes_in = dr.select(vanishes, dr.dot(ray.d, si.n) < 0, glass_wo.z < 0)
         solids = dr.select(is_glass & ~is_reflected, dr.select(goes_in, with_it, without_it), solids)
 
         # The next segment; a path that has ended keeps its last. Radiance is scaled as its solid angle is squeezed.
         throughput *= dr.select(active, dr.select(is_glass, glass_share, bsdf_weight), 1)
-        to_world = si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo))
-        d = dr.select(vanishes, ray.d, to_world)
+        d = dr.select(vanishes, ray.d, si.to_world(dr.select(is_glass, glass_wo, bsdf_sample.wo)))
         ray = dr.select(active, mi.Ray3f(start_off(si, offset, d), d), ray)
         previous = mi.Interaction3f(si)
         _, previous_pdf = _scattered_by_glass(tables, si, eta, glass_wo, surface, (bsdf_weight, bsdf_sample.pdf))

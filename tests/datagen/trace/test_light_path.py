@@ -150,7 +150,7 @@ def test_thin_panes_tint_and_do_not_bend_and_metals_mirror_with_their_colour() -
     assert bare.end_throughput[1, 0] == pytest.approx(gold.color, rel=1e-5)
     assert not bare.has_left[0, 0]
     coated = traced((wide(0), Plastic(color=(0.5, 0.5, 0.5), ior=1.5)), origins=(0, 0, 2), directions=(0, 0.0, -1))
-    assert coated.end_throughput[1, 0] == pytest.approx([0.04] * 3, rel=1e-3)
+    assert coated.end_throughput[1, 0] == pytest.approx([0.04] * 3, rel=2e-3)
     matte = traced((wide(0), GREY), origins=(0, 0, 2), directions=(0, 0.0, -1))
     assert not matte.has_left.any()
     assert not matte.object_id[1].any()

@@ -82,7 +82,9 @@ def kept_by(material: Material) -> tuple[float, float]:
     use_mitsuba()
     cameras = camera_at((0.3, -3.0, 0.4), fov_x=0.22, size=12)
     scene = scene_of(SceneObject(name="ball", mesh=BALL, material=material))
-    truth = render_view(Renderer(scene, max_depth=64), cameras, 0, spp=512, view_seed=0, ceiling_db=None).radiance
+    renderer = Renderer(scene, max_depth=64)
+    renderer._tracer.aims = True  # Light is aimed at and run into: both must count as much.
+    truth = render_view(renderer, cameras, 0, spp=512, view_seed=0, ceiling_db=None).radiance
     origin, directions = cameras[0].rays()
     rays = np.tile(directions.reshape(-1, 3), (400, 1))
     limits = Limits(max_branches=24, max_depth=64, min_throughput=1e-4)
