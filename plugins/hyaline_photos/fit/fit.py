@@ -129,8 +129,9 @@ class FitFolder:
 def refuse_losing(dataset: Dataset, geometry: str, unknown: tuple[int, ...]) -> None:
     """Refuses a fit whose geometry would lose glass that another fit has found."""
     own = (read_assignment(dataset, geometry) or ()) if geometry in list_geometries(dataset) else ()
-    found = {place: item.name for place, (item, by) in enumerate(zip(dataset.objects, own), start=1) if by == FITTED}
-    if lost := [name for place, name in found.items() if place not in unknown]:
+    # What `datagen capture` keeps free for a drink belongs to its vessel.
+    mine = {dataset.objects[place - 1].name + part for place in unknown for part in ("", DRINK)}
+    if lost := [item.name for item, by in zip(dataset.objects, own) if by == FITTED and item.name not in mine]:
         raise HyalineError(
             f"{geometry_root(dataset.root, geometry)}: holds a fit of {', '.join(lost)}, too; replace it with "
             "--overwrite, or choose another --name"

@@ -19,8 +19,11 @@ from datagen.builder.verify import verify_dataset
 from datagen.data.cameras import Cameras, Lens, look_at
 from datagen.data.config import SPLITS
 from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.geometries import read_meshes
 from datagen.data.images import mask_pixels
 from datagen.data.meshes import is_there, signed_volume
+from datagen.data.paths import TRUTH
+from datagen.disk.errors import HyalineError
 from datagen.scene.folder import open_scene
 from datagen.scene.rig import towards
 from hyaline_photos.capture.folder import _place_others, find_masks, read_mask
@@ -28,6 +31,9 @@ from hyaline_photos.capture.lenses import TakenLens, redrawn, redrawn_mask, shar
 from hyaline_photos.capture.planes import Rectangle, find_up
 from hyaline_photos.capture.room import Outline, Pane, fit_room
 from hyaline_photos.commands import CaptureChoices
+from hyaline_photos.fit.fit import refuse_losing
+from hyaline_photos.fit.found import FoundGlass, write_geometry
+from hyaline_photos.fit.shapes import OUTSIDE, Axis, Revolution, evenly
 
 SIDE = 48
 FOV = 0.6
@@ -191,6 +197,19 @@ def test_a_stand_in_is_where_the_masks_of_an_object_meet(captured: Dataset) -> N
     glass = [item.name for item in captured.objects if item.is_glass]
     assert glass == ["ball", "wine_glass__1_", "ball_drink", "wine_glass__1__drink"]
     assert not any(is_there(meshes[name]) for name in glass[2:])
+
+
+def test_a_fit_replaces_its_own_drink_but_no_other_glass(captured: Dataset, tmp_path: Path) -> None:
+    copy = open_dataset(Path(shutil.copytree(captured.root, tmp_path / "copy")))
+    ball, drink = copy.object_id("ball"), copy.object_id("ball_drink")
+    side = evenly(np.array([(0, 0), (0.1, 0), (0.1, 0.2)]), OUTSIDE)
+    axis = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
+    full = Revolution(axis=axis, outside=side).hollowed(0.1, 0.1, 0.3).having(level=0.1)
+    found = {ball: FoundGlass(glass=full, unexplained=0.0, drink_id=drink)}
+    write_geometry(copy, "fitted", read_meshes(copy, TRUTH), {}, found)
+    refuse_losing(copy, "fitted", (ball,))
+    with pytest.raises(HyalineError, match="holds a fit of ball, ball_drink, too"):
+        refuse_losing(copy, "fitted", (copy.object_id("wine_glass__1_"),))
 
 
 def test_it_is_whole_and_can_be_peeled(captured: Dataset) -> None:
