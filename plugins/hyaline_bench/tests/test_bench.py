@@ -64,6 +64,9 @@ def psnr(one: np.ndarray, other: np.ndarray) -> float:
 def test_floors_are_scored_and_shown(predicted: Path, small_protocol: Protocol) -> None:
     answer = call("hyaline-bench score --preset tiny")
     assert answer.status == 0 and "glass dB of each scene" in answer.out
+    assert (
+        "synthetic: is not the protocol's dataset 0123456789ab, so" in answer.err and "random-nested" not in answer.err
+    )
     scored = read_scored(SCORES)
     assert (scored.track, scored.preset, len(scored.scenes)) == ("pictures", "tiny", 2)
     for name, scene in scored.scenes.items():
