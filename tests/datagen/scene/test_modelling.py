@@ -100,6 +100,15 @@ def test_walled_vessel_has_the_wall_that_was_asked_for_and_a_floor(wall: float) 
     np.testing.assert_array_equal(outline[[0, -1], 0], 0)
 
 
+def test_a_long_wall_between_round_corners_has_the_normals_of_a_straight_one() -> None:
+    mesh = lathe(walled(filleted([(0, 0, 0), (0.033, 0, 0.006), (0.038, 0.1, 0)]), wall=0.003, floor=0.011))
+    inside = (0.035 < mesh.vertices[mesh.faces][..., 2].max(axis=1)) & (
+        mesh.vertices[mesh.faces][..., 2].min(axis=1) < 0.08
+    )
+    slope = np.degrees(np.arcsin(np.abs(mesh.normals[mesh.faces[inside]][..., 2])))
+    assert inside.sum() == 4 * 96 and slope == pytest.approx(np.degrees(np.arctan(0.005 / 0.1)), abs=0.02)
+
+
 @pytest.mark.parametrize(("level", "reach"), [(0.03, 0.001), (0.08, 0.0015)])
 def test_a_drink_reaches_into_the_wall_and_no_farther(level: float, reach: float) -> None:
     outer, wall, floor = filleted(TUMBLER), 0.003, 0.011
