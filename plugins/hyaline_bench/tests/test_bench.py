@@ -254,12 +254,7 @@ def run_with(made: Path, *, seal: str | None, **known: Any) -> Run:
     ],
 )
 def test_a_run_belongs_to_the_first_track_that_may_be_told_as_much(
-    made: Path,
-    small_protocol: Protocol,
-    geometry: str,
-    uses_materials: bool,
-    told: tuple[str, ...] | None,
-    track: str,
+    made: Path, small_protocol: Protocol, geometry: str, uses_materials: bool, told: tuple[str, ...] | None, track: str
 ) -> None:
     known = {"geometry": geometry, "uses_materials": uses_materials, "told": told}
     found, of_any = (run_with(made, seal=seal, **known) for seal in ("of model train", None))
