@@ -33,8 +33,8 @@ class BuildChoices:
     overwrite: bool = False
     """Replace an existing dataset that has other settings."""
     family: str | None = None
-    """For random scenes: object (a single object), table (glassware among other objects), nested (one medium inside
-    another), or a family of an installed package. Default: the seed cycles through these three."""
+    """For random scenes: object, table (glassware among other objects), nested (one medium inside another), solid,
+    drinks, frosted, lamps, or a family of an installed package. Default: the seed cycles through the first three."""
     count: int | None = None
     """For random scenes: build this many datasets, with --seed and the seeds that follow. One that fails is reported
     and does not stop the others."""

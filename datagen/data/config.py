@@ -139,12 +139,7 @@ class DatasetConfig:
         """As many views in each split: for pictures and cameras that no preset describes."""
         split = SplitConfig(views=views, spp=spp)
         return cls(
-            scene=scene,
-            preset="even",
-            resolution=resolution,
-            train=split,
-            interpolating=split,
-            extrapolating=split,
+            scene=scene, preset="even", resolution=resolution, train=split, interpolating=split, extrapolating=split
         )
 
     def split(self, split: Split) -> SplitConfig:

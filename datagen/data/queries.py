@@ -5,15 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float, Float64, Int
 
-from datagen.data.meshes import (
-    Mesh,
-    SurfacePoints,
-    component_of_faces,
-    face_corners,
-    normals_of,
-    open_edges,
-    points_on,
-)
+from datagen.data.meshes import Mesh, SurfacePoints, component_of_faces, face_corners, normals_of, open_edges, points_on
 from datagen.disk.errors import HyalineError
 
 NUM_POINTS = 1024

@@ -15,15 +15,7 @@ from datagen.data.transforms import refuse_other_lens
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import checked
 from datagen.disk.storage import check_relative, find_file, read_regular
-from datagen.scene.materials import (
-    Color,
-    ImageTexture,
-    Material,
-    Vector,
-    as_vector,
-    check_positive,
-    check_range,
-)
+from datagen.scene.materials import Color, ImageTexture, Material, Vector, as_vector, check_positive, check_range
 
 OBJECT_NAME = r"[A-Za-z0-9_][A-Za-z0-9_-]*"
 MAX_OBJECTS = 255

@@ -231,10 +231,7 @@ def score_runs(runs: Mapping[str, Run], protocol: Protocol, *, preset: str, trac
         raise HyalineError(f"{', '.join(withheld)}: a verifier keeps their truth; send the runs to the verifier")
     for scene, run in runs.items():
         if run.dataset.seal != (fixed := protocol.digests.get(preset, {}).get(scene, run.dataset.seal)):
-            say(
-                f"{scene}: dataset {run.dataset.seal[:12]} is not the protocol's {fixed[:12]}; another version of "
-                "hyaline or another processor made it, so its scores belong into no table with others"
-            )
+            say(f"{scene}: is not the protocol's dataset {fixed[:12]}, so its scores belong into no table with others")
     parts = {scene: list_parts(run, protocol) for scene, run in runs.items()}
     asked = [part for of_scene in parts.values() for part in of_scene]
     pictures = [dump_json([run.dataset.seal, split, *prediction_digests(run, split)]) for run, split, _ in asked]

@@ -29,7 +29,8 @@ tiny = { resolution = 32, train = { views = 8, spp = 4 }, test = { views = 2, sp
 demo = { resolution = 64, train = { views = 8, spp = 4 }, test = { views = 2, spp = 4 } }
 [scenes]
 synthetic = ["remove:pane"]
-[digests]
+[digests.tiny]
+synthetic = "0123456789abcdef"
 [random]
 families = ["nested", "table"]
 first_seed = 7100

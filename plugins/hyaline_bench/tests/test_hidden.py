@@ -142,10 +142,7 @@ def test_what_cannot_be_hidden_is_refused(here: Path, other: Dataset) -> None:
     before = tree(here)
     for line, message in (
         ("hyaline-bench hide secret --scene random-nested-7100", "no scene 'random-nested-7100'"),
-        (
-            f"hyaline-bench hide {other.root} --scene hidden-0",
-            "differs from the protocol's tiny (train is 8 views",
-        ),
+        (f"hyaline-bench hide {other.root} --scene hidden-0", "differs from the protocol's tiny (train is 8 views"),
         (
             f"hyaline-bench hide '{same_size.root}' --scene hidden-1",
             "hidden-1-tiny: holds another scene; choose another",

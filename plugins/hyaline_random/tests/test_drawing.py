@@ -20,55 +20,70 @@ from datagen.scene.folder import scene_files
 from datagen.scene.modelling import moved
 from datagen.scene.rig import make_cameras
 from datagen.scene.soundness import check_scene
+from hyaline_random.backdrop import _lamps
 from hyaline_random.drawing import Drawn, check_inside, draw_scene, glass_shares
 from hyaline_random.families import PANES, filled_vessel
-from hyaline_random.names import FAMILIES, RandomName, parse_random
+from hyaline_random.names import RandomName, parse_random
 from hyaline_random.things import Thing
 
-SEEDS = (0, 1, *(pytest.param(seed, marks=pytest.mark.full) for seed in (2, 3, 4, 5)))
+OTHERS = "random-0002", "random-0003", "random-0004", "random-solid-0005", "random-frosted-0006", "random-lamps-0007"
+NAMES = ("random-0000", "random-drinks-0001", *(pytest.param(name, marks=pytest.mark.full) for name in OTHERS))
 """One of each family, and once more."""
 
 
 @functools.cache
-def drawn(seed: int) -> Drawn:
-    return draw_scene(RandomName(seed=seed))
+def drawn(name: str) -> Drawn:
+    found = parse_random(name)
+    assert found is not None
+    return draw_scene(found)
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_a_seed_draws_a_scene_that_passes_every_check(seed: int) -> None:
-    scene = drawn(seed).scene
+@pytest.mark.parametrize("name", NAMES)
+def test_a_seed_draws_a_scene_that_passes_every_check(name: str) -> None:
+    scene, seed = drawn(name).scene, int(name[-4:])
     check_scene(scene)
-    assert scene.name == f"random-{seed:04d}"
-    assert 0.05 <= drawn(seed).glass_share <= 0.40
-    assert f"family {tuple(FAMILIES.built_in)[seed % 3]}, seed {seed}: " in scene.description
+    assert scene.name == name
+    assert 0.05 <= drawn(name).glass_share <= 0.40
+    family = name.split("-")[1] if name.count("-") == 2 else ("object", "table", "nested")[seed % 3]
+    assert f"family {family}, seed {seed}: " in scene.description
     assert any(item.material.is_glass for item in scene.objects)
+    assert bool(scene.lights) == (family in ("drinks", "lamps"))
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_things_stand_a_centimetre_apart_and_a_slit_above_the_ground(seed: int) -> None:
+def test_lamps_face_the_things_from_above_all_sight() -> None:
+    for light in (light for seed in range(4) for light in _lamps(0.5, np.random.default_rng(seed))):
+        corner, u, v = map(np.array, (light.corner, light.edge_u, light.edge_v))
+        facing, middle = np.cross(u, v), corner + (u + v) / 2
+        assert -facing @ middle == pytest.approx(np.linalg.norm(facing) * np.linalg.norm(middle), rel=1e-3)
+        assert min(corner[2], (corner + u + v)[2]) > 0.5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_things_stand_a_centimetre_apart_and_a_slit_above_the_ground(name: str) -> None:
     clouds = [
-        np.concatenate([points_on(item.mesh, 4000).position for item in thing.objects]) for thing in drawn(seed).things
+        np.concatenate([points_on(item.mesh, 4000).position for item in thing.objects]) for thing in drawn(name).things
     ]
     for one, other in combinations(clouds, 2):
         assert KDTree(one).query(other)[0].min() > 0.01
-    things = drawn(seed).things
+    things = drawn(name).things
     for thing in things:
         assert min(item.mesh.vertices[:, 2].min() for item in thing.objects) == pytest.approx(0, abs=1e-6)
-    stood_on = drawn(seed).scene.objects[sum(len(thing.objects) for thing in things) :]
+    stood_on = drawn(name).scene.objects[sum(len(thing.objects) for thing in things) :]
     tops = [float(item.mesh.vertices[:, 2].max()) for item in stood_on]
     assert max(top for top in tops if top < 0) == pytest.approx(-0.001, abs=1e-6)
 
 
 def test_the_same_seed_draws_the_same_bytes_and_another_one_others() -> None:
-    assert scene_files(draw_scene(RandomName(seed=2)).scene) == scene_files(drawn(2).scene)
-    assert scene_files(drawn(1).scene)["scene.json"] != scene_files(drawn(2).scene)["scene.json"]
+    again, other = draw_scene(RandomName(seed=2)).scene, drawn("random-0000").scene
+    assert scene_files(again) == scene_files(drawn("random-0002").scene)
+    assert scene_files(again)["scene.json"] != scene_files(other)["scene.json"]
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_the_share_of_glass_is_what_an_independent_tracer_sees(seed: int) -> None:
-    scene = drawn(seed).scene
+@pytest.mark.parametrize("name", ["random-0000", "random-0002"])
+def test_the_share_of_glass_is_what_an_independent_tracer_sees(name: str) -> None:
+    scene = drawn(name).scene
     cameras = make_cameras(scene.cameras, config(views=3, size=40))["train"]
-    things = tuple(item for thing in drawn(seed).things for item in thing.objects)
+    things = tuple(item for thing in drawn(name).things for item in thing.objects)
     counted = glass_shares(things, cameras)
     # All objects, the backdrop included, by Embree.
     meshes = [trimesh.Trimesh(item.mesh.vertices, item.mesh.faces, process=False) for item in scene.objects]

@@ -12,15 +12,7 @@ from support.soon import soon
 
 from datagen.disk.errors import HyalineError, printable
 from datagen.disk.records import commit_sealed, load_sealed
-from datagen.disk.storage import (
-    check_name,
-    check_relative,
-    commit,
-    commit_first,
-    find_file,
-    one_writer,
-    read_regular,
-)
+from datagen.disk.storage import check_name, check_relative, commit, commit_first, find_file, one_writer, read_regular
 from datagen.terminal.command import fail, say, tell
 
 EVIL = "a\x1b[2J\x1b]0;owned\x07\r\nerror: \u202eforged | <b> \\ [x](y) `z` & $1$"

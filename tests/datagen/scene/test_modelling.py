@@ -100,6 +100,13 @@ def test_walled_vessel_has_the_wall_that_was_asked_for_and_a_floor(wall: float) 
     np.testing.assert_array_equal(outline[[0, -1], 0], 0)
 
 
+def test_a_long_wall_between_round_corners_has_the_normals_of_a_straight_one() -> None:
+    mesh = lathe(walled(filleted([(0, 0, 0), (0.033, 0, 0.006), (0.038, 0.1, 0)]), wall=0.003, floor=0.011))
+    low, high = (bound(mesh.vertices[mesh.faces][..., 2], axis=1) for bound in (np.min, np.max))
+    rise = np.abs(mesh.normals[mesh.faces[(low < 0.08) & (high > 0.035)]][..., 2])
+    assert rise.shape == (384, 3) and rise == pytest.approx(np.sin(np.arctan(0.05)), abs=3e-4)
+
+
 @pytest.mark.parametrize(("level", "reach"), [(0.03, 0.001), (0.08, 0.0015)])
 def test_a_drink_reaches_into_the_wall_and_no_farther(level: float, reach: float) -> None:
     outer, wall, floor = filleted(TUMBLER), 0.003, 0.011

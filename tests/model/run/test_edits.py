@@ -31,12 +31,7 @@ from model.methods.light_path.config import LightPathConfig
 from model.methods.paper.config import PaperConfig
 from model.nets.texture import NeuralTextures, object_layout
 from model.run.predict import render_predictions, render_variant, with_copies
-from model.run.run_folder import (
-    TrainConfig,
-    is_drawn,
-    read_predictions,
-    write_predictions,
-)
+from model.run.run_folder import TrainConfig, is_drawn, read_predictions, write_predictions
 from model.run.train import train
 
 use_mitsuba()
