@@ -26,8 +26,9 @@ LEAST_VIEWS, LEAST_POINTS = 4, 100
 OUTLIER = 0.15
 """Difference of logarithms above which a colour does not count for the falloff."""
 ROUNDS = 40
-EQUAL = 0.025
-"""Standard deviation of the gains, and darkening of the corners, below which pictures are left as they are."""
+EQUAL = 0.05
+"""Spread of the gains, and darkening of the corners, below which pictures are left as they are. Gloss and wrong depths
+alone spread the gains of equally exposed pictures by 3 %."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,8 +46,8 @@ class Exposures:
         brightness, balance = self.gains.mean(axis=1), self.gains - self.gains.mean(axis=1, keepdims=True)
         low, high = np.exp([brightness.min(), brightness.max()])
         return (
-            f"exposure: pictures were {low:.2f} to {high:.2f} times as bright as in the mean (standard deviation "
-            f"{brightness.std():.1%}), channels differed by {balance.std():.1%}, corners were "
+            f"exposure: pictures were {low:.2f} to {high:.2f} times as bright as in the mean (spread "
+            f"{_spread(brightness):.1%}), channels differed by {balance.std():.1%}, corners were "
             f"{1 - np.exp(self.falloff):.1%} darker; corrected"
         )
 
@@ -101,8 +102,13 @@ def find_exposures(
         left = left[train] - gains[train, None]
         bend = np.broadcast_to(squares[train], left.shape)[inside := np.abs(left) < OUTLIER]
         falloff += float(np.cov(bend, left[inside])[0, 1] / bend.var())
-    is_equal = gains[train].std() < EQUAL and abs(falloff) < EQUAL
+    is_equal = _spread(gains[train]) < EQUAL and abs(falloff) < EQUAL
     return Exposures(gains=np.zeros_like(gains) if is_equal else gains, falloff=0.0 if is_equal else falloff)
+
+
+def _spread(gains: Float[np.ndarray, "*gain"]) -> float:
+    """What a standard deviation would be without outliers: a picture with wrong depths is no reason to change all."""
+    return 1.4826 * float(np.median(np.abs(gains)))
 
 
 def _radii(width: int, height: int) -> Float[np.ndarray, "h w"]:
