@@ -69,7 +69,7 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> int:
         folder: an empty folder, for runs.
     """
     net = METHODS.find(name)().usual(TRUTH)
-    optimisation = net.optimisation()
+    optimisation = net.optimisation().decided()
     inputs = open_inputs(net, dataset, TRUTH)
     settings = {item.name: getattr(optimisation, item.name) for item in dataclasses.fields(optimisation)}
     settings |= {"steps": STEPS, "batch": min(optimisation.batch, MOST_PIXELS)}

@@ -15,8 +15,11 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 
 FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "hidden", "texture-size")
-"""Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
+FREE_FLAGS += ("vgg-weights",)
+"""Runs of one line may differ in these: what they learn from and by, for how long, and how large they are."""
 
+LOSSES = {"none": " (L1 alone)", "random": " (L1, random VGG16)"}
+"""What tells runs without the paper's loss from others, by their weights of VGG16."""
 
 Published = tuple[float, float]
 """PSNR in dB, interpolating and extrapolating."""
@@ -73,6 +76,7 @@ SCORES = (
     *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
     Column(group="drop dB ↓"),
     *(Column(group="wrapped (authors' script)", split=split) for split in TEST_SPLITS),
+    Column(group="CPU min"),
 )
 """The columns of `score_cells`."""
 
@@ -120,6 +124,14 @@ def _variety(part: Sequence[Entry]) -> int:
 # Tables of them
 
 
+def loss_mark(group: SeedGroup) -> str:
+    """What follows the name of runs of the paper's methods that lack its loss; empty for others."""
+    record = group.first.record
+    terms = (record.config or {}).get("loss")
+    is_papers = record.method in ("paper", "mlp-first") and isinstance(terms, dict)
+    return LOSSES.get(str(terms.get("vgg_weights")), "") if is_papers else ""
+
+
 def spread_cell(value: Spread, decimals: int = 2) -> str:
     """`30.41 ± 0.12`, without spaces; the mean alone of one seed."""
     mean = format_number(value.mean, decimals)
@@ -139,7 +151,7 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     parts = find_entries(comparison, group_seeds(scene.runs))
     entries = [entry for part in parts for entry in part]
     rows = [
-        (line.title, group.name, str(len(group.runs)), *score_cells(group), cpu_minutes_cell(group), *_published(line))
+        (f"{line.title}{loss_mark(group)}", group.name, str(len(group.runs)), *score_cells(group), *_published(line))
         for line, group in entries
     ]
     empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
@@ -151,7 +163,6 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
             Column(group="run", is_number=False),
             Column(group="seeds"),
             *SCORES,
-            Column(group="CPU min"),
             *(Column(group="published (the paper)", split=split) for split in TEST_SPLITS),
         ),
         rows=tuple(rows),
@@ -159,17 +170,13 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     )
 
 
-def cpu_minutes_cell(group: SeedGroup) -> str:
-    """Processor minutes of training, where `model train --costs` counted them."""
-    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
-    return spread_cell(spread([None if seconds is None else seconds / 60 for seconds in costs]))
-
-
 def score_cells(group: SeedGroup) -> tuple[str, ...]:
-    """PSNR on both splits, their drop, the wrapped PSNR on both."""
+    """PSNR on both splits, their drop, the wrapped PSNR on both; CPU minutes, where `--costs` counted them."""
     near, far = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
     wrapped = (spread_cell(group.score("psnr_uint8_wrap_db", split)) for split in TEST_SPLITS)
-    return (near, far, spread_cell(group.drop_db), *wrapped)
+    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
+    minutes = spread([None if seconds is None else seconds / 60 for seconds in costs])
+    return (near, far, spread_cell(group.drop_db), *wrapped, spread_cell(minutes))
 
 
 def _published(line: Line) -> list[str]:
@@ -189,7 +196,7 @@ DEEP_VOXELS = (
     Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
 )
 BEST_NOTE = "paper-best: the paper's idea, tuned: more rays, textures and steps."
-LOSS_NOTE = "Unless a run's name says so, none of these has the paper's perceptual loss or its 200 passes."
+LOSS_NOTE = "L1 alone: without the paper's perceptual loss. Unless a run's name says so, none has its 200 passes."
 
 TABLE1 = comparison_table(
     Comparison(
@@ -233,8 +240,8 @@ SQUARE = comparison_table(
             Line(title="U-Net, first layer (DNR)", method="dnr", published=DNR),
             Line(title="U-Net, all layers", method="dnr-layers"),
             Line(title="per pixel, first layer", method="mlp-first"),
-            dataclasses.replace(OURS, title="per pixel, all layers (paper)"),
-            dataclasses.replace(BEST, title="per pixel, all layers (paper-best)"),
+            dataclasses.replace(OURS, title="per pixel, all layers"),
+            dataclasses.replace(BEST, title="per pixel, all layers, tuned"),
         ),
         notes=(LOSS_NOTE, BEST_NOTE),
     )
