@@ -128,8 +128,9 @@ def loss_mark(group: SeedGroup) -> str:
     """What follows the name of runs of the paper's methods that lack its loss; empty for others."""
     record = group.first.record
     terms = (record.config or {}).get("loss")
-    is_papers = record.method in ("paper", "mlp-first") and isinstance(terms, dict)
-    return LOSSES.get(str(terms.get("vgg_weights")), "") if is_papers else ""
+    if record.method not in ("paper", "mlp-first") or not isinstance(terms, dict):
+        return ""
+    return LOSSES.get(str(terms.get("vgg_weights")), "")
 
 
 def spread_cell(value: Spread, decimals: int = 2) -> str:
