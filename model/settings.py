@@ -7,7 +7,7 @@ import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
@@ -220,12 +220,6 @@ class LossConfig:
                 "perceptual: there is no network to compare with; give --vgg-weights imagenet, random or a path"
             )
 
-    def decided(self) -> Self:
-        """The same with weights `auto` replaced by what they mean on this machine, so that records tell."""
-        if self.vgg_weights != "auto":
-            return self
-        return dataclasses.replace(self, vgg_weights="imagenet" if vgg_path("imagenet").is_file() else NO_VGG)
-
     @property
     def has_vgg(self) -> bool:
         """True when there is a perceptual loss."""
@@ -282,10 +276,6 @@ class Optimisation:
         if self.optimizer == "muon" and self.weight_decay:
             raise HyalineError("optimizer: is muon, which has no weight decay here; use adam")
 
-    def decided(self) -> Self:
-        """The same without a choice that depends on the machine."""
-        return self
-
 
 @dataclass(frozen=True, kw_only=True)
 class PixelOptimisation(Optimisation):
@@ -293,8 +283,13 @@ class PixelOptimisation(Optimisation):
 
     loss: LossConfig = field(default_factory=LossConfig)
 
-    def decided(self) -> Self:
-        return dataclasses.replace(self, loss=self.loss.decided())
+
+def decided(optimisation: Optimisation) -> Optimisation:
+    """The same with weights `auto` replaced by what they mean on this machine, so that records tell."""
+    if not isinstance(optimisation, PixelOptimisation) or optimisation.loss.vgg_weights != "auto":
+        return optimisation
+    weights = "imagenet" if vgg_path("imagenet").is_file() else NO_VGG
+    return dataclasses.replace(optimisation, loss=dataclasses.replace(optimisation.loss, vgg_weights=weights))
 
 
 def decay(kind: LrDecay, progress: float) -> float:

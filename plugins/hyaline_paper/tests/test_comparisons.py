@@ -12,8 +12,8 @@ from support.commands import call, run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split, square
-from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
@@ -198,8 +198,7 @@ def test_methods_are_told_by_their_records_whoever_made_them(
         ["DeepVoxels, small", "voxels"],
         ["paper-best", "not run"],
         ["DNR, as the paper ran it", "not run"],
-        ["the network of its code", "not run"],
-        ["DeepVoxels", "not run"],
+        ["the network of its code (L1 alone)", "not run"],
     ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
@@ -221,7 +220,6 @@ def test_deep_voxels_has_a_table_beside_the_mean_picture(
     near, far = decibels(3), decibels(4)
     scores = [f"{value:.2f}" for value in (near, far, near - far, wrapped(3), wrapped(4))]
     assert rows["DeepVoxels, small"] == ["voxels", "1", *scores]
-    assert rows["DeepVoxels"] == ["not run", *[MISSING] * 6]
     drop = f"{floors[0] - floors[1]:.2f}"
     assert rows["mean of the training pictures"][:5] == [*[MISSING] * 2, *(f"{floor:.2f}" for floor in floors), drop]
 
@@ -329,7 +327,7 @@ def test_a_table_without_runs_names_the_sweep_that_makes_them(dataset: Dataset, 
 # Larger pictures
 
 
-def test_larger_pictures_have_a_table_beside_the_enlarged_small_ones(tmp_path: Path) -> None:
+def test_larger_pictures_and_errors_by_what_pixels_show_have_tables(tmp_path: Path) -> None:
     scene = synthetic_scene()
     rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
     save_scene(dataclasses.replace(scene, cameras=rig), tmp_path / "scene/mine")
@@ -345,6 +343,24 @@ def test_larger_pictures_have_a_table_beside_the_enlarged_small_ones(tmp_path: P
     names = [("paper", "at that size"), ("paper", "enlarged"), ("truth", "enlarged"), ("noise ceiling", "")]
     assert [tuple(row[1:3]) for row in rows] == names
     assert all(float(cell) > 0 for row in rows[:3] for cell in row[3:5])
+
+    # The same run's errors by what its pixels show.
+    asked = f"report '{tmp_path}/runs' --data '{tmp_path}/data' --table errors --json"
+    assert "has no twin without glass; make it with `datagen add" in call(asked).error
+    run(f"datagen add '{tmp_path}/data/mine' --edit no-glass")
+    ((_, _, *cells),) = json.loads(call(asked).out)["tables"]["errors"][0]["rows"]
+    dataset = open_dataset(tmp_path / "data/mine")
+    squares, glass = [], []
+    for split in TEST_SPLITS:
+        for view in dataset.views(split):
+            drawn = read_png(tmp_path / f"runs/mine/paper/predictions/{split}/{view.index:04d}.png")
+            squares.append(np.square(drawn - view.image.astype(float)).mean(axis=-1))
+            glass.append(view.mask("glass"))
+    in_glass = np.where(glass, squares, 0).mean()
+    assert 0 < in_glass < np.mean(squares)
+    assert [cells[0], cells[5]] == [f"{value:.1f}" for value in (in_glass, np.mean(squares))]
+    assert sum(map(float, cells[:5])) == pytest.approx(np.mean(squares), abs=0.3)
+    assert cells[6].count("g") == pytest.approx(20 * in_glass / np.mean(squares), abs=1)
 
 
 def test_enlarging_keeps_a_ramp_where_it_was() -> None:
