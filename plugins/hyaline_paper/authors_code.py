@@ -7,8 +7,6 @@ its dispatcher (which drops the width that the scripts ask for, so that 64 is le
 import dataclasses
 import itertools
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -104,7 +102,8 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
                 turned = stack[..., 3:12] * harmonics_without_constants(away)
                 stack = torch.cat([stack[..., :3], turned, stack[..., 12:]], dim=-1)
         seed = zlib.crc32(rays.uv.cpu().numpy().tobytes()) if rng is None else int(rng.integers(1 << 31))
-        with seeded(seed, stack.device):
+        with torch.random.fork_rng(devices=[stack.device] if stack.is_cuda else []):
+            torch.manual_seed(seed)
             colors = self.net(stack.flatten(1), self.config.dropout)
         return (colors + 1) / 2
 
@@ -128,14 +127,6 @@ def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[T
     """The first three bands of spherical harmonics without their constants, as in the released code."""
     x, y, z = direction.unbind(-1)
     return torch.stack([torch.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], dim=-1)
-
-
-@contextmanager
-def seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Seeds torch's generator inside the block, and restores its state afterwards."""
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(seed)
-        yield
 
 
 def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:

@@ -36,8 +36,7 @@ class Line:
     method: str
     flags: Mapping[str, str] | None = None
     """The flags of `model train METHOD` that it was trained with, without dashes, beside `FREE_FLAGS`; None: any."""
-    geometry: str | None = TRUTH
-    """None takes any."""
+    geometry: str = TRUTH
     published: Published | None = None
     """What the paper printed for it."""
 
@@ -45,7 +44,7 @@ class Line:
         """True if the run belongs in this line."""
         return (
             run.record.method == self.method
-            and self.geometry in (None, run.record.geometry)
+            and self.geometry == run.record.geometry
             and (self.flags is None or (run.record.flags is not None and _flags(run, FREE_FLAGS) == self.flags))
         )
 
@@ -98,9 +97,10 @@ def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[li
         for group in groups:
             if line.fits(group.first):
                 parts.setdefault(_same(group.first, comparison.varied), []).append(Entry(line=line, group=group))
-    most = max((_variety(part) for part in parts.values()), default=0)
-    kept = [part for part in parts.values() if _variety(part) > 1 or most == 1]
-    return sorted(kept, key=lambda part: -_variety(part))
+    variety = {key: len({entry.line.title for entry in part}) for key, part in parts.items()}
+    most = max(variety.values(), default=0)
+    kept = [key for key in parts if variety[key] > 1 or most == 1]
+    return [parts[key] for key in sorted(kept, key=lambda key: -variety[key])]
 
 
 def _same(run: Run, varied: str | None) -> bytes:
@@ -114,11 +114,6 @@ def _same(run: Run, varied: str | None) -> bytes:
 def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
     """The flags that a run was trained with, and their values, besides some."""
     return {flag: value for flag, value in (run.record.flags or {}).items() if flag not in besides}
-
-
-def _variety(part: Sequence[Entry]) -> int:
-    """How many different things a part compares."""
-    return len({(entry.line.title, entry.group.first.record.geometry) for entry in part})
 
 
 # Tables of them

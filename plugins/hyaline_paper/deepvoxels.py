@@ -300,8 +300,6 @@ def build(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxels:
     """A fresh network, its grid around the point that the training cameras look at."""
     dataset = inputs.dataset
     _check_size(config, dataset.config.resolution)
-    if config.plane_size >= config.image_size:
-        raise HyalineError(f"plane_size: is {config.plane_size} as in runs of earlier versions; train the run again")
     # Imported pictures may come without meshes: then the grid reaches as far as the cameras allow.
     meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()
     vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices.astype(np.float64) for mesh in meshes)])
