@@ -104,7 +104,7 @@ def make_renderer(choices: BenchChoices, *, rng: np.random.Generator) -> PaperRe
     if choices.width != "34k" and not choices.width.isdecimal():
         raise HyalineError(f"width: is {choices.width!r}; expected 34k, 256 or another number of hidden units")
     config = PaperConfig(
-        width=width_for_34k(inputs, PaperConfig.blocks) if choices.width == "34k" else int(choices.width),
+        width=width_for_34k(inputs) if choices.width == "34k" else int(choices.width),
         texture_size=choices.texture_size,
         texture_features=choices.features,
         extrinsics="none",

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from hyaline_paper.claims import DROP, FAR, NEAR, Interval, bootstrap
+from datagen.data.paths import TRUTH
+from hyaline_paper.claims import CLAIMS, DROP, FAR, NEAR, Interval, bootstrap, decide, over_scenes
 from hyaline_paper.comparisons import PUBLISHED
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -122,9 +123,7 @@ def _unit(scores: dict[str, Scores]) -> str:
 
 def _together(scores: dict[str, Scores]) -> Scores:
     """The scores of the only scene, or the means of each of several."""
-    if len(scores) == 1:
-        return next(iter(scores.values()))
-    return [np.array([[each[split].mean() for each in scores.values()]]) for split in (0, 1)]
+    return next(iter(scores.values())) if len(scores) == 1 else list(over_scenes([*scores.values()]))
 
 
 # What cells of claims.md may call
@@ -309,6 +308,21 @@ def pairs_table() -> str:
     return table_of(columns, rows, texts=1)
 
 
+def verdicts_table() -> str:
+    """The paper's claims over the benchmark's scenes, which have the usual runs of each method on true shapes alone."""
+    rows = []
+    methods = {name for pair in PAIRS for name in pair}
+    for claim in CLAIMS:
+        for pair in claim.pairs:
+            first, second = (line.method for line in pair.lines)
+            if {first, second} <= methods and not any(line.flags or line.geometry != TRUTH for line in pair.lines):
+                one, other = _shared("bench", first, second, "", "psnr_db")
+                found = decide(claim, "", {scene: (one[scene], other[scene]) for scene in one})
+                numbers = found.numbers.replace("-", "\N{MINUS SIGN}").replace("+", "")
+                rows.append((claim.text, f"`{first}` against `{second}`", numbers, found.verdict))
+    return table_of(("claim", "first against second", "first minus second in dB", "verdict"), rows, texts=4)
+
+
 def tracks_table() -> str:
     """PSNR of the benchmark's methods over its scenes, by what they are told."""
     stored = {path.stem: _read(path.stem) for path in RESULTS.glob("bench/*.json")}
@@ -373,6 +387,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "angles": angles_table,
     "standard": standard_table,
     "pairs": pairs_table,
+    "verdicts": verdicts_table,
     "tracks": tracks_table,
     "fits": fits_table,
     "photographs": photographs_table,

@@ -39,9 +39,8 @@ def report(
         out: Folder for index.html and results.json. Default: RUNS/report, with --dataset
             RUNS/report-NAME.
         table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
-            network), zero-layer, deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or known
-            (scores by prior knowledge of the glass). May be repeated. With --json, these tables are part of the
-            results.
+            network), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or errors (by what
+            pixels show). May be repeated. With --json, these tables are part of the results.
         quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """

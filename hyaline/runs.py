@@ -65,8 +65,8 @@ class Run:
 
     @property
     def metrics(self) -> list[dict[str, float | None]]:
-        """One entry an evaluation: step, loss, and held_out_psnr in dB, of a quarter of the
-        held-out views' pixels (None without such views)."""
+        """One entry an evaluation: step, loss, and held_out_psnr and train_psnr in dB, of a quarter of the pixels of
+        held-out views and of as many training views (None and missing without such views)."""
         return read_metrics(self.folder)
 
     @property

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import os
 import typing
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -39,7 +40,7 @@ def choice(
 
     Args:
         suffix: what marks a run's folder where the value is not the usual one: a template, or one for each value (and
-            under the empty one that of all others); empty: nothing does, since no result depends on it.
+            under the empty one that of all others); empty: nothing does.
         flag: its name on the command line, without dashes; default: the field's.
         limits: of its number, which `check_limits` checks.
     """
@@ -87,7 +88,7 @@ def suffixes(record: object, usual: object) -> list[str]:
     words = []
     for item, value in changed_fields(record, usual):
         suffix = item.metadata.get("suffix", f"{item.name.replace('_', '-')}{{}}")
-        template = suffix.get(value) or suffix[""] if isinstance(suffix, dict) else suffix
+        template = suffix[value if value in suffix else ""] if isinstance(suffix, dict) else suffix
         words += [template.format(value)] if template else []
     return words
 
@@ -158,15 +159,28 @@ LEAST_PATCH = 32
 """Rows and columns of the smallest patch that leaves a discriminator more than one value to normalise."""
 
 NO_VGG = "none"
+WEIGHT_FILE = "vgg16-397923af.pth"
+"""torchvision's name of the weights trained on ImageNet; it ends with the first digits of their SHA-256."""
+
+FETCH = (
+    "fetch them with `python -c 'import torch; "
+    f'torch.hub.load_state_dict_from_url("https://download.pytorch.org/models/{WEIGHT_FILE}")\'`'
+)
+
+
+def vgg_path(weights: str) -> Path:
+    """The file of weights that are not random; those of ImageNet are where `torch.hub` keeps what it downloads."""
+    home = os.environ.get("TORCH_HOME", f"{os.environ.get('XDG_CACHE_HOME', '~/.cache')}/torch")
+    return Path(home).expanduser() / "hub/checkpoints" / WEIGHT_FILE if weights == "imagenet" else Path(weights)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LossConfig:
     """Terms added to the difference of each pixel, whose weight is 1 (mean absolute, sRGB of 0 to 1)."""
 
-    vgg_weights: str = choice(NO_VGG, {"random": "random-vgg", "auto": "vgg", "": "vgg"})
-    """Weights of the network of a perceptual loss (section 4.4): none, auto (from torch's cache; downloads nothing), a
-    path, or random (a stand-in, labelled as such in tables)."""
+    vgg_weights: str = choice(NO_VGG, {NO_VGG: "", "random": "random-vgg", "": "vgg"})
+    """Weights of the network of a perceptual loss (section 4.4): none, imagenet (from torch's cache; nothing is
+    downloaded), auto (imagenet if they are there, otherwise none), a path, or random (a stand-in)."""
     vgg: Literal["vgg16", "vgg19"] = unflagged("vgg16")
     """Network of the perceptual loss; runs of earlier versions may have VGG19."""
     perceptual: float = choice(0.05, "perceptual{}", limits=AMOUNT)
@@ -203,7 +217,7 @@ class LossConfig:
                 raise HyalineError(f"{name}: has no effect without {flag}")
         if self.perceptual != type(self).perceptual and not self.has_vgg:
             raise HyalineError(
-                "perceptual: there is no network to compare with; give --vgg-weights auto, random or a path"
+                "perceptual: there is no network to compare with; give --vgg-weights imagenet, random or a path"
             )
 
     @property
@@ -268,6 +282,14 @@ class PixelOptimisation(Optimisation):
     """Optimisation, for methods that accept extra loss terms."""
 
     loss: LossConfig = field(default_factory=LossConfig)
+
+
+def decided(optimisation: Optimisation) -> Optimisation:
+    """The same with weights `auto` replaced by what they mean on this machine, so that records tell."""
+    if not isinstance(optimisation, PixelOptimisation) or optimisation.loss.vgg_weights != "auto":
+        return optimisation
+    weights = "imagenet" if vgg_path("imagenet").is_file() else NO_VGG
+    return dataclasses.replace(optimisation, loss=dataclasses.replace(optimisation.loss, vgg_weights=weights))
 
 
 def decay(kind: LrDecay, progress: float) -> float:

@@ -52,7 +52,8 @@ METRICS = (
     Metric(key="delta_e", title="ΔE2000 ↓", decimals=2),
     Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2, is_printed=False),
     Metric(key="flip", title="FLIP ↓", decimals=4, is_printed=False),
-    Metric(key="lpips", title="LPIPS ↓", decimals=4, is_printed=False),
+    Metric(key="highlight_psnr_db", title="PSNR highlights dB ↑", decimals=2, in_db=True, is_printed=False),
+    Metric(key="highlight_error", title="mean error of highlights", decimals=1, is_printed=False),
     Metric(
         key="psnr_uint8_wrap_db",
         title="PSNR wrapped (authors' script)",
@@ -206,6 +207,7 @@ def score_picture(
 ) -> dict[str, float | None]:
     """Every metric of one picture by its key; None if it is undefined."""
     delta_e = metrics.delta_e_2000(pred, target)
+    bright = None if glass is None or not glass.any() else metrics.highlights(target, glass)
     return {
         "psnr_db": metrics.psnr(pred, target),
         "glass_psnr_db": metrics.masked_psnr(pred, target, glass) if glass is not None and glass.any() else None,
@@ -213,7 +215,8 @@ def score_picture(
         "delta_e": float(delta_e.mean()),
         "delta_e_p95": float(np.percentile(delta_e, 95)),
         "flip": metrics.flip(pred, target),
-        "lpips": metrics.lpips(pred, target),
+        "highlight_psnr_db": None if bright is None else metrics.masked_psnr(pred, target, bright),
+        "highlight_error": None if bright is None else float((pred[bright].astype(float) - target[bright]).mean()),
         "psnr_uint8_wrap_db": metrics.psnr_uint8_wrap(pred, target),
     }
 

@@ -69,11 +69,13 @@ def _scene_json(scene: SceneScores, analyses: dict[str, Json]) -> Json:
 
 
 def _left_out_notes(scene: SceneScores) -> list[Json]:
-    """Which means do not cover all pictures, and why."""
+    """Which means do not cover all pictures, and why; runs without a loss of their method."""
     notes: dict[str, None] = {}  # Once each.
     if not scene.has_glass_mask:
         notes["PSNR glass: needs layers of the true geometry to find glass pixels."] = None
     for scores in scene.runs:
+        if (scores.run.record.flags or {}).get("vgg-weights") == "none":
+            notes[f"{scores.run.name}: learned by L1 alone, without the perceptual loss of its method."] = None
         for split, values in scores.splits.items():
             if values is None:
                 notes[f"{scores.run.name}: has no predictions for the {split} split."] = None

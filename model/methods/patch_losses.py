@@ -14,7 +14,7 @@ from torch.nn import functional
 from datagen.disk.errors import HyalineError
 from datagen.disk.storage import read_regular, sha256
 from model.methods.renderer import PatchTerms
-from model.settings import LossConfig
+from model.settings import FETCH, WEIGHT_FILE, LossConfig, vgg_path
 from model.state import State
 
 LEAKY_SLOPE = 0.2
@@ -85,9 +85,6 @@ VGG = (64, 64, 0, 128, 128, 0, 256, 256, 256)
 """Channels of VGG16's convolutions in the first three stages, and 0 for a pooling that halves the picture. The last
 activation of each stage is compared: relu1_2, relu2_2, relu3_3. Source: Simonyan and Zisserman 2015, column D."""
 
-WEIGHT_FILE = "vgg16-397923af.pth"
-"""torchvision's name of the weights trained on ImageNet; it ends with the first digits of their SHA-256."""
-
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 
@@ -97,19 +94,11 @@ def find_vgg(config: LossConfig) -> LossConfig:
         return config
     path = vgg_path(config.vgg_weights)
     if not path.is_file():
-        raise HyalineError(
-            f"{path}: no VGG16 weights; put torchvision's {WEIGHT_FILE} there, or set --vgg-weights to its path, "
-            "random (a stand-in) or none"
-        )
+        raise HyalineError(f"{path}: no VGG16 weights; {FETCH}, or set --vgg-weights to random (a stand-in) or none")
     digest = sha256(read_regular(path))
-    if config.vgg_weights == "auto" and not digest.startswith(path.stem.partition("-")[2]):
+    if config.vgg_weights == "imagenet" and not digest.startswith(path.stem.partition("-")[2]):
         raise HyalineError(f"{path}: damaged, its SHA-256 is {digest[:8]}...; put {WEIGHT_FILE} there again")
     return dataclasses.replace(config, vgg_sha256=digest)
-
-
-def vgg_path(weights: str) -> Path:
-    """The file of weights that are not random."""
-    return Path(torch.hub.get_dir()) / "checkpoints" / WEIGHT_FILE if weights == "auto" else Path(weights)
 
 
 def vgg_layers() -> nn.Sequential:

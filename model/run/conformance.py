@@ -27,6 +27,7 @@ from model.methods.renderer import Renderer
 from model.run.predict import load_renderer, predict_colors, predict_pixels, render_predictions
 from model.run.run_folder import WEIGHTS, TrainConfig, parse_config
 from model.run.train import build_renderer, train
+from model.settings import decided
 from model.state import fingerprint, load_state
 
 STEPS = 4
@@ -69,7 +70,7 @@ def check_method(name: str, dataset: Dataset, folder: Path) -> int:
         folder: an empty folder, for runs.
     """
     net = METHODS.find(name)().usual(TRUTH)
-    optimisation = net.optimisation()
+    optimisation = decided(net.optimisation())
     inputs = open_inputs(net, dataset, TRUTH)
     settings = {item.name: getattr(optimisation, item.name) for item in dataclasses.fields(optimisation)}
     settings |= {"steps": STEPS, "batch": min(optimisation.batch, MOST_PIXELS)}

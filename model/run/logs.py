@@ -1,6 +1,7 @@
 """The logs of a training run, for people to read; no command relies on them.
 
-RUN/metrics.jsonl           a line per evaluation: step, loss (mean since the line before), held_out_psnr
+RUN/metrics.jsonl           a line per evaluation: step, loss (mean since the line before), held_out_psnr,
+                            train_psnr
 RUN/snapshots/000500.png    at each evaluation: the scored pixels of the held-out views, truth above prediction; 8-bit
                             sRGB
 RUN/costs.json              with --costs: time and memory, summed over the sessions of a run
@@ -43,7 +44,7 @@ def write_metrics(run: Path, metrics: list[dict[str, Json]]) -> None:
 
 
 def read_metrics(run: Path) -> list[dict[str, float | None]]:
-    """The lines of metrics.jsonl, one per evaluation: step, loss, held_out_psnr in dB (None without held-out views)."""
+    """The lines of metrics.jsonl, one per evaluation: step, loss, and PSNR in dB of held-out and of training views."""
     path = run / METRICS
     lines = read_regular(path).splitlines() if path.is_file() else []
     found = []

@@ -33,7 +33,7 @@ from datagen.disk.records import Json, commit_sealed, from_json, load_sealed, se
 from datagen.disk.storage import check_files
 from model.methods.protocol import METHODS, Inputs, MethodConfig, open_inputs
 from model.run.logs import COSTS, METRICS, SNAPSHOTS
-from model.settings import AMOUNT, COUNT, RUNS, SEED, PixelOptimisation, unflagged
+from model.settings import AMOUNT, COUNT, NO_VGG, RUNS, SEED, PixelOptimisation, unflagged
 
 RUN_VERSION = 5
 
@@ -129,7 +129,8 @@ def describe_run(
     if method.uses_geometry:
         told = _told(config, dataset) if is_fitted(geometry) else ()
         materials = method.knowledge if told or not is_fitted(geometry) else ""  # Else a fit has found them.
-        parts = (describe_geometry(dataset, geometry), materials, config.loss.describe())
+        loss = "no perceptual loss" if flags.get("vgg-weights") == NO_VGG else config.loss.describe()
+        parts = (describe_geometry(dataset, geometry), materials, loss)
         knowledge = ", ".join(filter(None, parts))
     return RunRecord(
         version=RUN_VERSION,

@@ -176,8 +176,8 @@ def sweep(
 
     Args:
         experiment: A file of command lines, whose name ends with .txt (see model/run/sweep.py), - for lines from
-            stdin, paper-tables or one of its parts (table1, table2, square, zero-layer, claims, figure8, deepvoxels,
-            larger), paper-sizes or random.
+            stdin, paper-tables or one of its parts (table1, table2, square, claims, figure8, deepvoxels, larger),
+            paper-sizes, curves or random.
         dataset: Train on this existing dataset instead of the file's. May be repeated.
         seed: Train with this seed instead of the file's. May be repeated.
         jobs: Parallel processes on each GPU, or on the CPU, whose cores they share. For the highest throughput, use as

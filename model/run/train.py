@@ -4,7 +4,7 @@ import contextlib
 import itertools
 import math
 import time
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -17,6 +17,7 @@ from torch import Tensor, nn
 
 from datagen.data.config import Resolution
 from datagen.data.dataset import Dataset
+from datagen.data.variants import evenly
 from datagen.disk.errors import DamagedError, HyalineError, NumericsError
 from datagen.disk.records import Json, to_json
 from datagen.terminal.command import Stopped, hold_signals, say, track
@@ -93,9 +94,11 @@ def train(
     held_out = choose_held_out(len(views), config.held_out_views)
     shown = [view for view in views if view not in held_out]
     training = config.net.load(inputs, "train", shown, with_images=True).to(device)
-    testing = None
+    scored = {}
     if held_out:
-        testing = HeldOut(pixels=config.net.load(inputs, "train", held_out, with_images=True).to(device))
+        testing = config.net.load(inputs, "train", held_out, with_images=True).to(device)
+        scored["train_psnr"] = ScoredViews(pixels=training, places=evenly(len(held_out), len(shown)))
+        scored["held_out_psnr"] = ScoredViews(pixels=testing, places=range(len(held_out)))
     run = Run(
         config=config,
         inputs=inputs,
@@ -105,7 +108,7 @@ def train(
         optimizer=make_optimizer(groups, beta1=config.beta1, kind=config.optimizer, renderer=renderer, pixels=size),
         losses=Losses(config.loss, steps=config.steps, seed=config.seed, device=device),
         training=training,
-        held_out=testing,
+        scored=scored,
     )
     resume(run)
     layers = inputs.num_layers or ("traced" if config.net.uses_geometry else "no")
@@ -119,20 +122,26 @@ def train(
 
 def choose_held_out(num_views: int, at_most: int) -> list[int]:
     """The training views that are held out to measure progress: evenly spread, and at most a fifth of all."""
-    number = min(at_most, num_views // 5)
-    return [(2 * index + 1) * num_views // (2 * number) for index in range(number)]
+    return evenly(min(at_most, num_views // 5), num_views)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HeldOut:
-    """The pixels of views that are not trained on, with their pictures; a quarter of them measures progress."""
+class ScoredViews:
+    """Views that measure progress, by a quarter of their pixels."""
 
     pixels: PixelSource
+    places: Sequence[int]
+    """Of these views among those of the pixels."""
+
+    @property
+    def whole(self) -> Int[np.ndarray, "view h w"]:
+        """Row numbers of the views' pixels."""
+        return np.arange(len(self.pixels.rgb)).reshape(-1, *self.pixels.resolution.shape)[[*self.places]]
 
     @property
     def rows(self) -> Int[np.ndarray, "view h w"]:
         """Row numbers of the scored pixels."""
-        return np.arange(len(self.pixels.rgb)).reshape(-1, *self.pixels.resolution.shape)[:, ::STRIDE, ::STRIDE]
+        return self.whole[:, ::STRIDE, ::STRIDE]
 
     @property
     def truth(self) -> Pictures:
@@ -141,9 +150,9 @@ class HeldOut:
 
     def draw(self, renderer: Renderer) -> Pictures:
         """The predicted colours of the scored pixels."""
-        if self.pixels.whole_views:
-            return predict_pixels(renderer, self.pixels)[self.rows]
-        return predict_pixels(renderer, self.pixels, torch.from_numpy(self.rows.flatten())).reshape(*self.rows.shape, 3)
+        asked = self.whole if self.pixels.whole_views else self.rows
+        drawn = predict_pixels(renderer, self.pixels, torch.from_numpy(asked.flatten())).reshape(*asked.shape, 3)
+        return drawn[:, ::STRIDE, ::STRIDE] if self.pixels.whole_views else drawn
 
 
 def mean_psnr(predicted: Pictures, truth: Pictures) -> float:
@@ -165,8 +174,8 @@ class Run:
     optimizer: Optimizer
     losses: Losses
     training: PixelSource
-    held_out: HeldOut | None
-    """None if no views are held out."""
+    scored: Mapping[str, ScoredViews]
+    """By the name in metrics: views that are held out, and as many that are not; none if none are held out."""
     step: int = 0
     """Finished steps."""
     loss_sum: float = 0.0
@@ -300,14 +309,14 @@ def take_step(run: Run, step: int, training: PixelSource) -> None:
 
 
 def add_metrics(run: Run) -> None:
-    """Scores the held-out views, writes a line of metrics, and resets the mean loss."""
-    score = None
-    if run.held_out is not None:
-        truth, predicted = run.held_out.truth, run.held_out.draw(run.renderer)
-        score = mean_psnr(predicted, truth)
-        write_snapshot(run.out, run.step, truth, predicted)
-    run.psnr = math.nan if score is None else score
-    run.metrics.append({"step": run.step, "loss": run.loss, "held_out_psnr": score})
+    """Scores views, draws the held-out ones, writes a line of metrics, and resets the mean loss."""
+    scores: dict[str, Json] = {"held_out_psnr": None}
+    for name, views in run.scored.items():
+        truth, predicted = views.truth, views.draw(run.renderer)
+        scores[name] = run.psnr = mean_psnr(predicted, truth)  # The held-out ones come last.
+        if name == "held_out_psnr":
+            write_snapshot(run.out, run.step, truth, predicted)
+    run.metrics.append({"step": run.step, "loss": run.loss, **scores})
     write_metrics(run.out, run.metrics)
     run.loss_sum, run.loss_count = 0.0, 0
 

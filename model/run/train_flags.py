@@ -16,7 +16,7 @@ from datagen.terminal.command import say
 from datagen.terminal.parsing import Command, changed_flags, collect
 from model.methods.protocol import METHODS, MethodConfig, about, open_inputs
 from model.runtime import choose_device
-from model.settings import RUNS, Optimisation, RunFlags, suffixes
+from model.settings import FETCH, NO_VGG, RUNS, Optimisation, RunFlags, decided, suffixes
 
 if TYPE_CHECKING:
     from datagen.data.dataset import Dataset
@@ -31,6 +31,10 @@ class Asked:
     run: RunFlags
     method: MethodConfig
     optimisation: Optimisation
+    """Decided: names of folders and recorded flags follow from it."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "optimisation", decided(self.optimisation))
 
 
 def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked], None]) -> Command:
@@ -189,4 +193,6 @@ def configure(method: str, asked: Asked, opened: "Dataset") -> "TrainConfig":
         from model.methods.patch_losses import find_vgg
 
         config = dataclasses.replace(config, loss=find_vgg(config.loss))
+    elif ("vgg-weights", NO_VGG) in flags_asked(asked).items():
+        say(f"{method}: learns by L1 alone, without the paper's perceptual loss; if its weights are missing, {FETCH}")
     return config

@@ -7,8 +7,6 @@ its dispatcher (which drops the width that the scripts ask for, so that 64 is le
 import dataclasses
 import itertools
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 import numpy as np
 import torch
@@ -17,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from hyaline_paper.methods import LEAST_WIDTH, AuthorsConfig
-from model.batches.rays import PixelSource, RayBatch, insert_empty_layer
+from model.batches.rays import PixelSource, RayBatch
 from model.methods.paper.renderer import default_texture_size
 from model.methods.protocol import Inputs
 from model.methods.renderer import PatchTerms, Renderer
@@ -87,17 +85,14 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
             else ExtrinsicInputs("view", positions, num_objects=num_objects, size=config.position_size)
         )
         channels = features + (3 if config.extrinsics == "view" else 0)
-        num_inputs = (num_layers + config.zero_layer) * channels
-        self.net = AuthorsMlp(num_inputs, width=config.width, blocks=config.blocks)
+        self.net = AuthorsMlp(num_layers * channels, width=config.width, blocks=config.blocks)
 
     def forward(self, rays: RayBatch, *, rng: np.random.Generator | None = None) -> Float32[Tensor, "pixel 3"]:
         """sRGB colours in (0, 1) of the pixels.
 
         Args:
-            rng: draws zero layers and dropout while training; without it, dropout at test is drawn from the rays' uv.
+            rng: draws dropout while training; without it, dropout is drawn from the rays' uv, so that it repeats.
         """
-        if self.config.zero_layer:
-            rays = insert_empty_layer(rays, rng)
         stack = self.textures(rays.uv, rays.object_id)
         if self.extrinsics is not None:
             away = -self.extrinsics(rays.uv, rays.object_id, rays.p_camera)
@@ -106,10 +101,10 @@ class AuthorsRenderer(Renderer[PixelSource[RayBatch]]):
             else:
                 turned = stack[..., 3:12] * harmonics_without_constants(away)
                 stack = torch.cat([stack[..., :3], turned, stack[..., 12:]], dim=-1)
-        is_dropping = self.training or self.config.test_dropout
         seed = zlib.crc32(rays.uv.cpu().numpy().tobytes()) if rng is None else int(rng.integers(1 << 31))
-        with seeded(seed, stack.device):
-            colors = self.net(stack.flatten(1), self.config.dropout if is_dropping else 0.0)
+        with torch.random.fork_rng(devices=[stack.device] if stack.is_cuda else []):
+            torch.manual_seed(seed)
+            colors = self.net(stack.flatten(1), self.config.dropout)
         return (colors + 1) / 2
 
     def loss(
@@ -132,14 +127,6 @@ def harmonics_without_constants(direction: Float32[Tensor, "*b 3"]) -> Float32[T
     """The first three bands of spherical harmonics without their constants, as in the released code."""
     x, y, z = direction.unbind(-1)
     return torch.stack([torch.ones_like(x), y, z, x, x * y, y * z, 3 * z * z - 1, x * z, x * x - y * y], dim=-1)
-
-
-@contextmanager
-def seeded(seed: int, device: torch.device) -> Iterator[None]:
-    """Seeds torch's generator inside the block, and restores its state afterwards."""
-    with torch.random.fork_rng(devices=[device] if device.type == "cuda" else []):
-        torch.manual_seed(seed)
-        yield
 
 
 def complete(config: AuthorsConfig, inputs: Inputs) -> AuthorsConfig:

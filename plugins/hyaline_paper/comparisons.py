@@ -15,8 +15,11 @@ from eval.tables.grids import MISSING, Column, Grid, format_number
 from eval.tables.plugins import Table
 
 FREE_FLAGS = ("geometry", "seed", "steps", "batch", "updates", "lr", "texture-lr", "lr-decay", "hidden", "texture-size")
-"""Runs of one line may differ in these: what they learn from, for how long, and how large they are."""
+FREE_FLAGS += ("vgg-weights",)
+"""Runs of one line may differ in these: what they learn from and by, for how long, and how large they are."""
 
+LOSSES = {"none": " (L1 alone)", "random": " (L1, random VGG16)"}
+"""What tells runs without the paper's loss from others, by their weights of VGG16."""
 
 Published = tuple[float, float]
 """PSNR in dB, interpolating and extrapolating."""
@@ -33,8 +36,7 @@ class Line:
     method: str
     flags: Mapping[str, str] | None = None
     """The flags of `model train METHOD` that it was trained with, without dashes, beside `FREE_FLAGS`; None: any."""
-    geometry: str | None = TRUTH
-    """None takes any."""
+    geometry: str = TRUTH
     published: Published | None = None
     """What the paper printed for it."""
 
@@ -42,7 +44,7 @@ class Line:
         """True if the run belongs in this line."""
         return (
             run.record.method == self.method
-            and self.geometry in (None, run.record.geometry)
+            and self.geometry == run.record.geometry
             and (self.flags is None or (run.record.flags is not None and _flags(run, FREE_FLAGS) == self.flags))
         )
 
@@ -73,6 +75,7 @@ SCORES = (
     *(Column(group="PSNR dB ↑", split=split) for split in TEST_SPLITS),
     Column(group="drop dB ↓"),
     *(Column(group="wrapped (authors' script)", split=split) for split in TEST_SPLITS),
+    Column(group="CPU min"),
 )
 """The columns of `score_cells`."""
 
@@ -94,9 +97,10 @@ def find_entries(comparison: Comparison, groups: Sequence[SeedGroup]) -> list[li
         for group in groups:
             if line.fits(group.first):
                 parts.setdefault(_same(group.first, comparison.varied), []).append(Entry(line=line, group=group))
-    most = max((_variety(part) for part in parts.values()), default=0)
-    kept = [part for part in parts.values() if _variety(part) > 1 or most == 1]
-    return sorted(kept, key=lambda part: -_variety(part))
+    variety = {key: len({entry.line.title for entry in part}) for key, part in parts.items()}
+    most = max(variety.values(), default=0)
+    kept = [key for key in parts if variety[key] > 1 or most == 1]
+    return [parts[key] for key in sorted(kept, key=lambda key: -variety[key])]
 
 
 def _same(run: Run, varied: str | None) -> bytes:
@@ -112,12 +116,16 @@ def _flags(run: Run, besides: Collection[str]) -> dict[str, str]:
     return {flag: value for flag, value in (run.record.flags or {}).items() if flag not in besides}
 
 
-def _variety(part: Sequence[Entry]) -> int:
-    """How many different things a part compares."""
-    return len({(entry.line.title, entry.group.first.record.geometry) for entry in part})
-
-
 # Tables of them
+
+
+def loss_mark(group: SeedGroup) -> str:
+    """What follows the name of runs of the paper's methods that lack its loss; empty for others."""
+    record = group.first.record
+    terms = (record.config or {}).get("loss")
+    if record.method not in ("paper", "mlp-first") or not isinstance(terms, dict):
+        return ""
+    return LOSSES.get(str(terms.get("vgg_weights")), "")
 
 
 def spread_cell(value: Spread, decimals: int = 2) -> str:
@@ -139,7 +147,7 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     parts = find_entries(comparison, group_seeds(scene.runs))
     entries = [entry for part in parts for entry in part]
     rows = [
-        (line.title, group.name, str(len(group.runs)), *score_cells(group), cpu_minutes_cell(group), *_published(line))
+        (f"{line.title}{loss_mark(group)}", group.name, str(len(group.runs)), *score_cells(group), *_published(line))
         for line, group in entries
     ]
     empty = [line for line in comparison.lines if line.title not in {entry.line.title for entry in entries}]
@@ -151,7 +159,6 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
             Column(group="run", is_number=False),
             Column(group="seeds"),
             *SCORES,
-            Column(group="CPU min"),
             *(Column(group="published (the paper)", split=split) for split in TEST_SPLITS),
         ),
         rows=tuple(rows),
@@ -159,17 +166,13 @@ def comparison_grid(comparison: Comparison, scene: SceneScores) -> Grid:
     )
 
 
-def cpu_minutes_cell(group: SeedGroup) -> str:
-    """Processor minutes of training, where `model train --costs` counted them."""
-    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
-    return spread_cell(spread([None if seconds is None else seconds / 60 for seconds in costs]))
-
-
 def score_cells(group: SeedGroup) -> tuple[str, ...]:
-    """PSNR on both splits, their drop, the wrapped PSNR on both."""
+    """PSNR on both splits, their drop, the wrapped PSNR on both; CPU minutes, where `--costs` counted them."""
     near, far = (spread_cell(group.score("psnr_db", split)) for split in TEST_SPLITS)
     wrapped = (spread_cell(group.score("psnr_uint8_wrap_db", split)) for split in TEST_SPLITS)
-    return (near, far, spread_cell(group.drop_db), *wrapped)
+    costs = [read_costs(scores.run.folder).get("cpu_seconds") for scores in group.runs]
+    minutes = spread([None if seconds is None else seconds / 60 for seconds in costs])
+    return (near, far, spread_cell(group.drop_db), *wrapped, spread_cell(minutes))
 
 
 def _published(line: Line) -> list[str]:
@@ -184,12 +187,9 @@ def data_note(scene: SceneScores) -> str:
 
 OURS = Line(title="paper", method="paper", flags={}, published=VIEW_VECTOR)
 BEST = Line(title="paper-best", method="paper-best", flags={})
-DEEP_VOXELS = (
-    Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY),
-    Line(title="DeepVoxels", method="deepvoxels-paper", geometry=NO_GEOMETRY),
-)
+DEEP_VOXELS = Line(title="DeepVoxels, small", method="deepvoxels", geometry=NO_GEOMETRY)
 BEST_NOTE = "paper-best: the paper's idea, tuned: more rays, textures and steps."
-LOSS_NOTE = "Unless a run's name says so, none of these has the paper's perceptual loss or its 200 passes."
+LOSS_NOTE = "L1 alone: without the paper's perceptual loss. Unless a run's name says so, none has its 200 passes."
 
 TABLE1 = comparison_table(
     Comparison(
@@ -216,11 +216,12 @@ TABLE2 = comparison_table(
             OURS,
             BEST,
             Line(title="DNR, as the paper ran it", method="dnr-authors"),
-            Line(title="the network of its code", method="authors-code"),
-            *DEEP_VOXELS,
+            Line(title="the network of its code (L1 alone)", method="authors-code"),
+            DEEP_VOXELS,
         ),
         notes=(
-            "The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known.",
+            "The paper names no number for DeepVoxels; which of its runs fed Table 2 is not known. The scripts of its "
+            "code ask for a perceptual loss, 14 layers and 200 passes, none of which the network of its code has here.",
             LOSS_NOTE,
             BEST_NOTE,
         ),
@@ -233,23 +234,9 @@ SQUARE = comparison_table(
             Line(title="U-Net, first layer (DNR)", method="dnr", published=DNR),
             Line(title="U-Net, all layers", method="dnr-layers"),
             Line(title="per pixel, first layer", method="mlp-first"),
-            dataclasses.replace(OURS, title="per pixel, all layers (paper)"),
-            dataclasses.replace(BEST, title="per pixel, all layers (paper-best)"),
+            dataclasses.replace(OURS, title="per pixel, all layers"),
+            dataclasses.replace(BEST, title="per pixel, all layers, tuned"),
         ),
         notes=(LOSS_NOTE, BEST_NOTE),
     )
-)
-ZERO_LAYER = dataclasses.replace(
-    comparison_table(
-        Comparison(
-            title="A random layer of zeros while training (section 4.4)",
-            lines=(
-                Line(title="without", method="paper", flags={}),
-                Line(title="with", method="paper", flags={"zero-layer": ""}),
-            ),
-            varied="zero-layer",
-            notes=("Its purpose is edited scenes, which are in the table of claims.",),
-        )
-    ),
-    needs_more=True,
 )

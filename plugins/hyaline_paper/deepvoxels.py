@@ -21,7 +21,6 @@ from datagen.data.config import Resolution, square
 from datagen.data.geometries import read_meshes
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from hyaline_paper.authors_code import seeded
 from hyaline_paper.methods import DeepVoxelsConfig
 from hyaline_paper.voxel_nets import (
     Integration,
@@ -213,7 +212,7 @@ class DeepVoxels(Renderer[Views]):
         self.feature_extractor = feature_extractor(
             width=config.width, num_outputs=features, num_halvings=num_halvings, plane_size=plane
         )
-        self.integration = Integration(features, dropout=2 * config.dropout, bounded=config.bounded)
+        self.integration = Integration(features)
         self.inpainting = Unet(3, features + 3, features, width=features, num_down=2, max_channels=4 * features)
         self.occlusion = Occlusion(features, num_planes=2 * size, plane_size=plane)
         self.rendering = rendering_network(
@@ -221,7 +220,6 @@ class DeepVoxels(Renderer[Views]):
             num_inputs=features,
             num_doublings=num_halvings,
             plane_size=plane,
-            dropout=config.dropout,
         )
         # Saved with the weights, because later renderings need the grid where it was learned.
         self.register_buffer("origin", origin.clone())
@@ -258,15 +256,13 @@ class DeepVoxels(Renderer[Views]):
             raise HyalineError(f"train: has {training.num_views} view to learn from; deepvoxels needs at least 2")
         targets = rng.choice(training.num_views, size=min(batch, training.num_views), replace=False).tolist()
         source = int(rng.choice(training.neighbours(targets[0])))
-        with seeded(int(rng.integers(2**62)), training.rgb.device):
-            inpainted = self.inpaint(self.observe(training.image(source), training.cameras[source]))
-            inside = slice(BORDER, -BORDER)
-            losses = []
-            for target in targets:
-                drawn = self.draw(inpainted, training.cameras[target])[..., inside, inside]
-                true = training.image(target)[..., inside, inside]
-                losses.append((drawn - true).abs().mean())
-            return torch.stack(losses).mean()
+        inpainted = self.inpaint(self.observe(training.image(source), training.cameras[source]))
+        inside = slice(BORDER, -BORDER)
+        losses = []
+        for target in targets:
+            drawn = self.draw(inpainted, training.cameras[target])[..., inside, inside]
+            losses.append((drawn - training.image(target)[..., inside, inside]).abs().mean())
+        return torch.stack(losses).mean()
 
     def observe(self, image: Float32[Tensor, "1 3 h w"], camera: Camera) -> Volume:
         """The grid after integrating one more view; it is stored, too.
@@ -304,8 +300,6 @@ def build(config: DeepVoxelsConfig, inputs: Inputs) -> DeepVoxels:
     """A fresh network, its grid around the point that the training cameras look at."""
     dataset = inputs.dataset
     _check_size(config, dataset.config.resolution)
-    if config.plane_size >= config.image_size:
-        raise HyalineError(f"plane_size: is {config.plane_size} as in runs of earlier versions; train the run again")
     # Imported pictures may come without meshes: then the grid reaches as far as the cameras allow.
     meshes = read_meshes(dataset, TRUTH) if dataset.objects else ()
     vertices = np.concatenate([np.zeros((0, 3)), *(mesh.vertices.astype(np.float64) for mesh in meshes)])

@@ -1,4 +1,4 @@
-"""Configurations of the methods `authors-code`, `deepvoxels` and `deepvoxels-paper`."""
+"""Configurations of the methods `authors-code` and `deepvoxels`."""
 
 import dataclasses
 import math
@@ -31,15 +31,11 @@ class AuthorsConfig(MethodConfig):
     """Channels of a texture; nine more with sh."""
     texture_size: int = choice(0, "t{}")
     """Width and height of a texture in texels; 0: half the image's width, 256 for their 512 pixels."""
-    zero_layer: bool = choice(False, "zero-layer")
-    """Insert a layer of zeros at a random position in training, and after all others at test (their `--pad_front`)."""
-    test_dropout: bool = choice(True, "no-test-dropout")
-    """Keep dropout on while rendering, as their test script does. It is seeded by the batch's uv, so
-    predictions are repeatable."""
     texture_start: float = unflagged(0.5)
     position_size: int = unflagged(512)
     blocks: int = unflagged(3, limits=(0, 8))
     dropout: float = unflagged(0.2)
+    """Share of activations; it stays on while rendering, as in their test script."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -54,7 +50,7 @@ class AuthorsConfig(MethodConfig):
 class DeepVoxelsConfig(MethodConfig):
     """DeepVoxels, small: a grid of learned features, from cameras alone.
 
-    For machines without a GPU: 1/14 of the parameters, no dropout, a bounded grid, L1 at rate 0.002.
+    For machines without a GPU: 1/14 of the authors' parameters, no dropout, a bounded grid, L1 at rate 0.002.
     """
 
     room: ClassVar[str] = "hyaline_paper.deepvoxels"
@@ -67,22 +63,12 @@ class DeepVoxelsConfig(MethodConfig):
     architecture is the same."""
     num_voxels: int = unflagged(32)
     """Along each edge of the grid."""
-    plane_size: int = unflagged(64)
+    plane_size: int = unflagged(32)
     """Width and height on which features are lifted and projected: a power of two below the pictures' size. Each
     halving from the pictures to it is a stage of the feature extractor, and one of the rendering network."""
-    voxel_features: int = unflagged(64, limits=(1, 4096))
-    width: int = unflagged(64, limits=(2, 4096))
+    voxel_features: int = unflagged(32, limits=(1, 4096))
+    width: int = unflagged(16, limits=(2, 4096))
     """Channels of the outermost 2-D convolutions; the deepest have eight times as many."""
-    dropout: float = unflagged(0.1)
-    """Fraction of channels dropped in the rendering network; the integration drops twice as many."""
-    bounded: bool = unflagged(False)
-    """Use tanh for the integration's candidate, as other gated units do, instead of the authors' ReLU. With ReLU the
-    grid is unbounded: later norms hide its scale from the loss, and Adam may push the unit's gain above 1. Measured
-    at a rate of 0.002: it grew by 3.5 per step, new views had no effect after 20 steps, and it overflowed after 80."""
-
-    def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        # Fewer rays, a rate for few steps that a bounded grid stands, and no dropout: of so few channels none is spare.
-        return type(self)(plane_size=32, width=16, voxel_features=32, dropout=0.0, bounded=True)
 
     def optimisation(self) -> Optimisation:
         return Optimisation(batch=2, lr=2e-3)  # A batch is the pictures drawn in a step.
@@ -96,15 +82,3 @@ class DeepVoxelsConfig(MethodConfig):
                 f"so build the dataset with --resolution {max(16, 2 ** round(math.log2(side)))}"
             )
         return dataclasses.replace(self, image_size=side, plane_size=min(self.plane_size, side // 2))
-
-
-@dataclass(frozen=True, kw_only=True)
-class DeepVoxelsPaperConfig(DeepVoxelsConfig):
-    """DeepVoxels as the paper ran it: learning rate 1e-5, L1 loss only. Needs a GPU."""
-
-    def usual(self, geometry: str) -> Self:  # noqa: ARG002
-        return type(self)()
-
-    def optimisation(self) -> Optimisation:
-        # Section 5.1: "disabling adversarial loss and only training on L1 loss with a low learning rate (1e-5)"
-        return Optimisation(batch=2, lr=1e-5, lr_decay="none")

@@ -20,7 +20,7 @@ from hyaline_paper.comparisons import DEEP_VOXELS, NOT_RUN, Comparison, comparis
 
 VOXELS = Comparison(
     title="DeepVoxels (section 5.1)",
-    lines=DEEP_VOXELS,
+    lines=(DEEP_VOXELS,),
     notes=("The paper shows blurred pictures of a room with glass, and names no number.",),
 )
 
@@ -40,7 +40,7 @@ def deep_voxels_grid(scene: SceneScores) -> Grid:
 
 
 DEEP_VOXELS_TABLE = Table(
-    shows=lambda run: any(line.fits(run) for line in DEEP_VOXELS),
+    shows=DEEP_VOXELS.fits,
     grids=lambda scenes, _: [deep_voxels_grid(scene) for scene in scenes],
     needs_more=True,
 )

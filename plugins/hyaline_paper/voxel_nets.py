@@ -9,10 +9,6 @@ import math
 import torch
 from jaxtyping import Float32
 from torch import Tensor, nn
-from torch.nn import functional
-
-ONEDNN_ROWS = 20_480
-MOST_ZERO_CHANNELS = 8
 
 
 class Unet(nn.Module):
@@ -31,18 +27,17 @@ class Unet(nn.Module):
         width: int,
         num_down: int,
         max_channels: int,
-        dropout: float = 0.0,
     ) -> None:
         super().__init__()
-        self.before = nn.Sequential(*conv(dims, num_inputs, width, activation=nn.LeakyReLU(0.2), dropout=dropout))
+        self.before = nn.Sequential(*conv(dims, num_inputs, width, activation=nn.LeakyReLU(0.2)))
         widths = [min(width * 2**depth, max_channels) for depth in range(num_down)]
         block: nn.Module | None = None
         for depth in reversed(range(num_down)):
             inner = widths[min(depth + 1, num_down - 1)]
-            block = _Skip(dims, widths[depth], inner, block, dropout=dropout)
+            block = _Skip(dims, widths[depth], inner, block)
         assert block is not None, "a U-Net has at least one stage"
         self.stages = block
-        self.after = nn.Sequential(*conv(dims, 2 * width, num_outputs, activation=nn.ReLU(), dropout=dropout))
+        self.after = nn.Sequential(*conv(dims, 2 * width, num_outputs, activation=nn.ReLU()))
 
     def forward(self, x: Tensor) -> Tensor:
         return self.after(self.stages(self.before(x)))
@@ -51,25 +46,23 @@ class Unet(nn.Module):
 class _Skip(nn.Module):
     """One stage of a U-Net with all stages inside it."""
 
-    def __init__(self, dims: int, outer: int, inner: int, inside: nn.Module | None, *, dropout: float) -> None:
+    def __init__(self, dims: int, outer: int, inner: int, inside: nn.Module | None) -> None:
         super().__init__()
         is_normed = inside is not None
-        self.down = halve(dims, outer, inner, dropout=dropout, is_normed=is_normed)
+        self.down = halve(dims, outer, inner, is_normed=is_normed)
         self.inside = nn.Identity() if inside is None else inside
-        self.up = double(dims, inner if inside is None else 2 * inner, outer, dropout=dropout, is_normed=is_normed)
+        self.up = double(dims, inner if inside is None else 2 * inner, outer, is_normed=is_normed)
 
     def forward(self, x: Tensor) -> Tensor:
         return torch.cat([x, self.up(self.inside(self.down(x)))], dim=1)
 
 
-def halve(
-    dims: int, num_inputs: int, num_outputs: int, *, middle: int = 0, dropout: float = 0.0, is_normed: bool = True
-) -> nn.Sequential:
+def halve(dims: int, num_inputs: int, num_outputs: int, *, middle: int = 0, is_normed: bool = True) -> nn.Sequential:
     """Half the size: a 4-wide convolution of stride 2, in 2-D after a 3-wide one to `middle` channels (0: as many)."""
     middle = middle or num_inputs
     layers: list[nn.Module] = []
     if dims == 2:
-        layers += conv(2, num_inputs, middle, activation=nn.LeakyReLU(0.2), dropout=dropout, is_normed=is_normed)
+        layers += conv(2, num_inputs, middle, activation=nn.LeakyReLU(0.2), is_normed=is_normed)
     layers += conv(
         dims,
         middle if dims == 2 else num_inputs,
@@ -77,21 +70,18 @@ def halve(
         kernel=4,
         stride=2,
         activation=nn.LeakyReLU(0.2),
-        dropout=dropout,
         is_normed=is_normed,
     )
     return nn.Sequential(*layers)
 
 
-def double(
-    dims: int, num_inputs: int, num_outputs: int, *, dropout: float = 0.0, is_normed: bool = True
-) -> nn.Sequential:
+def double(dims: int, num_inputs: int, num_outputs: int, *, is_normed: bool = True) -> nn.Sequential:
     """Twice the size: a transposed 4-wide convolution of stride 2, in 2-D followed by a 3-wide one."""
     transposed = (nn.ConvTranspose2d, nn.ConvTranspose3d)[dims - 2]
     layers: list[nn.Module] = [transposed(num_inputs, num_outputs, 4, stride=2, padding=1, bias=not is_normed)]
-    layers += _finish(dims, num_outputs, activation=nn.ReLU(), dropout=dropout, is_normed=is_normed)
+    layers += _finish(dims, num_outputs, activation=nn.ReLU(), is_normed=is_normed)
     if dims == 2:
-        layers += conv(2, num_outputs, num_outputs, activation=nn.ReLU(), dropout=dropout, is_normed=is_normed)
+        layers += conv(2, num_outputs, num_outputs, activation=nn.ReLU(), is_normed=is_normed)
     return nn.Sequential(*layers)
 
 
@@ -103,40 +93,18 @@ def conv(
     activation: nn.Module | None,
     kernel: int = 3,
     stride: int = 1,
-    dropout: float = 0.0,
     is_normed: bool = True,
 ) -> list[nn.Module]:
-    """Padding by one pixel, convolution, norm, activation, dropout of whole channels."""
+    """Padding by one pixel, convolution, norm, activation."""
     pad = (nn.ReflectionPad2d, nn.ReplicationPad3d)[dims - 2](1)
-    layer = (nn.Conv2d, Conv3d)[dims - 2](num_inputs, num_outputs, kernel, stride=stride, bias=not is_normed)
-    return [pad, layer, *_finish(dims, num_outputs, activation=activation, dropout=dropout, is_normed=is_normed)]
+    layer = (nn.Conv2d, nn.Conv3d)[dims - 2](num_inputs, num_outputs, kernel, stride=stride, bias=not is_normed)
+    return [pad, layer, *_finish(dims, num_outputs, activation=activation, is_normed=is_normed)]
 
 
-class Conv3d(nn.Conv3d):
-    """Torch's convolution, on a CPU several times as fast for few channels.
-
-    Torch 2.13 hands a single sample to oneDNN only if it has more than 20,480 rows (channels x depth x height); below
-    that an unrolled matrix product runs. Where a few channels of zeros carry the input over, they are added: the same
-    sums in another order. Measured on one core, 66 x 34 x 34 voxels, forward and backward: 8 to 4 channels 160 to
-    25 ms, 9 to 1 channels 110 to 20 ms.
-    """
-
-    def forward(self, input: Float32[Tensor, "b c d h w"]) -> Float32[Tensor, "b c2 d2 h2 w2"]:  # noqa: A002
-        missing = ONEDNN_ROWS // (input.shape[0] * input.shape[2] * input.shape[3]) + 1 - input.shape[1]
-        x, weight = input, self.weight
-        if x.device.type == "cpu" and len(x) == 1 and 0 < missing <= MOST_ZERO_CHANNELS:
-            x, weight = (functional.pad(t, (0,) * 7 + (missing,)) for t in (x, weight))
-        return self._conv_forward(x, weight, self.bias)
-
-
-def _finish(
-    dims: int, channels: int, *, activation: nn.Module | None, dropout: float, is_normed: bool
-) -> list[nn.Module]:
+def _finish(dims: int, channels: int, *, activation: nn.Module | None, is_normed: bool) -> list[nn.Module]:
     layers: list[nn.Module] = [(nn.BatchNorm2d, nn.BatchNorm3d)[dims - 2](channels)] if is_normed else []
     if activation is not None:
         layers.append(activation)
-    if dropout:
-        layers.append((nn.Dropout2d, nn.Dropout3d)[dims - 2](dropout))
     return layers
 
 
@@ -165,9 +133,7 @@ def feature_extractor(*, width: int, num_outputs: int, num_halvings: int, plane_
     )
 
 
-def rendering_network(
-    *, width: int, num_inputs: int, num_doublings: int, plane_size: int, dropout: float
-) -> nn.Sequential:
+def rendering_network(*, width: int, num_inputs: int, num_doublings: int, plane_size: int) -> nn.Sequential:
     """Features of rays to colours in [-1, 1]: a U-Net down to one pixel, then doublings."""
     unet = Unet(
         2,
@@ -176,27 +142,28 @@ def rendering_network(
         width=width * 2**num_doublings,
         num_down=int(math.log2(plane_size)),
         max_channels=8 * width,
-        dropout=dropout,
     )
     return nn.Sequential(
         unet,
-        *(double(2, 4 * width if stage == 0 else width, width, dropout=dropout) for stage in range(num_doublings)),
+        *(double(2, 4 * width if stage == 0 else width, width) for stage in range(num_doublings)),
         *conv(2, width, width // 2, activation=nn.ReLU()),
         *conv(2, width // 2, 3, activation=nn.Tanh(), is_normed=False),
     )
 
 
 class Integration(nn.Module):
-    """A gated recurrent unit whose state is the grid; a gate is one number for each voxel."""
+    """A gated recurrent unit whose state is the grid; a gate is one number for each voxel.
 
-    def __init__(self, features: int, *, dropout: float, bounded: bool) -> None:
+    The candidate is a tanh, as in other gated units, where the authors have a ReLU and dropout: with ReLU, later norms
+    hide the grid's scale from the loss, and at a rate of 0.002 it overflowed after 80 steps.
+    """
+
+    def __init__(self, features: int) -> None:
         super().__init__()
         # Inputs of the reset gate, the update gate and the candidate: from the new observation, then the old state.
         self.new = _conv3(features + 3, 2 + features)
         self.old_gates = _conv3(features + 3, 2, has_bias=False)
         self.old_candidate = _conv3(features + 3, features, has_bias=False)
-        self.drop = nn.Dropout3d(dropout)
-        self.activation = nn.Tanh() if bounded else nn.ReLU()
 
     def forward(self, new: Volume, old: Volume, coordinates: Float32[Tensor, "1 3 z y x"]) -> Volume:
         """The state after an observation; both gates and the candidate also see the voxels' coordinates."""
@@ -204,12 +171,12 @@ class Integration(nn.Module):
         from_new = self.new(torch.cat([new, coordinates], dim=1))
         reset, update = torch.sigmoid(from_new[:, :2] + self.old_gates(old_placed)).split(1, dim=1)
         from_old = self.old_candidate(reset * old_placed)
-        candidate = self.activation(self.drop(from_new[:, 2:]) + self.drop(from_old))
+        candidate = torch.tanh(from_new[:, 2:] + from_old)
         return (1 - update) * old + update * candidate
 
 
 def _conv3(num_inputs: int, num_outputs: int, *, has_bias: bool = True) -> nn.Sequential:
-    return nn.Sequential(nn.ReplicationPad3d(1), Conv3d(num_inputs, num_outputs, 3, bias=has_bias))
+    return nn.Sequential(nn.ReplicationPad3d(1), nn.Conv3d(num_inputs, num_outputs, 3, bias=has_bias))
 
 
 class Occlusion(nn.Module):

@@ -43,10 +43,10 @@ class PaperConfig(MethodConfig):
     """Camera input of each layer (section 4.6): none, the view vector (view), or its spherical harmonics in three bands
     (sh)."""
     width: int = choice(0, "w{}", flag="hidden", limits=(0, 8192))
-    """Hidden units of the first layer; 0: chosen for 34,000 parameters (section 4.3). The paper's text has 256, which
-    contradicts its 34k."""
+    """Hidden units of the first layer; 0: chosen so that three blocks have 34,000 parameters (section 4.3). The paper's
+    text has 256, which contradicts its 34k."""
     blocks: int = choice(3, "{}-blocks", limits=(0, 8))
-    """Residual blocks; each halves the channels at its end (section 4.3)."""
+    """Residual blocks; each halves the channels at its end (section 4.3). Their number does not change the width."""
     norm: Norm = choice("batch", {"none": "no-norm", "batch": "batch-norm"})
     """Batch norm after each linear layer but the last (section 4.3), or none (the authors' code)."""
     texture_size: int = choice(0, "t{}")
@@ -84,6 +84,9 @@ class PaperConfig(MethodConfig):
         word, dash, number = self.layers.rpartition("-")
         if self.layers not in ("all", "online") and (not number.isdecimal() or (dash and word != "online")):
             raise HyalineError(f"layers: is {self.layers!r}; expected all, a number, online, or both such as online-4")
+
+    def optimisation(self) -> PixelOptimisation:
+        return PixelOptimisation(loss=LossConfig(vgg_weights="auto"))
 
     @property
     def asked_layers(self) -> int | None:

@@ -103,7 +103,7 @@ def complete(config: PaperConfig, inputs: Inputs) -> PaperConfig:
     )
     side = inputs.dataset.config.resolution.mean_side
     size = config.texture_size or default_texture_size(side, config.texels_per_pixel)
-    width = config.width or width_for_34k(num_inputs, config.blocks)
+    width = config.width or width_for_34k(num_inputs)
     return dataclasses.replace(config, width=width, texture_size=size)
 
 

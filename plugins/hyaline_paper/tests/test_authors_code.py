@@ -21,7 +21,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 CPU = torch.device("cpu")
-NET = AuthorsConfig(texture_size=24, position_size=64, zero_layer=True)
+NET = AuthorsConfig(texture_size=24, position_size=64)
 SMALL = TrainConfig(
     method="authors-code",
     geometry=TRUTH,
@@ -80,7 +80,7 @@ def test_harmonics_differ_from_the_real_ones_by_constants_only() -> None:
 
 
 def test_the_basis_multiplies_nine_channels_and_the_rest_is_as_stored(dataset: Dataset) -> None:
-    config = dataclasses.replace(NET, extrinsics="sh", zero_layer=False)
+    config = dataclasses.replace(NET, extrinsics="sh")
     renderer = build(config, dataset)
     rays = load_pixels(dataset, TRUTH, "train", [2]).take(torch.arange(1024), None)
     seen = []
@@ -111,7 +111,7 @@ def test_dropout_stays_on_at_test_and_repeats(dataset: Dataset) -> None:
     noisy = predict_pixels(renderer, pixels)
     assert torch.equal(torch.get_rng_state(), before)
     assert np.array_equal(noisy, predict_pixels(renderer, pixels))
-    quiet = build(dataclasses.replace(NET, test_dropout=False), dataset)
+    quiet = build(dataclasses.replace(NET, dropout=0.0), dataset)
     quiet.load_state_dict(renderer.state_dict())
     assert not np.array_equal(noisy, predict_pixels(quiet, pixels))
     # Of 20,000 hidden units a fifth is silent, and what is left is scaled up.

@@ -12,8 +12,8 @@ from support.commands import call, run
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.config import TEST_SPLITS, Split, square
-from datagen.data.dataset import Dataset
-from datagen.data.images import png_bytes
+from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.images import png_bytes, read_png
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import to_json
@@ -149,13 +149,16 @@ def test_table_1_sets_comparable_runs_beside_the_papers_numbers(
     write_run(dataset, tmp_path, "harmonics", paper(extrinsics="sh", width=72), 18, 30)
     write_run(dataset, tmp_path, "short", paper(steps=100), 90, 90)  # Nothing to compare it with.
     write_run(dataset, tmp_path, "zero", paper(zero_layer=True), 90, 90)  # Not the paper's table.
+    write_run(
+        dataset, tmp_path, "random-vgg", dataclasses.replace(paper(), loss=LossConfig(vgg_weights="random")), 5, 5
+    )
     tables(dataset, tmp_path, "table1")
     text = capsys.readouterr().out
     rows = {row[0]: row[1:] for row in rows_of(text)[1:]}
     near = [decibels(17), decibels(20)]
     cell = f"{statistics.fmean(near):.2f}±{statistics.stdev(near):.2f}"
-    assert rows["view vector"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
-    assert rows["spherical harmonics"] == [
+    assert rows["view vector (L1 alone)"][1:4] == ["2", cell, f"{decibels(25):.2f}±0.00"]
+    assert rows["spherical harmonics (L1 alone)"] == [
         "harmonics",
         "1",
         f"{decibels(18):.2f}",
@@ -177,6 +180,7 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     write_run(dataset, tmp_path, "somebodys", "dnr", 5, 40)
     write_run(dataset, tmp_path, "wide", "mlp-first", 12, 13)
     write_run(dataset, tmp_path, "ours", paper(), 10, 12)
+    write_run(dataset, tmp_path, "stand-in", dataclasses.replace(paper(), loss=LossConfig(vgg_weights="random")), 11, 9)
     write_run(dataset, tmp_path, "voxels", "deepvoxels", 30, 35, geometry="none")
     write_run(dataset, tmp_path, "boxes", "dnr", 20, 20, geometry="box")
     tables(dataset, tmp_path, "square", "table2")
@@ -184,16 +188,17 @@ def test_methods_are_told_by_their_records_whoever_made_them(
     assert [row[:2] for row in rows if row[0]] == [
         ["U-Net, first layer (DNR)", "somebodys"],
         ["per pixel, first layer", "wide"],
-        ["per pixel, all layers (paper)", "ours"],
+        ["per pixel, all layers (L1 alone)", "ours"],
+        ["per pixel, all layers (L1, random VGG16)", "stand-in"],
         ["U-Net, all layers", "not run"],
-        ["per pixel, all layers (paper-best)", "not run"],
+        ["per pixel, all layers, tuned", "not run"],
         ["DNR", "somebodys"],
-        ["paper", "ours"],
+        ["paper (L1 alone)", "ours"],
+        ["paper (L1, random VGG16)", "stand-in"],
         ["DeepVoxels, small", "voxels"],
         ["paper-best", "not run"],
         ["DNR, as the paper ran it", "not run"],
-        ["the network of its code", "not run"],
-        ["DeepVoxels", "not run"],
+        ["the network of its code (L1 alone)", "not run"],
     ]
     assert [row[-2:] for row in rows if row[1] == "ours"] == [["33.19", "32.99"]] * 2
 
@@ -215,7 +220,6 @@ def test_deep_voxels_has_a_table_beside_the_mean_picture(
     near, far = decibels(3), decibels(4)
     scores = [f"{value:.2f}" for value in (near, far, near - far, wrapped(3), wrapped(4))]
     assert rows["DeepVoxels, small"] == ["voxels", "1", *scores]
-    assert rows["DeepVoxels"] == ["not run", *[MISSING] * 6]
     drop = f"{floors[0] - floors[1]:.2f}"
     assert rows["mean of the training pictures"][:5] == [*[MISSING] * 2, *(f"{floor:.2f}" for floor in floors), drop]
 
@@ -223,43 +227,52 @@ def test_deep_voxels_has_a_table_beside_the_mean_picture(
 # The claims
 
 
-def verdicts(text: str) -> dict[str, list[str]]:
+def scored(dataset: Dataset, folder: Path, *names: str) -> SceneScores:
+    truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
+    runs = tuple(score_run(open_run(folder / "synthetic" / name, folder), truths) for name in names)
+    return SceneScores(dataset=dataset, title=folder.name, has_glass_mask=True, truths=truths, runs=runs)
+
+
+def verdicts(scenes: list[SceneScores]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
-    for row in rows_of(text)[1:]:
-        found.setdefault(row[0][0], []).append(row[-1])
+    for finding in claims.find_claims(scenes, {}):
+        found.setdefault(finding.claim[0], []).append(finding.verdict)
     return found
 
 
-def test_claims_are_decided_by_intervals_of_enough_pictures_and_not_run_without_runs(
+def test_claims_are_decided_by_intervals_over_enough_scenes_and_not_run_without_runs(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_run(dataset, tmp_path, "view", paper(), 10, 11)
-    tables(dataset, tmp_path, "claims")
-    found = verdicts(capsys.readouterr().out)
-    assert {word for number in "123678" for word in found[number]} == {"not run"}
-    write_run(dataset, tmp_path, "unet", "dnr", 12, 20)
-    write_run(dataset, tmp_path, "unet-layers", "dnr-layers", 9, 9)
-    write_run(dataset, tmp_path, "sh", paper(extrinsics="sh", width=72), 9, 12)
-    for seed, levels in enumerate(((20, 22), (21, 20))):
-        write_run(dataset, tmp_path, f"ellipsoid{seed}", paper(seed=seed, geometry="ellipsoid"), levels[0], 20)
-        write_run(dataset, tmp_path, f"box{seed}", paper(seed=seed, geometry="box"), levels[1], 40)
-    tables(dataset, tmp_path, "claims")
-    assert verdicts(capsys.readouterr().out)["1"] == ["not decided"]
+    scenes = []
+    for worse in (0, 2):
+        folder = tmp_path / str(worse)
+        write_run(dataset, folder, "view", paper(), 10 + worse, 11 + worse)
+        write_run(dataset, folder, "unet", "dnr", 12 + worse, 20 + worse)
+        write_run(dataset, folder, "unet-layers", "dnr-layers", 9 + worse, 9 + worse)
+        write_run(dataset, folder, "sh", paper(extrinsics="sh", width=72), 9 + worse, 12 + worse)
+        write_run(dataset, folder, "ellipsoid", paper(geometry="ellipsoid"), 20, 20)
+        write_run(dataset, folder, "box", paper(geometry="box"), 22 + worse, 40)
+        scenes.append(scored(dataset, folder, "view", "unet", "unet-layers", "sh", "ellipsoid", "box"))
+    assert verdicts(scenes)["1"] == ["not decided"]
     monkeypatch.setattr(claims, "LEAST", 2)
-    tables(dataset, tmp_path, "claims")
-    text = capsys.readouterr().out
-    assert verdicts(text) == {
+    assert verdicts(scenes) == {
         "1": ["confirmed"],
         "2": ["confirmed"],
         "3": ["contradicted"],
         "4": ["confirmed", "contradicted"],
         "5": ["confirmed"],
-        "6": ["not decided"],
+        "6": ["not judged: no score of videos"],
         "7": ["not run"],
         "8": ["not run"],
+        "9": ["not run"],
     }
-    near, far = decibels(10) - decibels(12), decibels(11) - decibels(20)
-    assert f"inter {near:+.2f} ({near:+.2f} to {near:+.2f}); extra {far:+.2f} ({far:+.2f} to {far:+.2f})" in text
+    gaps = [decibels(10 + worse) - decibels(12 + worse) for worse in (0, 2)]
+    finding = claims.find_claims(scenes, {})[0]
+    assert (finding.scenes, finding.pair) == ("2", "view (L1 alone) against unet")
+    assert finding.numbers.startswith(f"inter {statistics.fmean(gaps):+.2f} ({min(gaps):+.2f} to {max(gaps):+.2f})")
+    tables(dataset, tmp_path / "0", "claims")
+    first = rows_of(capsys.readouterr().out)[1]
+    assert first[1:3] == ["synthetic", finding.pair] and first[-1] == "not decided"
 
 
 def test_an_interval_has_its_nominal_width_over_pictures_and_over_seeds() -> None:
@@ -282,41 +295,23 @@ def test_an_interval_has_its_nominal_width_over_pictures_and_over_seeds() -> Non
     assert (drop.low, drop.high) == pytest.approx((3, 3))
 
 
-def scored(dataset: Dataset, folder: Path, *names: str) -> SceneScores:
-    truths: dict[Split, Truth] = {split: read_truth(dataset, split) for split in TEST_SPLITS}
-    runs = tuple(score_run(open_run(folder / "synthetic" / name, folder), truths) for name in names)
-    return SceneScores(dataset=dataset, title=folder.name, has_glass_mask=True, truths=truths, runs=runs)
-
-
-def test_a_claim_that_enough_scenes_try_is_judged_over_scenes(
-    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(claims, "LEAST", 2)
-    scenes = []
-    for level in (12, 9):
-        folder = tmp_path / str(level)
-        write_run(dataset, folder, "view", paper(), 10, 10)
-        write_run(dataset, folder, "unet", "dnr", level, level)
-        scenes.append(scored(dataset, folder, "view", "unet"))
-    found = [finding for finding in claims.find_claims(scenes, {}) if finding.claim.startswith("1") and finding.verdict]
-    gaps = [decibels(10) - decibels(level) for level in (12, 9)]
-    assert [finding.data for finding in found] == ["2 scenes"]
-    assert found[0].numbers.startswith(f"inter {statistics.fmean(gaps):+.2f} (") and found[0].verdict == "not decided"
-    assert claims.find_claims(scenes[:1], {})[0].data == "12"
-
-
 def test_edited_scenes_decide_whether_zero_layers_help_edits(
     dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    write_run(dataset, tmp_path, "without", paper(), 10, 11)
-    write_run(dataset, tmp_path, "with", paper(zero_layer=True), 10, 11)
+    scenes = []
+    for name in ("a", "b"):
+        write_run(dataset, tmp_path / name, "without", paper(), 10, 11)
+        write_run(dataset, tmp_path / name, "with", paper(zero_layer=True), 10, 11)
+        scenes.append(scored(dataset, tmp_path / name, "without", "with"))
     monkeypatch.setattr(claims, "LEAST", 2)
-    scene = scored(dataset, tmp_path, "without", "with")
-    for edited_db, edits, verdict in ((24.0, 2, "confirmed"), (22.0, 2, "contradicted"), (24.0, 1, "not decided")):
-        both = {name: dict.fromkeys(TEST_SPLITS, edited_db) for name in ("a", "b")[:edits]}
-        others = {name: dict.fromkeys(TEST_SPLITS, 23.0) for name in both}
-        edited = {scene.title: {"with": both, "without": {**others, "alone": dict.fromkeys(TEST_SPLITS, 40.0)}}}
-        assert claims.find_claims([scene], edited)[-1].verdict == verdict
+    both, alone = dict.fromkeys(TEST_SPLITS, 23.0), dict.fromkeys(TEST_SPLITS, 40.0)
+    for edited_db, verdict in ((24.0, "confirmed"), (22.0, "contradicted")):
+        drawn = {"with": {"x": dict.fromkeys(TEST_SPLITS, edited_db)}, "without": {"x": both, "y": alone}}
+        found = {
+            finding.claim[0]: finding.verdict for finding in claims.find_claims(scenes, dict.fromkeys("ab", drawn))
+        }
+        assert found["8"] == verdict and found["7"] == "not decided"
+        assert claims.find_claims(scenes[:1], {"a": drawn})[-2].verdict == "not decided"
 
 
 # What is refused, and what the records must be
@@ -332,7 +327,7 @@ def test_a_table_without_runs_names_the_sweep_that_makes_them(dataset: Dataset, 
 # Larger pictures
 
 
-def test_larger_pictures_have_a_table_beside_the_enlarged_small_ones(tmp_path: Path) -> None:
+def test_larger_pictures_and_errors_by_what_pixels_show_have_tables(tmp_path: Path) -> None:
     scene = synthetic_scene()
     rig = dataclasses.replace(scene.cameras, azimuth_deg=(-100, 100))
     save_scene(dataclasses.replace(scene, cameras=rig), tmp_path / "scene/mine")
@@ -348,6 +343,24 @@ def test_larger_pictures_have_a_table_beside_the_enlarged_small_ones(tmp_path: P
     names = [("paper", "at that size"), ("paper", "enlarged"), ("truth", "enlarged"), ("noise ceiling", "")]
     assert [tuple(row[1:3]) for row in rows] == names
     assert all(float(cell) > 0 for row in rows[:3] for cell in row[3:5])
+
+    # The same run's errors by what its pixels show.
+    asked = f"report '{tmp_path}/runs' --data '{tmp_path}/data' --table errors --json"
+    assert "has no twin without glass; make it with `datagen add" in call(asked).error
+    run(f"datagen add '{tmp_path}/data/mine' --edit no-glass")
+    ((_, _, *cells),) = json.loads(call(asked).out)["tables"]["errors"][0]["rows"]
+    dataset = open_dataset(tmp_path / "data/mine")
+    squares, glass = [], []
+    for split in TEST_SPLITS:
+        for view in dataset.views(split):
+            drawn = read_png(tmp_path / f"runs/mine/paper/predictions/{split}/{view.index:04d}.png")
+            squares.append(np.square(drawn - view.image.astype(float)).mean(axis=-1))
+            glass.append(view.mask("glass"))
+    in_glass = np.where(glass, squares, 0).mean()
+    assert 0 < in_glass < np.mean(squares)
+    assert [cells[0], cells[5]] == [f"{value:.1f}" for value in (in_glass, np.mean(squares))]
+    assert sum(map(float, cells[:5])) == pytest.approx(np.mean(squares), abs=0.3)
+    assert cells[6].count("g") == pytest.approx(20 * in_glass / np.mean(squares), abs=1)
 
 
 def test_enlarging_keeps_a_ramp_where_it_was() -> None:

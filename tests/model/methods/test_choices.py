@@ -15,8 +15,8 @@ from datagen.disk.records import to_json
 from datagen.terminal.parsing import flag_words, flags_of
 from model.methods.protocol import BUILT_IN, METHODS
 from model.run.run_folder import read_run
-from model.run.train_flags import flags_asked, folder_name, make_command, parse_train
-from model.settings import RunFlags
+from model.run.train_flags import Asked, flags_asked, folder_name, make_command, parse_train
+from model.settings import WEIGHT_FILE, RunFlags
 
 
 @pytest.mark.parametrize(
@@ -51,6 +51,7 @@ from model.settings import RunFlags
         ("paper-best --steps 2500 --norm none", "paper-best-2500-steps"),
         ("dnr-authors --features 8 --crop 0", "dnr-authors"),
         ("paper --vgg-weights random --adversarial 0.01", "paper-random-vgg-adversarial0.01"),
+        ("paper-best --vgg-weights imagenet", "paper-best-vgg"),
     ],
 )
 def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geometry(words: str, name: str) -> None:
@@ -61,8 +62,8 @@ def test_folders_tell_what_is_not_usual_for_the_method_its_preset_and_the_geomet
 @pytest.mark.parametrize(
     "words",
     [
-        "paper",
-        "paper --geometry box --extrinsics none --hidden 256 --blocks 0 --norm none --seed 7",
+        "paper --vgg-weights none",
+        "paper --geometry box --extrinsics none --hidden 256 --blocks 0 --norm none --vgg-weights imagenet --seed 7",
         "paper-best --zero-layer --features 8 --lr-decay none --steps 10 --texture-lr 0.5",
         "paper --vgg-weights random --adversarial 0.01",
         "light-path --geometry box --no-relief --straight-layers 2 --environment 1 --sky-lr 0.5 --debias 0.5",
@@ -76,6 +77,22 @@ def test_recorded_flags_ask_for_the_same_run_and_say_nothing_usual(words: str) -
     assert parse_train(method, tuple(again)) == asked and sorted(again) == sorted(flags)
     unrecorded = (*flags, "--out", "x", "--label", "y", "--costs", "--overwrite", "--device", "cpu")
     assert flags_asked(parse_train(method, unrecorded)) == flags_asked(asked)
+
+
+def test_the_papers_loss_is_usual_where_torchs_cache_has_its_weights_and_folders_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def asked(method: str) -> Asked:
+        usual = METHODS.find(method)().usual("truth")
+        return Asked(dataset=None, run=RunFlags(), method=usual, optimisation=usual.optimisation())
+
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    place = tmp_path / "hub/checkpoints" / WEIGHT_FILE
+    for weights, name in (("none", "paper"), ("imagenet", "paper-vgg")):
+        assert flags_asked(asked("paper")) == flags_asked(asked("mlp-first")) == {"vgg-weights": weights}
+        assert folder_name("paper", asked("paper")) == name and flags_asked(asked("dnr")) == {}
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.touch()
 
 
 @pytest.mark.parametrize("method", BUILT_IN)

@@ -75,14 +75,14 @@ def test_weights_come_from_a_file_and_only_the_features_are_read(
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     place = tmp_path / "hub/checkpoints/vgg16-397923af.pth"
-    with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights"):
-        find_vgg(LossConfig(vgg_weights="auto"))
+    with pytest.raises(HyalineError, match=r"hub/checkpoints/vgg16-397923af.pth: no VGG16 weights; fetch them with"):
+        find_vgg(LossConfig(vgg_weights="imagenet"))
     trained = vgg_layers()
     state = {f"features.{name}": value for name, value in trained.state_dict().items()}
     place.parent.mkdir(parents=True)
     torch.save({**state, "classifier.0.weight": "whatever"}, place)
     with pytest.raises(HyalineError, match="damaged, its SHA-256 is"):
-        find_vgg(LossConfig(vgg_weights="auto"))  # Not the file that the name promises.
+        find_vgg(LossConfig(vgg_weights="imagenet"))  # Not the file that the name promises.
     source = find_vgg(LossConfig(vgg_weights=str(place)))
     assert source.vgg_sha256 == sha256(place.read_bytes()) and source.describe() == "pre-trained VGG16"
     loss = PerceptualLoss(str(place))

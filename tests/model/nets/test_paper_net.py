@@ -49,7 +49,7 @@ def test_the_network_has_the_derived_number_of_parameters(
     assert count_parameters(inputs, width, 3, "none") == without_norm
     assert count_parameters(inputs, width, 3, "batch") == with_norm
     if 33_000 < with_norm < 35_000:  # The published count.
-        assert width_for_34k(inputs, 3) == width
+        assert width_for_34k(inputs) == width
 
 
 def test_the_network_equals_its_formula_written_out() -> None:
@@ -143,7 +143,9 @@ def test_textures_start_at_zero_but_at_one_half_where_the_network_sees_nothing_e
 def test_the_papers_textures_can_be_a_pyramid_whose_finer_levels_count_less(tmp_path: Path) -> None:
     dataset = write_synthetic_dataset(tmp_path / "data", num_layers=2)
     net = PaperConfig(extrinsics="none", texture_size=16, texture_levels=3, texture_features=64, finer_counts=0.5)
-    config = net.complete(open_inputs(net, dataset, "truth"))
+    inputs = open_inputs(net, dataset, "truth")
+    config = net.complete(inputs)
+    assert dataclasses.replace(net, blocks=1).complete(inputs).width == config.width
     renderer = build(config, dataset).eval()
     assert isinstance(renderer.textures, TexturePyramid)
     assert renderer.net.first.linear.in_features == 2 * 64
