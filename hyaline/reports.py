@@ -31,6 +31,8 @@ class Scores:
     """CIE DE2000 under D65, mean over pixels."""
     flip: float | None
     """LDR-FLIP at 67 pixels per degree, 0 to 1; None without the package flip-evaluator."""
+    lpips: float | None
+    """LPIPS 0.1 with AlexNet; None without the package lpips and torchvision's weights."""
     masked_psnr_db: float | None
     """PSNR of the pixels in the mask alone; None without a mask, or with an empty one."""
 
@@ -65,6 +67,7 @@ def score(
         ssim=metrics.ssim(pred, target) if is_large else None,
         delta_e=float(metrics.delta_e_2000(pred, target).mean()),
         flip=metrics.flip(pred, target),
+        lpips=metrics.lpips(pred, target),
         masked_psnr_db=metrics.masked_psnr(pred, target, mask) if mask is not None and mask.any() else None,
     )
 

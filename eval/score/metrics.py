@@ -7,16 +7,24 @@ import functools
 import importlib
 import importlib.util
 import math
-from collections.abc import Sequence
+import warnings
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import ModuleType
 from typing import cast
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from datagen.terminal.command import say
+
 PEAK = 255
 SSIM_WINDOW = 11
 """Side of the Gaussian window in pixels; SSIM is undefined for smaller pictures."""
+LPIPS_SIDE = 31
+"""Least side of a picture in pixels that is left something of by AlexNet's pooling."""
+ALEXNET = "alexnet-owt-7be5be79.pth"
+"""torchvision's file of weights."""
 HIGHLIGHTS = 0.02
 """Share of glass pixels that are scored as highlights."""
 
@@ -89,6 +97,42 @@ def flip(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -
     images = [(image / PEAK).astype(np.float32) for image in (target, pred)]
     error, _, _ = package.evaluate(*images, "LDR", applyMagma=False, computeMeanError=False)
     return float(error.mean(dtype=np.float64))
+
+
+def lpips(pred: UInt8[np.ndarray, "h w 3"], target: UInt8[np.ndarray, "h w 3"]) -> float | None:
+    """LPIPS 0.1, the distance of AlexNet's features, 0 for equal pictures; None without its package and weights.
+
+    Both sides are at least 31 pixels. Source: Zhang et al. 2018, computed by its authors' package.
+    """
+    distance = _lpips_distance()
+    if distance is None or min(target.shape[:2]) < LPIPS_SIDE:
+        return None
+    return distance(*(image * np.float32(2 / PEAK) - 1 for image in (pred, target)))
+
+
+@functools.cache
+def _lpips_distance() -> Callable[[np.ndarray, np.ndarray], float] | None:
+    """The distance of two pictures in -1 to 1; None unless everything is installed, since nothing is downloaded."""
+    if not all(map(importlib.util.find_spec, ("lpips", "torchvision", "torch"))):
+        return None
+    import torch
+
+    if not (Path(torch.hub.get_dir()) / "checkpoints" / ALEXNET).is_file():
+        return None
+    try:
+        package = importlib.import_module("lpips")
+    except (ImportError, OSError, RuntimeError) as error:  # torchvision raises the latter two beside another torch.
+        say(f"no LPIPS: the package lpips cannot be imported ({error})")
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # lpips 0.1.4 calls torchvision as versions before 0.13 wanted it.
+        network = package.LPIPS(net="alex", verbose=False)
+
+    def distance(*images: np.ndarray) -> float:
+        with torch.inference_mode():
+            return float(network(*(torch.from_numpy(image).permute(2, 0, 1)[None] for image in images)))
+
+    return distance
 
 
 def highlights(target: UInt8[np.ndarray, "h w 3"], glass: Bool[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

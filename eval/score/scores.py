@@ -52,6 +52,7 @@ METRICS = (
     Metric(key="delta_e", title="ΔE2000 ↓", decimals=2),
     Metric(key="delta_e_p95", title="ΔE2000 p95 ↓", decimals=2, is_printed=False),
     Metric(key="flip", title="FLIP ↓", decimals=4, is_printed=False),
+    Metric(key="lpips", title="LPIPS ↓", decimals=4, is_printed=False),
     Metric(key="highlight_psnr_db", title="PSNR highlights dB ↑", decimals=2, in_db=True, is_printed=False),
     Metric(key="highlight_error", title="mean error of highlights", decimals=1, is_printed=False),
     Metric(
@@ -215,6 +216,7 @@ def score_picture(
         "delta_e": float(delta_e.mean()),
         "delta_e_p95": float(np.percentile(delta_e, 95)),
         "flip": metrics.flip(pred, target),
+        "lpips": metrics.lpips(pred, target),
         "highlight_psnr_db": None if bright is None else metrics.masked_psnr(pred, target, bright),
         "highlight_error": None if bright is None else float((pred[bright].astype(float) - target[bright]).mean()),
         "psnr_uint8_wrap_db": metrics.psnr_uint8_wrap(pred, target),

@@ -1,6 +1,10 @@
 """Metrics against independent programs, closed forms and the mistakes they must not make."""
 
+import importlib.machinery
 import math
+import sys
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -8,7 +12,7 @@ from skimage.color import deltaE_ciede2000, rgb2lab
 from skimage.metrics import peak_signal_noise_ratio
 
 from eval.score import metrics
-from eval.score.metrics import delta_e_2000, flip, highlights, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
+from eval.score.metrics import delta_e_2000, flip, highlights, lpips, masked_psnr, mean_of, psnr, psnr_uint8_wrap, ssim
 from eval.score.scores import score_picture
 
 
@@ -142,9 +146,42 @@ def test_highlights_are_the_brightest_of_the_pixels_of_glass() -> None:
     assert score_picture(pred, target, np.zeros_like(glass))["highlight_error"] is None
 
 
-def test_without_its_package_flip_is_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_their_packages_and_weights_perceptual_scores_are_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stand-in for lpips, since its weights cannot be had here; with it nothing may be loaded without a file."""
+    made = []
+
+    class Distance:
+        def __init__(self, *, net: str, verbose: bool) -> None:
+            made.append((net, verbose))
+
+        def __call__(self, pred, target):
+            assert pred.shape == (1, 3, 48, 48) and pred.min() >= -1 and pred.max() <= 1
+            return (pred - target).abs().mean()
+
+    package, vision = ModuleType("lpips"), ModuleType("torchvision")
+    package.LPIPS = Distance
+    pred, target = random_pair(3)
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     monkeypatch.setattr(metrics, "_flip_package", lambda: None)
-    assert flip(*random_pair(3)) is None
+    metrics._lpips_distance.cache_clear()
+    for name, module in (("lpips", package), ("torchvision", vision)):
+        module.__spec__ = importlib.machinery.ModuleSpec(name, None)
+        monkeypatch.setitem(sys.modules, name, module)
+    try:
+        assert lpips(pred, target) is None and flip(pred, target) is None
+        assert made == []
+        metrics._lpips_distance.cache_clear()
+        weights = tmp_path / "hub" / "checkpoints" / "alexnet-owt-7be5be79.pth"
+        weights.parent.mkdir(parents=True)
+        weights.touch()
+        expected = np.abs(pred.astype(float) - target).mean() / 127.5
+        assert lpips(pred, target) == pytest.approx(expected, rel=1e-5)
+        assert lpips(pred[:30], target[:30]) is None
+        assert made == [("alex", False)]
+    finally:
+        metrics._lpips_distance.cache_clear()
 
 
 @pytest.mark.parametrize(
