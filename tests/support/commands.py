@@ -17,6 +17,7 @@ MAINS = {
     "proxies": "proxies.cli",
     "model": "model.cli",
     "report": "eval.cli",
+    "hyaline": "hyaline.cli",
     "hyaline-bench": "hyaline_bench.cli",  # A plug-in.
     "benchmarks": "benchmarks.cli",
 }

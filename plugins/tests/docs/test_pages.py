@@ -131,11 +131,11 @@ def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
     assert scene.objects[1].material.is_glass
 
 
-PROGRAMS = "datagen|proxies|model|report|eval report|hyaline-bench|python -m benchmarks"
+PROGRAMS = "(?<=`)hyaline|datagen|proxies|model|report|eval report|hyaline-bench|python -m benchmarks"
 COMMAND = re.compile(rf"(?:`|^)((?:{PROGRAMS}) (?!= )[^`\n#|;&>()]+)", re.MULTILINE)
 UNFINISHED = re.compile(
     r"^\S+: Missing |: Missing (value|from)|no \w+ command 'NAME'"
-    r"|no model train method '(METHOD|NAME|alpha-blend|first-surface|-)"
+    r"|no \w+ train method '(METHOD|NAME|alpha-blend|first-surface|-)"
 )
 
 
