@@ -125,6 +125,8 @@ FRAME_SHARE = 0.05
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
 GLASS_OPACITY = 0.35
+FIRST = "Drawing the first picture ...", "It may take a minute; of a run in training, it comes with its first checkpoint."
+"""Title and text of the notification until a browser has its first picture."""
 
 
 def as_text(text: str) -> str:
@@ -234,6 +236,7 @@ class Viewer:
         self._schedule = Schedule()
         self._looked_at = -math.inf
         self._news = threading.Event()
+        self._notes: dict[int, viser.NotificationHandle] = {}
         self._stage = Stage(server, dataset, has_run=run is not None)
         self._pictures: Iterator[None] = self._stage.pictures()
         server.on_client_connect(self._connect)
@@ -277,6 +280,8 @@ class Viewer:
         if client is None:  # It disconnected before its last move was processed.
             self._schedule.forget(job.client)
         else:
+            if (picture is not None or trouble) and job.client in self._notes:
+                self._notes.pop(job.client).remove()
             client.scene.set_background_image(picture, format="png")
             client.flush()
         self._schedule.finish(job)
@@ -294,6 +299,8 @@ class Viewer:
             self._schedule.move(client.client_id, pose, time.monotonic())
             self._news.set()
 
+        if self._run is not None:
+            self._notes[client.client_id] = client.add_notification(*FIRST, loading=True, with_close_button=False)
         client.camera.on_update(moved)
         moved(client.camera)
 
