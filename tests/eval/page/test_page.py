@@ -53,7 +53,7 @@ def test_names_from_files_are_shown_and_never_run(page: ReadPage) -> None:
     assert len(page.all("script")) == len(page.all("style")) == 1
     assert all((picture.attributes["src"] or "").startswith("data:image/svg+xml;") for picture in page.all("img"))
     assert HOSTILE in "".join(element.text for element in page.all("dd"))
-    assert any(HOSTILE.replace("/", "|") in heading.text for heading in page.all("h2"))
+    assert any(HOSTILE.replace("/", "|") in heading.text for heading in page.all("h1"))
 
 
 def test_every_run_has_its_pictures_its_training_and_a_way_to_make_it_again(page: ReadPage) -> None:
