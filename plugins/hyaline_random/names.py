@@ -22,7 +22,7 @@ FAMILIES: Group = Group(
         "table": "hyaline_random.families:TABLE",
         "nested": "hyaline_random.families:NESTED",
     },
-    guide="docs/adding-a-random-family.md",
+    guide="docs/extending.md",
     kind="hyaline_random.families:Family",
 )
 """A single glass object before a background, glass and other things on a table, and media inside of each other."""
