@@ -60,7 +60,7 @@ def parsed(line: str) -> dict[str, object]:
     Raises:
         UsageError: the line is not one of ours.
     """
-    program, *words = shlex.split(re.sub("^(eval|python -m) ", "", line))
+    program, *words = shlex.split(re.sub("^(eval|python -m) ", "", line.replace(" --quiet", "")))
     module = importlib.import_module(MAINS[program])
     asked = parse(program, module.report if program == "report" else module.commands(), words)
     assert isinstance(asked, functools.partial)
