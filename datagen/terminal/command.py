@@ -36,8 +36,8 @@ REMIND_EVERY_S = 8.0
 def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> None:
     """Parses `arguments`, calls the function they ask for, and exits.
 
-    Results go to stdout, everything else to stderr. Every command takes `--version` and `--quiet`. Exit status: 0 done, 1 our error
-    in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
+    Results go to stdout, everything else to stderr. Every command takes `--version` and `--quiet`. Exit status: 0 done,
+    1 our error in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
     hush(QUIET in arguments)
     _open_closed()
