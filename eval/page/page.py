@@ -53,9 +53,6 @@ MAX_VALUE = 1e30
 MOST_POINTS = 400
 """Most points of a curve on the page; from more, an even selection."""
 
-ShownViews = list[tuple[int, str]]
-"""Views on the page, and the rank of each among the others: worst, median, best, or empty."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
@@ -81,28 +78,14 @@ def compared(scores: RunScores) -> list[Compared]:
     ]
 
 
-def ranked_views(scores: SplitScores) -> ShownViews:
-    """All views of a split: the worst, the median and the best by PSNR, then the others from the worst on."""
+def ranked_views(scores: SplitScores) -> dict[int, str]:
+    """The views of a split that its page shows, and what they are by PSNR: the worst, the median and the best."""
     values = [-math.inf if value is None else value for value in scores.images["psnr_db"]]
     rising = sorted(range(len(values)), key=lambda view: (values[view], view))
     named: dict[int, str] = {}
     for rank, view in (("worst", rising[0]), ("median", rising[(len(rising) - 1) // 2]), ("best", rising[-1])):
         named.setdefault(view, rank)
-    return [*named.items(), *((view, "") for view in rising if view not in named)]
-
-
-def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[Compared, ShownViews]:
-    """Adds truth and prediction of up to `most` views of each to the gallery; returns the views that fit.
-
-    The first views of all are added before the second ones, so that a full page lacks the least important ones.
-    """
-    shown: dict[Compared, ShownViews] = {item: [] for item in items}
-    ranked = {item: ranked_views(item.scores) for item in items}
-    for rank in range(min(most, max(map(len, ranked.values()), default=0))):
-        for item, views in ranked.items():
-            if rank < len(views) and store_view(gallery, item, views[rank][0]):
-                shown[item].append(views[rank])
-    return shown
+    return named
 
 
 def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
@@ -164,22 +147,23 @@ def run_anchor(scene: SceneScores, run: Run) -> str:
     return anchor("run", scene.title, run.folder.parent.name, run.name)
 
 
-def run_page(scene: SceneScores, scores: RunScores, views: Mapping[Compared, ShownViews], gallery: Gallery) -> Markup:
+def run_page(scene: SceneScores, scores: RunScores, items: Sequence[Compared], gallery: Gallery) -> Markup:
     """Everything about one run.
 
     Args:
-        views: the views to show of each split that it predicted.
+        items: its predictions.
     """
     run, place = scores.run, run_anchor(scene, scores.run)
     pictures: list[Part] = []
-    for item, shown in views.items():
-        count, truths = len(item.digests), {"truth": item.run.dataset}
+    for item in items:
+        shown, truths = ranked_views(item.scores), {"truth": item.run.dataset}
         pictures += [
             tag("h2", f"{item.title}: {format_number(item.scores.mean('psnr_db'), 2)} dB"),
-            tag("div", *(view_row(gallery, truths, [item], item.split, *view) for view in shown), class_="views"),
+            tag("p", f"{len(shown)} of {len(item.digests)} views.", class_="note"),
+            tag(
+                "div", *(view_row(gallery, truths, [item], item.split, *view) for view in shown.items()), class_="views"
+            ),
         ]
-        if len(shown) < count:
-            pictures.append(tag("p", f"{len(shown)} of {count} views.", class_="note"))
     parts: list[Part] = [
         tag("p", "On ", scene.title, class_="note"),
         *pictures,
@@ -260,8 +244,6 @@ EXPORTED = "scene.html"
 """A run's file that the page links: the scene live in a browser, by `model export`."""
 MOST_BYTES = 20_000_000
 """Most bytes of a page's pictures."""
-SHOWN_VIEWS = 3
-"""Views shown of each split and run: the worst, the median and the best."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -290,37 +272,27 @@ class ScenePart:
     def page_anchor(self, page: PartPage) -> str:
         return anchor("part", self.scene.title, page.title)
 
-    def compared(self) -> dict[str, list[Compared]]:
-        """The predictions of each run, by its name, of its dataset and of variants except edits."""
+    def compared(self, scores: RunScores) -> list[Compared]:
+        """The predictions of a run, of its dataset and of variants except edits."""
+        name = scores.run.name
         others = [scored.runs for scored in self.variants if scored.variant.edit is None]
-        return {
-            scores.run.name: [
-                item
-                for each in (scores, *(runs[scores.run.name] for runs in others if scores.run.name in runs))
-                for item in compared(each)
-            ]
-            for scores in self.scene.runs
-        }
+        found = [scores, *(runs[name] for runs in others if name in runs)]
+        return [item for each in found for item in compared(each)]
 
 
 def report_page(parts: Sequence[ScenePart], out: Path, *, most_bytes: int = MOST_BYTES) -> bytes:
-    """The page. Pictures that do not fit are left out, with a note on the page; the most important ones come first.
+    """The page. Pictures that do not fit are left out, with a note on the page; those of the overview come first.
 
     Args:
         out: the page's folder, where its links begin.
         most_bytes: bytes of all pictures.
     """
     gallery = Gallery(most_bytes)
-    listed = [(part, part.compared()) for part in parts]
     overview = _overview(parts, [join([_exported(part, out), _side_by_side(part, gallery)]) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
-    every = [item for _, of_part in listed for items in of_part.values() for item in items]
-    shown = store_views(gallery, every, SHOWN_VIEWS)
     scenes = [_scene_page(part, gallery) for part in parts]
     runs = [
-        run_page(part.scene, scores, {item: shown[item] for item in of_part[scores.run.name]}, gallery)
-        for part, of_part in listed
-        for scores in part.scene.runs
+        run_page(part.scene, scores, part.compared(scores), gallery) for part in parts for scores in part.scene.runs
     ]
     left_out = f"{gallery.left_out:,} pictures were left out: a page has at most {most_bytes / 1e6:g} MB of them."
     note = tag("p", left_out, class_="note") if gallery.left_out else None
