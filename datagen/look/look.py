@@ -56,9 +56,9 @@ def look_page(dataset: Dataset) -> bytes:
         "What it is": lambda: definitions(_facts(dataset)),
         "Missing or damaged": lambda: join([problems if count else None, tag("p", end)]),
     }
-    parts = [section(title, _or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
+    parts = [section(title, or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
     warning = tag("p", tag("a", missing, href="#missing-or-damaged"), class_="bad") if count else None
-    health = _or_error(lambda: definitions([(split, _health(dataset, split)) for split in dataset.splits]))
+    health = or_error(lambda: definitions([(split, _health(dataset, split)) for split in dataset.splits]))
     return document(dataset.name, gallery.store(), tag("h1", dataset.name), warning, health, *parts)
 
 
@@ -97,7 +97,7 @@ def _pictures(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
         key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
         return gallery.figure(key, lambda: dataset.view(split, view).image, label=label, caption=f"view {view}")
 
-    shown = [_or_error(lambda view=view: show(view)) for view in _shown(dataset, split)]
+    shown = [or_error(lambda view=view: show(view)) for view in _shown(dataset, split)]
     sheet = row(*shown, label=f"{split} views") if shown else tag("p", "No view is built yet.", class_="bad")
     return section(f"{split}: {dataset.num_views[split]:,} views", sheet, id_=anchor("split", split), level=3)
 
@@ -188,7 +188,7 @@ def _objects(dataset: Dataset) -> Markup:
     return _table(("id", "object", "material"), rows, head=1)
 
 
-def _or_error(draw: Callable[[], Part]) -> Part:
+def or_error(draw: Callable[[], Part]) -> Part:
     """The result of `draw`, or its error about the files that it reads."""
     try:
         return draw()

@@ -19,7 +19,7 @@ from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json
 from datagen.disk.storage import read_regular
-from datagen.look.look import stored_row
+from datagen.look.look import or_error, stored_row
 from datagen.pages.charts import line_chart
 from datagen.pages.html import (
     Gallery,
@@ -343,7 +343,8 @@ def _scene_page(part: ScenePart, gallery: Gallery) -> Markup:
     dataset = part.scene.dataset
     about = f"{dataset.config.resolution} pixels, dataset {dataset.seal[:12]}"
     tables = [html_table(grid, part.links) for grid in part.grids]
-    stored = stored_row(dataset.view(TEST_SPLITS[0], dataset.config.split(TEST_SPLITS[0]).views // 2), gallery)
+    middle = dataset.view(TEST_SPLITS[0], dataset.config.split(TEST_SPLITS[0]).views // 2)
+    stored = or_error(lambda: stored_row(middle, gallery))  # Normals need Mitsuba.
     edits = [_draw_edit(gallery, part.scene, edit) for edit in part.edits]
     content = section(
         part.scene.title, tag("p", about, class_="note"), stored, *tables, *edits, id_=part.anchor, level=1
