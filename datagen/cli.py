@@ -8,7 +8,7 @@ from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, Shard
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
 from datagen.disk.errors import UsageError
 from datagen.scene.finding import ImportChoices
-from datagen.terminal.command import fail, hush, next_command, run, say, say_all, tell
+from datagen.terminal.command import fail, next_command, run, say, say_all, tell
 from datagen.terminal.parsing import CommandGroup, group
 from datagen.terminal.plugins import absent_commands, commands_of
 
@@ -54,7 +54,6 @@ def build(
     """
     from datagen.builder.build_command import build_scenes
 
-    hush(choices.quiet)
     built = build_scenes(scene, choices, size, cluster, file)
     for one in built:
         tell(str(one.root))
@@ -172,12 +171,11 @@ def look(dataset: str | None = None, /, *, out: Path | None = None, overwrite: b
     tell(str(path))
 
 
-def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = False) -> None:
+def verify(dataset: str | None = None, /, *, json: bool = False) -> None:
     """Check every byte of a dataset; report damage, and exit with status 1 if there is any.
 
     Args:
         dataset: A dataset's folder, or its name under data/. Default: the only one there.
-        quiet: Print no remarks.
         json: Print the result as JSON: dataset, verified (number of files), problems, remarks.
     """
     from json import dumps
@@ -185,7 +183,6 @@ def verify(dataset: str | None = None, /, *, quiet: bool = False, json: bool = F
     from datagen.builder.verify import verify_dataset
     from datagen.disk.storage import MAKE_AGAIN
 
-    hush(quiet)
     root = find_dataset(dataset)
     files, problems, remarks = verify_dataset(root)
     say_all(remarks)

@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import Literal
 
-from datagen.terminal.command import hush, run
+from datagen.terminal.command import run
 
 Format = Literal["table", "markdown"]
 
@@ -22,7 +22,6 @@ def report(
     format: Format = "table",  # noqa: A002  The flag's name; the builtin is not needed here.
     out: Path | None = None,
     table: tuple[str, ...] = (),
-    quiet: bool = False,
     json: bool = False,
 ) -> None:
     """Score predicted images against a dataset's ground truth, and write a page about all runs.
@@ -41,10 +40,8 @@ def report(
         table: Print only this table, beside the paper's numbers: table1 (extrinsics), table2 (DNR), square (layers or
             network), deepvoxels, larger (pictures) or claims, whose runs `model sweep` trains; or errors (by what
             pixels show). May be repeated. With --json, these tables are part of the results.
-        quiet: Print no progress.
         json: Print the results as JSON, as in results.json, instead of tables.
     """
-    hush(quiet)
     output_format = "json" if json else format
     from datagen.data.paths import find_dataset
     from eval.page.report import make_report, make_tables

@@ -153,7 +153,7 @@ def train(
         run = hyaline.train(AlphaBlendConfig(texture_size=64), dataset, steps=500, lr=0.01)
 
     Args:
-        method: the name of a method, or the record of one, such as one of your own (docs/adding-a-method.md).
+        method: the name of a method, or the record of one, such as one of your own (docs/extending.md).
         dataset: a dataset, its name under data/, or its folder.
         geometry: whose layers the method sees: `truth`, or proxies such as `ellipsoid`.
         out: folder of the run; runs/SCENE/METHOD unless given, with a suffix for each setting that is not the default.

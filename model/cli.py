@@ -154,7 +154,7 @@ def check_method(name: str, /, *, dataset: str | None = None) -> None:
         )
         failed = check(name, given, place / "runs")
     if failed:
-        raise HyalineError(f"method {name}: {failed} checks failed; docs/adding-a-method.md says what each asks for")
+        raise HyalineError(f"method {name}: {failed} checks failed; docs/extending.md says what each asks for")
 
 
 def _end(out: Path, *, run: Path) -> None:

@@ -50,7 +50,7 @@ FLOORS = {
     ],
     "proxies": ["cli", "make", "kinds", "measure", "solid"],
     "model": ["cli", "run", "methods", "batches", "nets", "runtime", "settings", "state"],
-    "hyaline": ["tensors", "reports", "pictures", "runs", "datasets", "scenes", "cameras"],
+    "hyaline": ["cli", "tensors", "reports", "pictures", "runs", "datasets", "scenes", "cameras"],
     "eval": ["cli", "page", "variants", "tables", "score"],
 }
 """The rooms of each package, the highest first: a file imports from its own room and from those below it."""
@@ -167,7 +167,7 @@ def test_the_contract_imports_without_heavy_packages(module: str) -> None:
     assert not loaded_after(f"import datagen.{module}") & (HEAVY | {"xatlas", "numcodecs", "manifold3d"})
 
 
-@pytest.mark.parametrize("program", PACKAGES)
+@pytest.mark.parametrize("program", [*PACKAGES, LIBRARY])
 def test_help_answers_at_once_and_every_command_has_it(program: str) -> None:
     assert not loaded_after(f"import {program}.cli") & (HEAVY | {"matplotlib"})
     with soon():  # About half a second.

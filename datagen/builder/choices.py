@@ -44,8 +44,6 @@ class BuildChoices:
     builds the rest."""
     stereo: float | None = None
     """Also render every view from a second camera this many metres to its right, such as 0.06."""
-    quiet: bool = False
-    """Print no progress and no remarks."""
 
 
 @dataclass(frozen=True, kw_only=True)

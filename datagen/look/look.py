@@ -6,7 +6,7 @@ import numpy as np
 
 from datagen.builder.verify import verify_dataset
 from datagen.data.config import Split
-from datagen.data.dataset import Dataset, has_glass_mask
+from datagen.data.dataset import Dataset, View, has_glass_mask
 from datagen.data.geometries import list_geometries
 from datagen.data.variants import evenly, list_variants
 from datagen.disk.errors import HyalineError
@@ -18,18 +18,18 @@ from datagen.look.drawings import (
     object_colors,
     stored_pictures,
 )
-from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
+from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, row, section, tag
 from datagen.quantities import surfaces_of
 
 MOST_BYTES = 18_000_000
-SHOWN_VIEWS = 6
+SHOWN_VIEWS = 5
 """Pictures shown per split."""
 UNKNOWN = "unknown"
 CAMERAS = "Cameras from above, and the glass"
 STORED = (
     "Glass: everything else is dark. Depth: distance to the first surface along the ray, from the nearest (bright) to "
     "the farthest (dark). Normals: red, green and blue are x, y and z of the world. Layer 0 is the first surface on a "
-    "straight ray, layer 1 the one behind it, and so on, in the colours of the objects below. Proxies are laid over "
+    "straight ray, layer 1 the one behind it, and so on, in the colours of the objects. Proxies are laid over "
     "the picture."
 )
 PATHS = (
@@ -50,17 +50,15 @@ def look_page(dataset: Dataset) -> bytes:
     drawn: dict[str, Callable[[], Part]] = {
         "Pictures": lambda: join(_pictures(dataset, split, gallery) for split in dataset.splits),
         "Light paths": lambda: _light_paths(dataset, gallery),
-        "Cameras": lambda: gallery.figure(
-            anchor("cameras"), lambda: draw_cameras(dataset), label=CAMERAS, caption=CAMERAS
-        ),
-        "Stored with a view": lambda: join([tag("p", STORED, class_="note"), *_stored_views(dataset, gallery)]),
+        "Cameras": lambda: gallery.figure(anchor("cameras"), lambda: draw_cameras(dataset), label=CAMERAS),
+        "Stored with a view": lambda: join(_stored_views(dataset, gallery)),
         "Objects": lambda: _objects(dataset),
         "What it is": lambda: definitions(_facts(dataset)),
         "Missing or damaged": lambda: join([problems if count else None, tag("p", end)]),
     }
-    parts = [section(title, _or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
+    parts = [section(title, or_error(draw), id_=title.lower().replace(" ", "-")) for title, draw in drawn.items()]
     warning = tag("p", tag("a", missing, href="#missing-or-damaged"), class_="bad") if count else None
-    health = _or_error(lambda: definitions([(split, _health(dataset, split)) for split in dataset.splits]))
+    health = or_error(lambda: definitions([(split, _health(dataset, split)) for split in dataset.splits]))
     return document(dataset.name, gallery.store(), tag("h1", dataset.name), warning, health, *parts)
 
 
@@ -99,8 +97,8 @@ def _pictures(dataset: Dataset, split: Split, gallery: Gallery) -> Markup:
         key, label = anchor(split, str(view), "picture"), f"{split} view {view}"
         return gallery.figure(key, lambda: dataset.view(split, view).image, label=label, caption=f"view {view}")
 
-    shown = [_or_error(lambda view=view: show(view)) for view in _shown(dataset, split)]
-    sheet = tag("div", *shown, class_="sheet") if shown else tag("p", "No view is built yet.", class_="bad")
+    shown = [or_error(lambda view=view: show(view)) for view in _shown(dataset, split)]
+    sheet = row(*shown, label=f"{split} views") if shown else tag("p", "No view is built yet.", class_="bad")
     return section(f"{split}: {dataset.num_views[split]:,} views", sheet, id_=anchor("split", split), level=3)
 
 
@@ -110,18 +108,31 @@ def _stored_views(dataset: Dataset, gallery: Gallery) -> list[Part]:
     for split in dataset.splits:
         for view in _shown(dataset, split):
             try:
-                stored = stored_pictures(dataset.view(split, view))
+                pictures = stored_row(dataset.view(split, view), gallery)
             except HyalineError:  # Listed among what is damaged.
                 continue
-            what = f"{split} view {view}"
-            figures = [
-                gallery.figure(anchor(name, split), lambda pixels=pixels: pixels, label=f"{what}: {name}", caption=name)
-                for name, pixels in stored.items()
-            ]
-            summary = tag("summary", f"{what}: {len(stored)} pictures")
-            parts.append(tag("details", summary, tag("div", *figures, class_="choice sheet"), open=not parts))
+            parts.append(tag("details", tag("summary", f"{split} view {view}"), pictures, open=not parts))
             break
     return parts
+
+
+def stored_row(view: View, gallery: Gallery) -> Markup:
+    """All that is stored of a view, as pictures that fit, below what they mean.
+
+    Raises:
+        HyalineError: a file is missing or damaged.
+    """
+    what, seal = f"{view.split} view {view.index}", view.dataset.seal
+    figures = [
+        gallery.figure(anchor(name, what, seal), lambda pixels=pixels: pixels, label=f"{what}: {name}", caption=name)
+        for name, pixels in stored_pictures(view).items()
+    ]
+    names = []
+    for item, color in zip(view.dataset.objects, object_colors(len(view.dataset.objects))[1:], strict=True):
+        square = tag("rect", width=18, height=18, fill="#" + bytes(color.tolist()).hex())
+        names.append(tag("span", tag("svg", square, width=18, height=18, aria_hidden="true"), item.name))
+    legend = tag("p", *names, class_="legend note")
+    return join([tag("p", STORED, class_="note"), legend, row(*figures, label=f"stored of {what}")])
 
 
 def _light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
@@ -131,7 +142,7 @@ def _light_paths(dataset: Dataset, gallery: Gallery) -> Markup:
         return tag("p", "No ray of the training views hits glass.")
     view, paths = found
     name = f"Light paths over {view.split} view {view.index}"
-    figure = gallery.figure(anchor("light paths"), lambda: draw_light_paths(view, paths), label=name, caption=name)
+    figure = gallery.figure(anchor("light paths"), lambda: draw_light_paths(view, paths), label=name)
     words = {(path.ray, path.is_reflected): f"{path.through} → {path.end}" for path in paths}
     rows: list[list[Part]] = [
         [number, f"{column}, {row}", *(words.get((number, kind), "nothing") for kind in (False, True))]
@@ -166,19 +177,18 @@ def _health(dataset: Dataset, split: Split) -> str:
 
 
 def _objects(dataset: Dataset) -> Markup:
-    """The objects with their ids, their colours in layers, and their materials."""
+    """The objects with their ids and materials."""
     if not dataset.objects:
         return tag("p", "No meshes were imported with the pictures.")
-    rows: list[list[Part]] = []
-    colors = object_colors(len(dataset.objects))[1:]
-    for item, material, color in zip(dataset.objects, surfaces_of(dataset).materials, colors, strict=True):
-        square = tag("rect", x=1, y=1, width=18, height=18, fill="#" + bytes(color.tolist()).hex())
-        swatch = tag("svg", square, width=20, height=20, viewBox="0 0 20 20", aria_hidden="true")
-        rows.append([len(rows) + 1, swatch, item.name, repr(material)])
-    return _table(("id", "colour", "object", "material"), rows, head=2)
+    materials = surfaces_of(dataset).materials
+    rows: list[list[Part]] = [
+        [number, item.name, repr(material)]
+        for number, (item, material) in enumerate(zip(dataset.objects, materials), 1)
+    ]
+    return _table(("id", "object", "material"), rows, head=1)
 
 
-def _or_error(draw: Callable[[], Part]) -> Part:
+def or_error(draw: Callable[[], Part]) -> Part:
     """The result of `draw`, or its error about the files that it reads."""
     try:
         return draw()

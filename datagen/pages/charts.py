@@ -17,14 +17,10 @@ STYLE: dict[Any, Any] = {
     "axes.facecolor": "none",
     "axes.labelcolor": SOFT,
     "axes.labelsize": 12,
-    "axes.labelpad": 8,
     "axes.formatter.limits": (-7, 7),
     "axes.grid": True,
-    "axes.axisbelow": True,
     "grid.color": GRID,
     "lines.linewidth": 2,
-    "lines.marker": "o",
-    "lines.markersize": 5,
     **{f"axes.spines.{side}": False for side in ("left", "right", "top", "bottom")},
     **{f"{axis}tick.{name}": size for axis in "xy" for name, size in {"labelsize": 12, "major.size": 0}.items()},
     **{f"{axis}tick.labelcolor": SOFT for axis in "xy"},
@@ -33,8 +29,6 @@ STYLE: dict[Any, Any] = {
 
 WIDTH, HEIGHT, DOTS = 640, 300, 72
 """Pixels, and how many SVG has an inch."""
-MOST_MARKED = 40
-"""Lines with more points are drawn without dots, which would touch each other."""
 
 
 def line_chart(points: Sequence[tuple[float, float]], *, title: str, x_title: str, y_title: str) -> Markup:
@@ -49,7 +43,7 @@ def line_chart(points: Sequence[tuple[float, float]], *, title: str, x_title: st
         figure = Figure(figsize=size, dpi=DOTS, facecolor="white", layout="constrained")
         axes = figure.subplots()
         x, y = [x for x, _ in points], [y if math.isfinite(y) else math.nan for _, y in points]
-        axes.plot(x, y, color=COLORS[0], marker="o" if len(x) <= MOST_MARKED else "")
+        axes.plot(x, y, color=COLORS[0])
         # Names with two dollars are no formulas.
         axes.set_xlabel(printable(x_title), parse_math=False)
         axes.set_ylabel(printable(y_title), parse_math=False)

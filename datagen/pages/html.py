@@ -128,6 +128,26 @@ def _source(text: str) -> str:
 
 
 Image8 = UInt8[np.ndarray, "h w c"] | UInt8[np.ndarray, "h w"]
+SHARP_BELOW = 256
+"""Pictures with fewer pixels along their longer side are enlarged without smoothing."""
+
+
+def panel(caption: str, *pictures: Markup, button: str = "") -> Markup:
+    """Pictures of a row below their caption.
+
+    Args:
+        button: what shows them alone; the caption unless given.
+    """
+    return tag("figure", tag("figcaption", caption), *pictures, data_name=button or caption)
+
+
+def row(*panels: Part, label: str) -> Markup:
+    """A view's pictures side by side; scripts add a button for each, and a slider between a truth and a prediction.
+
+    Args:
+        label: what screen readers say.
+    """
+    return tag("div", tag("div", *panels, class_="row", role="group", aria_label=label, tabindex=0), class_="view")
 
 
 class Gallery:
@@ -139,7 +159,7 @@ class Gallery:
     def __init__(self, most_bytes: int) -> None:
         self._most = most_bytes
         self._stored: dict[str, Markup] = {}
-        self._sizes: dict[str, str] = {}
+        self._sizes: dict[str, tuple[int, int]] = {}
         """Width and height of the stored pictures, by name."""
         self._without_room: set[str] = set()
         self.used = 0
@@ -164,7 +184,7 @@ class Gallery:
             if self.used + len(address) <= self._most:
                 self.used += len(address)
                 self._stored[name] = tag("image", id=name, width=width, height=height, href=address)
-                self._sizes[name] = f"{width} {height}"
+                self._sizes[name] = width, height
                 return True
         self._without_room.add(name)
         return False
@@ -172,24 +192,26 @@ class Gallery:
     def show(self, *names: str, label: str, class_: str = "") -> Markup:
         """Stored pictures of one size on top of each other; all but the first have the class `over`."""
         uses = [tag("use", href=f"#{name}", class_="over" if place else None) for place, name in enumerate(names)]
+        width, height = self._sizes[names[0]]
+        texels = " sharp" if max(width, height) < SHARP_BELOW else ""
         return tag(
             "svg",
             *uses,
-            class_=f"picture {class_}".strip(),
-            viewBox=f"0 0 {self._sizes[names[0]]}",
+            class_=f"picture {class_}".strip() + texels,
+            viewBox=f"0 0 {width} {height}",
             role="img",
             aria_label=label,
         )
 
-    def figure(self, name: str, read: Callable[[], Image8], *, label: str, caption: str) -> Markup | None:
-        """Stores a picture and shows it with a caption; None if it does not fit.
+    def figure(
+        self, name: str, read: Callable[[], Image8], *, label: str, caption: str = "", button: str = ""
+    ) -> Markup | None:
+        """Stores a picture and shows it as a panel; None if it does not fit.
 
         Args:
-            label: what screen readers say.
+            label: what screen readers say, and the caption unless that is given.
         """
-        if not self.add(name, read):
-            return None
-        return tag("figure", self.show(name, label=label), tag("figcaption", caption), data_name=caption)
+        return panel(caption or label, self.show(name, label=label), button=button) if self.add(name, read) else None
 
     def store(self) -> Markup:
         """The hidden element that contains all pictures; put it into the page once."""

@@ -61,75 +61,43 @@ if (pages.length > 1) {
   turnTo();
 }
 
-// Truth and prediction in one place, parted by a slider; or their difference; or side by side, as without scripts.
-for (const figure of document.querySelectorAll(".compare")) {
-  const [truth, prediction, error] = figure.querySelectorAll(".panels > div");
-  const tools = document.createElement("div");
-  tools.className = "tools";
-  const slider = document.createElement("input");
-  slider.type = "range";
-  slider.min = 0;
-  slider.max = 100;
-  slider.value = 50;
-  slider.setAttribute("aria-label", "Where the truth ends and the prediction begins, in percent");
-  const panels = figure.querySelector(".panels");
-  const edge = document.createElement("div");
-  edge.className = "edge";
-  panels.append(edge);
-  const part = () => panels.style.setProperty("--cut", `${slider.value}%`);
+// The pictures of a view: all side by side, or one alone and large; a truth and one prediction also under a slider.
+for (const row of document.querySelectorAll(".row")) {
+  const panels = [...row.children], isCompared = panels.length === 2 && row.querySelectorAll(".error").length === 1;
+  if (panels.length < 2) continue;
+  const tools = Object.assign(document.createElement("div"), { className: "tools" });
+  const label = "Where the truth ends and the prediction begins, in percent";
+  const slider = Object.assign(document.createElement("input"), { type: "range", ariaLabel: label });
+  const part = () => row.style.setProperty("--cut", `${slider.value}%`);
   slider.addEventListener("input", part);
-  // The edge follows whoever drags on the picture.
+  // Where the pointer is on the picture, truth ends.
   const follow = (event) => {
-    if (slider.hidden || !panels.hasPointerCapture(event.pointerId)) return;
-    const frame = panels.getBoundingClientRect();
+    if (slider.hidden || !row.hasPointerCapture(event.pointerId)) return;
+    const frame = panels[0].getBoundingClientRect();
     slider.value = (100 * (event.clientX - frame.left)) / frame.width;
     part();
   };
-  panels.addEventListener("pointerdown", (event) => {
-    panels.setPointerCapture(event.pointerId);
+  row.addEventListener("pointerdown", (event) => {
+    if (!slider.hidden) row.setPointerCapture(event.pointerId);
     follow(event);
   });
-  panels.addEventListener("pointermove", follow);
-  const buttons = ["Slider", "Error", "Side by side"].map((words) => {
+  row.addEventListener("pointermove", follow);
+  const choices = ["all", ...panels, ...(isCompared ? ["slider"] : [])];
+  const buttons = choices.map((choice) => {
     const button = document.createElement("button");
-    button.type = "button";
-    button.textContent = words;
-    button.addEventListener("click", () => choose(words));
+    Object.assign(button, { type: "button", textContent: choice.dataset?.name ?? choice });
+    button.addEventListener("click", () => choose(choice));
     return button;
   });
-  truth.classList.add("left");
-  prediction.classList.add("right");
-  const choose = (words) => {
-    buttons.forEach((button) => button.setAttribute("aria-pressed", String(button.textContent === words)));
-    figure.classList.toggle("sliding", words !== "Side by side");
-    figure.classList.toggle("parting", words === "Slider");
-    truth.classList.toggle("away", words === "Error");
-    prediction.classList.toggle("away", words === "Error");
-    error.classList.toggle("away", words === "Slider");
-    slider.hidden = words !== "Slider";
+  const choose = (choice) => {
+    const isAlone = panels.includes(choice);
+    buttons.forEach((button, place) => (button.ariaPressed = String(choices[place] === choice)));
+    for (const panel of panels) panel.hidden = isAlone && panel !== choice;
+    row.classList.toggle("alone", isAlone);
+    row.classList.toggle("parting", choice === "slider");
+    slider.hidden = choice !== "slider";
   };
   tools.append(...buttons, slider);
-  figure.append(tools);
-  choose("Slider");
-}
-
-// Several pictures, all of them or one alone and large.
-for (const group of document.querySelectorAll(".choice")) {
-  const panels = [...group.children].filter((child) => child.dataset.name !== undefined);
-  const tools = document.createElement("div");
-  tools.className = "tools";
-  const choose = (panel) => {
-    for (const other of panels) other.hidden = panel !== null && other !== panel;
-    group.classList.toggle("alone", panel !== null);
-    [null, ...panels].forEach((other, place) => tools.children[place].setAttribute("aria-pressed", String(other === panel)));
-  };
-  for (const panel of [null, ...panels]) {
-    const button = document.createElement("button");
-    button.type = "button";
-    button.textContent = panel === null ? "all" : panel.dataset.name;
-    button.addEventListener("click", () => choose(panel));
-    tools.append(button);
-  }
-  group.prepend(tools);
-  choose(null);
+  row.before(tools);
+  choose("all");
 }

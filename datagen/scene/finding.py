@@ -74,7 +74,7 @@ SOURCES: Group[SceneSource] = Group(
     name="hyaline.scene_sources",
     what="source of scenes",
     built_in={},
-    guide="docs/adding-a-reader.md",
+    guide="docs/extending.md",
     kind="datagen.scene.finding:SceneSource",
 )
 

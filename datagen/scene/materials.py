@@ -383,7 +383,7 @@ class Conductor(Optics):
 
 
 Material = Dielectric | RoughDielectric | ThinDielectric | Diffuse | Plastic | Conductor
-"""Every material that can be described, rendered and traced (docs/adding-a-material.md)."""
+"""Every material that can be described, rendered and traced (docs/extending.md)."""
 
 
 def check_material(material: object, *, where: str) -> None:

@@ -21,7 +21,7 @@ from typing import NoReturn, TypeVar
 
 from datagen.disk.errors import HyalineError, as_hyaline_error, naming, printable
 from datagen.terminal.parsing import MAX_SUGGESTED as MAX_SUGGESTED
-from datagen.terminal.parsing import Command, CommandGroup, parse
+from datagen.terminal.parsing import QUIET, Command, CommandGroup, parse
 from datagen.terminal.parsing import choose as choose
 from datagen.terminal.plugins import VERSION, naming_parts
 
@@ -36,10 +36,10 @@ REMIND_EVERY_S = 8.0
 def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> None:
     """Parses `arguments`, calls the function they ask for, and exits.
 
-    Results go to stdout, everything else to stderr. Every command takes `--version`. Exit status: 0 done, 1 our error
-    in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
+    Results go to stdout, everything else to stderr. Every command takes `--version` and `--quiet`. Exit status: 0 done,
+    1 our error in one line, 2 usage, 3 a number that is not finite, 130 and 143 stopped by SIGINT and SIGTERM.
     """
-    hush(False)
+    hush(QUIET in arguments)
     _open_closed()
     if isinstance(sys.stdout, io.TextIOWrapper) and codecs.lookup(sys.stdout.encoding).name != "utf-8":
         sys.stdout.reconfigure(errors="backslashreplace")  # Tables contain arrows, which ASCII lacks.
@@ -49,7 +49,7 @@ def run(program: str, command: Command | CommandGroup, arguments: list[str]) -> 
             return
         where = " ".join([_program(), *(word for word in arguments[:1] if not word.startswith("-"))])
         with raise_on_sigterm(), _flushed(), naming_parts(where):
-            parse(program, command, arguments)()
+            parse(program, command, [word for word in arguments if word != QUIET])()
     except (Exception, KeyboardInterrupt, Stopped) as error:
         _end(error, arguments)
 

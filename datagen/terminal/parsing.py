@@ -23,6 +23,8 @@ from datagen.disk.errors import HyalineError, UsageError, shown
 Command = Callable[..., None]
 
 HELP = ("-h", "--help")
+QUIET = "--quiet"
+QUIET_HELP = f"{QUIET} prints no progress and no remarks, with any command."
 HELP_WIDTH = 80
 MAIN = "choices"
 """The parameter whose record's flags help lists among the command's own; any other makes a group of its name."""
@@ -122,7 +124,7 @@ def collect(program: str, command: Command, words: Sequence[str]) -> Given:
             return tyro.cli(
                 given,
                 prog=program,
-                description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0],
+                description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0] + "\n\n" + QUIET_HELP,
                 args=_words_first(command, words),
                 config=_config(),
             )

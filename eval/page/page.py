@@ -19,8 +19,22 @@ from datagen.data.variants import OBJECT, read_edit_mask
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import MAX_JSON_BYTES, parse_json
 from datagen.disk.storage import read_regular
+from datagen.look.look import or_error, stored_row
 from datagen.pages.charts import line_chart
-from datagen.pages.html import Gallery, Markup, Part, anchor, definitions, document, join, prose, section, tag
+from datagen.pages.html import (
+    Gallery,
+    Markup,
+    Part,
+    anchor,
+    definitions,
+    document,
+    join,
+    panel,
+    prose,
+    row,
+    section,
+    tag,
+)
 from datagen.terminal.parsing import flag_words
 from eval.score.runs import Run, is_number, read_costs, read_prediction
 from eval.score.scores import METRIC_NOTES, RunScores, SceneScores, SplitScores
@@ -39,9 +53,6 @@ MAX_VALUE = 1e30
 MOST_POINTS = 400
 """Most points of a curve on the page; from more, an even selection."""
 
-ShownViews = list[tuple[int, str]]
-"""Views on the page, and the rank of each among the others: worst, median, best, or empty."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Compared:
@@ -55,11 +66,7 @@ class Compared:
 
     @property
     def title(self) -> str:
-        dataset = self.run.dataset
-        return self.split if dataset.variant is None else f"{dataset.name}: {self.split}"
-
-    def caption(self, view: int) -> str:
-        return psnr_text(self.scores.images["psnr_db"][view])
+        return f"{_home(self.run.dataset)}{self.split}"
 
 
 def compared(scores: RunScores) -> list[Compared]:
@@ -71,28 +78,14 @@ def compared(scores: RunScores) -> list[Compared]:
     ]
 
 
-def ranked_views(scores: SplitScores) -> ShownViews:
-    """All views of a split: the worst, the median and the best by PSNR, then the others from the worst on."""
+def ranked_views(scores: SplitScores) -> dict[int, str]:
+    """The views of a split that its page shows, and what they are by PSNR: the worst, the median and the best."""
     values = [-math.inf if value is None else value for value in scores.images["psnr_db"]]
     rising = sorted(range(len(values)), key=lambda view: (values[view], view))
     named: dict[int, str] = {}
     for rank, view in (("worst", rising[0]), ("median", rising[(len(rising) - 1) // 2]), ("best", rising[-1])):
         named.setdefault(view, rank)
-    return [*named.items(), *((view, "") for view in rising if view not in named)]
-
-
-def store_views(gallery: Gallery, items: Sequence[Compared], most: int) -> dict[Compared, ShownViews]:
-    """Adds truth and prediction of up to `most` views of each to the gallery; returns the views that fit.
-
-    The first views of all are added before the second ones, so that a full page lacks the least important ones.
-    """
-    shown: dict[Compared, ShownViews] = {item: [] for item in items}
-    ranked = {item: ranked_views(item.scores) for item in items}
-    for rank in range(min(most, max(map(len, ranked.values()), default=0))):
-        for item, views in ranked.items():
-            if rank < len(views) and store_view(gallery, item, views[rank][0]):
-                shown[item].append(views[rank])
-    return shown
+    return named
 
 
 def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
@@ -102,35 +95,43 @@ def store_view(gallery: Gallery, item: Compared, view: int) -> bool:
     return is_there and gallery.add(_prediction_name(item, view), lambda: read_prediction(item.run, split, view))
 
 
-def truth_panel(gallery: Gallery, dataset: Dataset, split: Split, view: int, what: str = "truth") -> Markup | None:
-    """The truth of a view; None if it does not fit into the gallery."""
-    label = f"{what}, {split} view {view_name(view)}"
-    place = _truth_name(dataset, split, view)
-    return gallery.figure(place, lambda: dataset.view(split, view).image, label=label, caption=label)
+def view_row(
+    gallery: Gallery, truths: Mapping[str, Dataset], items: Iterable[Compared], split: Split, view: int, rank: str = ""
+) -> Markup:
+    """A view as truth and by runs, each prediction above its error, as far as they fit.
+
+    Args:
+        truths: datasets whose pictures of the view come first, by what they are called.
+        rank: of the view among the others, if it is worth saying.
+    """
+    name = f"{split} view {view_name(view)}{f' ({rank})' * bool(rank)}"
+    panels = [
+        gallery.figure(
+            _truth_name(dataset, split, view),
+            lambda dataset=dataset: dataset.view(split, view).image,
+            label=f"{what}, {_home(dataset)}{name}",
+            button=what,
+        )
+        for what, dataset in truths.items()
+    ]
+    return row(*panels, *(_prediction_panel(gallery, item, view) for item in items if item.split == split), label=name)
 
 
-def prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
+def _prediction_panel(gallery: Gallery, item: Compared, view: int) -> Markup | None:
     """A prediction above its error, with its score; None if it does not fit into the gallery."""
     if not store_view(gallery, item, view):
         return None
-    what, pred = f"{item.run.name}, {item.title} view {view_name(view)}", _prediction_name(item, view)
+    name, pred = item.run.name, _prediction_name(item, view)
+    what = f"{name}, {item.title} view {view_name(view)}"
     error = gallery.show(_truth_name(item.run.dataset, item.split, view), pred, label=f"error, {what}", class_="error")
-    caption = tag("figcaption", f"{item.run.name}: {item.caption(view)}; below, error × 8")  # noqa: RUF001
-    return tag("figure", gallery.show(pred, label=what), error, caption)
+    caption = f"{name}: {psnr_text(item.scores.images['psnr_db'][view])}"
+    below = tag("p", "error × 8", class_="note")  # noqa: RUF001
+    return panel(caption, gallery.show(pred, label=what), below, error, button=name)
 
 
-def _compared_figure(gallery: Gallery, item: Compared, view: int, rank: str) -> Markup:
-    """Truth, prediction and their difference, under a slider where scripts run; both are in the gallery."""
-    what = f"{item.title} view {view_name(view)}"
-    truth, pred = _truth_name(item.run.dataset, item.split, view), _prediction_name(item, view)
-    panels = [
-        ("truth", gallery.show(truth, label=f"truth, {what}")),
-        ("prediction", gallery.show(pred, label=f"prediction, {what}")),
-        ("error × 8", gallery.show(truth, pred, label=f"error, {what}", class_="error")),  # noqa: RUF001
-    ]
-    drawn = tag("div", *(tag("div", picture, tag("span", name)) for name, picture in panels), class_="panels")
-    caption = f"{what}{f' ({rank})' if rank else ''}: {item.caption(view)}"
-    return tag("figure", tag("figcaption", caption), drawn, class_="compare")
+def _home(dataset: Dataset) -> str:
+    """What comes before a split's name if it is a variant's."""
+    return "" if dataset.variant is None else f"{dataset.name}: "
 
 
 def _truth_name(dataset: Dataset, split: Split, view: int) -> str:
@@ -146,33 +147,34 @@ def run_anchor(scene: SceneScores, run: Run) -> str:
     return anchor("run", scene.title, run.folder.parent.name, run.name)
 
 
-def run_page(scene: SceneScores, scores: RunScores, views: Mapping[Compared, ShownViews], gallery: Gallery) -> Markup:
+def run_page(scene: SceneScores, scores: RunScores, items: Sequence[Compared], gallery: Gallery) -> Markup:
     """Everything about one run.
 
     Args:
-        views: the views to show of each split that it predicted.
+        items: its predictions.
     """
     run, place = scores.run, run_anchor(scene, scores.run)
     pictures: list[Part] = []
-    for item, shown in views.items():
-        count = len(item.digests)
+    for item in items:
+        shown, truths = ranked_views(item.scores), {"truth": item.run.dataset}
         pictures += [
-            tag("h3", f"{item.title}: {format_number(item.scores.mean('psnr_db'), 2)} dB"),
-            tag("div", *(_compared_figure(gallery, item, *view) for view in shown), class_="views"),
+            tag("h2", f"{item.title}: {format_number(item.scores.mean('psnr_db'), 2)} dB"),
+            tag("p", f"{len(shown)} of {len(item.digests)} views.", class_="note"),
+            tag(
+                "div", *(view_row(gallery, truths, [item], item.split, *view) for view in shown.items()), class_="views"
+            ),
         ]
-        if len(shown) < count:
-            pictures.append(tag("p", f"{len(shown)} of {count} views.", class_="note"))
     parts: list[Part] = [
         tag("p", "On ", scene.title, class_="note"),
         *pictures,
-        tag("h3", "Training"),
+        tag("h2", "Training"),
         training_charts(read_training(run.folder)),
-        tag("h3", "Settings"),
+        tag("h2", "Settings"),
         definitions(_facts(scores)),
-        tag("h3", "Make it again"),
+        tag("h2", "Make it again"),
         _how_to_make(run),
     ]
-    return tag("div", section(run.name, *parts, id_=place), class_="page", id=f"{place}-page")
+    return tag("div", section(run.name, *parts, id_=place, level=1), class_="page", id=f"{place}-page")
 
 
 def _facts(scores: RunScores) -> list[tuple[str, Part]]:
@@ -242,8 +244,6 @@ EXPORTED = "scene.html"
 """A run's file that the page links: the scene live in a browser, by `model export`."""
 MOST_BYTES = 20_000_000
 """Most bytes of a page's pictures."""
-SHOWN_VIEWS = 3
-"""Views shown of each split and run: the worst, the median and the best."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -272,37 +272,27 @@ class ScenePart:
     def page_anchor(self, page: PartPage) -> str:
         return anchor("part", self.scene.title, page.title)
 
-    def compared(self) -> dict[str, list[Compared]]:
-        """The predictions of each run, by its name, of its dataset and of variants except edits."""
+    def compared(self, scores: RunScores) -> list[Compared]:
+        """The predictions of a run, of its dataset and of variants except edits."""
+        name = scores.run.name
         others = [scored.runs for scored in self.variants if scored.variant.edit is None]
-        return {
-            scores.run.name: [
-                item
-                for each in (scores, *(runs[scores.run.name] for runs in others if scores.run.name in runs))
-                for item in compared(each)
-            ]
-            for scores in self.scene.runs
-        }
+        found = [scores, *(runs[name] for runs in others if name in runs)]
+        return [item for each in found for item in compared(each)]
 
 
 def report_page(parts: Sequence[ScenePart], out: Path, *, most_bytes: int = MOST_BYTES) -> bytes:
-    """The page. Pictures that do not fit are left out, with a note on the page; the most important ones come first.
+    """The page. Pictures that do not fit are left out, with a note on the page; those of the overview come first.
 
     Args:
         out: the page's folder, where its links begin.
         most_bytes: bytes of all pictures.
     """
     gallery = Gallery(most_bytes)
-    listed = [(part, part.compared()) for part in parts]
     overview = _overview(parts, [join([_exported(part, out), _side_by_side(part, gallery)]) for part in parts])
     others = [_part_page(part, page, gallery) for part in parts for page in part.pages]
-    every = [item for _, of_part in listed for items in of_part.values() for item in items]
-    shown = store_views(gallery, every, SHOWN_VIEWS)
     scenes = [_scene_page(part, gallery) for part in parts]
     runs = [
-        run_page(part.scene, scores, {item: shown[item] for item in of_part[scores.run.name]}, gallery)
-        for part, of_part in listed
-        for scores in part.scene.runs
+        run_page(part.scene, scores, part.compared(scores), gallery) for part in parts for scores in part.scene.runs
     ]
     left_out = f"{gallery.left_out:,} pictures were left out: a page has at most {most_bytes / 1e6:g} MB of them."
     note = tag("p", left_out, class_="note") if gallery.left_out else None
@@ -325,21 +315,14 @@ def _navigation(parts: Sequence[ScenePart]) -> Markup:
 
 
 def _overview(parts: Sequence[ScenePart], pictures: Sequence[Markup]) -> Markup:
-    content: list[Part] = [tag("h1", "Report", id="overview")]
+    notes = [tag("p", prose(note), class_="note") for note in METRIC_NOTES]
+    content: list[Part] = [
+        tag("h1", "Report", id="overview"),
+        tag("details", tag("summary", "What the numbers mean"), *notes),
+    ]
     for part, side_by_side in zip(parts, pictures, strict=True):
         content += [tag("h2", part.scene.title), html_table(part.grids[0], part.links), side_by_side]
-    content += [tag("p", prose(note), class_="note") for note in METRIC_NOTES]
     return tag("div", *content, class_="page", id="overview-page")
-
-
-def _row(gallery: Gallery, truths: Sequence[Part], items: Iterable[Compared], split: Split, view: int) -> Markup:
-    """A view as truth and by all runs, as far as they fit."""
-    return tag(
-        "div",
-        *truths,
-        *(prediction_panel(gallery, item, view) for item in items if item.split == split),
-        class_="sheet wide",
-    )
 
 
 def _exported(part: ScenePart, out: Path) -> Markup:
@@ -351,48 +334,42 @@ def _exported(part: ScenePart, out: Path) -> Markup:
 
 def _side_by_side(part: ScenePart, gallery: Gallery) -> Markup:
     """The middle view of each test split."""
-    rows, items = [], [item for scores in part.scene.runs for item in compared(scores)]
-    for split in TEST_SPLITS:
-        view = part.scene.dataset.config.split(split).views // 2
-        rows.append(_row(gallery, [truth_panel(gallery, part.scene.dataset, split, view)], items, split, view))
-    return join(rows)
+    dataset, items = part.scene.dataset, [item for scores in part.scene.runs for item in compared(scores)]
+    middle: dict[Split, int] = {split: dataset.config.split(split).views // 2 for split in TEST_SPLITS}
+    return join(view_row(gallery, {"truth": dataset}, items, split, view) for split, view in middle.items())
 
 
 def _scene_page(part: ScenePart, gallery: Gallery) -> Markup:
     dataset = part.scene.dataset
     about = f"{dataset.config.resolution} pixels, dataset {dataset.seal[:12]}"
     tables = [html_table(grid, part.links) for grid in part.grids]
+    middle = dataset.view(TEST_SPLITS[0], dataset.config.split(TEST_SPLITS[0]).views // 2)
+    stored = or_error(lambda: stored_row(middle, gallery))  # Normals need Mitsuba.
     edits = [_draw_edit(gallery, part.scene, edit) for edit in part.edits]
-    content = section(part.scene.title, tag("p", about, class_="note"), *tables, *edits, id_=part.anchor)
+    content = section(
+        part.scene.title, tag("p", about, class_="note"), stored, *tables, *edits, id_=part.anchor, level=1
+    )
     return tag("div", content, class_="page", id=f"{part.anchor}-page")
 
 
 def _part_page(part: ScenePart, page: PartPage, gallery: Gallery) -> Markup:
     """A page that a plug-in brings: its note, its tables, and its pictures, as far as they fit."""
     place = part.page_anchor(page)
-    figures = [
-        gallery.figure(f"{place}-{anchor(name)}", read, label=name, caption=name)
-        for name, read in page.pictures.items()
-    ]
+    figures = [gallery.figure(f"{place}-{anchor(name)}", read, label=name) for name, read in page.pictures.items()]
     note = tag("p", prose(f"On {part.scene.title}. {page.note}"), class_="note")
-    content = [note, *map(html_table, page.grids), tag("div", *figures, class_="charts")]
-    return tag("div", section(page.title, *content, id_=place), class_="page", id=f"{place}-page")
+    content = [note, *map(html_table, page.grids), row(*figures, label=page.title)]
+    return tag("div", section(page.title, *content, id_=place, level=1), class_="page", id=f"{place}-page")
 
 
 def _draw_edit(gallery: Gallery, scene: SceneScores, edit: VariantScores) -> Markup:
     """The view of each test split that shows most of the edited objects, as far as it fits."""
     record = edit.variant.edit
     assert record is not None
-    rows, items = [], [item for scores in edit.runs.values() for item in compared(scores)]
-    for split in TEST_SPLITS:
-        view = _clearest_view(edit, split)
-        truths = [
-            truth_panel(gallery, scene.dataset, split, view, "truth before"),
-            truth_panel(gallery, edit.variant, split, view, "truth after"),
-        ]
-        rows.append(_row(gallery, truths, items, split, view))
+    items = [item for scores in edit.runs.values() for item in compared(scores)]
+    truths = {"truth before": scene.dataset, "truth after": edit.variant}
+    rows = [view_row(gallery, truths, items, split, _clearest_view(edit, split)) for split in TEST_SPLITS]
     place = anchor("edit", scene.title, edit.variant.name)
-    return section(f"After {' then '.join(record.edits)}", *rows, id_=place, level=3)
+    return section(f"After {' then '.join(record.edits)}", *rows, id_=place)
 
 
 def _clearest_view(edit: VariantScores, split: Split) -> int:

@@ -37,7 +37,7 @@ TABLES: Group[Table] = Group(
     name="hyaline.tables",
     what="table",
     built_in={},
-    guide="docs/adding-a-table.md",
+    guide="docs/extending.md",
     kind="eval.tables.plugins:Table",
 )
 

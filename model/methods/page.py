@@ -1,6 +1,6 @@
 """A method's part of its web page: its piece of the shader, its textures, and its networks' weights.
 
-docs/adding-a-web-page.md shows how a method brings one.
+docs/extending.md shows how a method brings one.
 """
 
 from collections.abc import Sequence

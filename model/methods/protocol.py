@@ -2,7 +2,7 @@
 
 A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
 model/settings.py); its methods make everything else. Importing it must not import torch, so that `--help` answers
-at once. docs/adding-a-method.md shows how to write one.
+at once. docs/extending.md shows how to write one.
 
 Other distributions bring methods by entry points of the group `hyaline.methods`: the name is the method's, and it
 refers to a class that derives from `MethodConfig`.
@@ -168,7 +168,7 @@ METHODS: Group[type[MethodConfig]] = Group(
     name="hyaline.methods",
     what="method",
     built_in=BUILT_IN,
-    guide="docs/adding-a-method.md",
+    guide="docs/extending.md",
     kind="model.methods.protocol:MethodConfig",
     is_class=True,
 )

@@ -195,7 +195,7 @@ def check_draws_cameras(run: Path, config: TrainConfig) -> None:
     if not config.net.draws_cameras:
         raise HyalineError(
             f"{run}: {config.method} can only draw the views of its dataset, because its MethodConfig has no "
-            "load_cameras (docs/adding-a-method.md)"
+            "load_cameras (docs/extending.md)"
         )
 
 

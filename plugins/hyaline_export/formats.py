@@ -41,7 +41,7 @@ FORMATS: Group[Format] = Group(
         "capture": "hyaline_export.transforms:CAPTURE",
         "huggingface": "hyaline_export.huggingface:HUGGING_FACE",
     },
-    guide="docs/adding-an-export.md",
+    guide="docs/extending.md",
     kind="hyaline_export.formats:Format",
 )
 

@@ -27,7 +27,7 @@ READERS: Group[Callable] = Group(
         "stl": "hyaline_import.plain:read_stl",
         "xml": "hyaline_import.mitsuba.scene:read_mitsuba",
     },
-    guide="docs/adding-a-reader.md",
+    guide="docs/extending.md",
 )
 """Functions (Path, Remarks) -> ForeignScene by the ending of a file (plugins/hyaline_import/foreign.py)."""
 

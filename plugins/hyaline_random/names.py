@@ -22,7 +22,7 @@ FAMILIES: Group = Group(
     built_in={
         name: f"hyaline_random.families:{name.upper()}" for name in (*TURNS, "solid", "drinks", "frosted", "lamps")
     },
-    guide="docs/adding-a-random-family.md",
+    guide="docs/extending.md",
     kind="hyaline_random.families:Family",
 )
 """A single glass object before a background, glass and other things on a table, media inside of each other; bodies,

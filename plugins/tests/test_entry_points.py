@@ -41,7 +41,7 @@ def guide(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[
 
 
 def test_a_reader_of_a_scene_reads_a_file_of_its_ending(guide: Callable[..., None], tmp_path: Path) -> None:
-    guide("adding-a-reader.md")
+    guide("A reader")
     Path("prism.off").write_text(OFF)
     answer = call("datagen import prism.off --material glass --scale 0.1")
     assert answer.status == 0, answer.err
@@ -54,8 +54,8 @@ def test_a_reader_of_a_scene_reads_a_file_of_its_ending(guide: Callable[..., Non
 
 
 def test_what_one_distribution_exports_another_imports(guide: Callable[..., None], tmp_path: Path) -> None:
-    guide("adding-an-export.md")
-    guide("adding-a-reader.md")
+    guide("An export")
+    guide("A reader")
     before = write_synthetic_dataset(tmp_path / "data" / "one")
     assert call("datagen export one --format csv").status == 0
     answer = call("datagen import-dataset exports/one-csv --out data/two")
@@ -71,7 +71,7 @@ def test_what_one_distribution_exports_another_imports(guide: Callable[..., None
 def test_a_family_is_drawn_by_its_name_and_changes_no_other_scene(guide: Callable[..., None]) -> None:
     names = [str(RandomName(seed=seed)) + RandomName(seed=seed).family for seed in range(6)]
     assert parse_random("random-marbles-0007") is None
-    guide("adding-a-random-family.md")
+    guide("A family of random scenes")
     assert FAMILIES.names()[-1] == "marbles"
     meant = parse_random("random-marbles-0007")
     assert meant == RandomName(seed=7, chosen="marbles")
@@ -82,7 +82,7 @@ def test_a_family_is_drawn_by_its_name_and_changes_no_other_scene(guide: Callabl
 
 
 def test_a_table_is_printed_beside_those_of_the_paper(guide: Callable[..., None], tmp_path: Path) -> None:
-    guide("adding-a-table.md")
+    guide("A table")
     dataset = write_synthetic_dataset(tmp_path / "data" / "synthetic", resolution=8, train_views=1)
     for name, size in (("large", 2000), ("small", 1000)):
         run = tmp_path / "runs" / "synthetic" / name
@@ -101,13 +101,13 @@ def test_a_table_is_printed_beside_those_of_the_paper(guide: Callable[..., None]
     ("source", "message"),
     [
         ("raise RuntimeError('no GPU')", "cannot be imported (RuntimeError: no GPU)"),
-        ("CSV = 3", "is not a Format; see docs/adding-an-export.md"),
+        ("CSV = 3", "is not a Format; see docs/extending.md"),
     ],
 )
 def test_a_broken_plugin_is_one_line_that_names_its_distribution(
     guide: Callable[..., None], tmp_path: Path, source: str, message: str
 ) -> None:
-    guide("adding-an-export.md")
+    guide("An export")
     (tmp_path / "installed" / "csv_export.py").write_text(source)
     write_synthetic_dataset(tmp_path / "data" / "one", train_views=1)
     answer = call("datagen export one --format csv")
@@ -117,7 +117,7 @@ def test_a_broken_plugin_is_one_line_that_names_its_distribution(
 
 
 def test_two_distributions_of_one_name_are_named(guide: Callable[..., None], tmp_path: Path) -> None:
-    guide("adding-an-export.md")
+    guide("An export")
     install(tmp_path / "installed", "hyaline.exports", "csv", "other_tables:plan", "")
     with pytest.raises(HyalineError, match=r"format 'csv': two distributions bring it \((csv-export|other-tables), "):
         FORMATS.find("csv")

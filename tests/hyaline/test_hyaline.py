@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from support.commands import parsed
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
@@ -69,3 +70,17 @@ def test_the_example_runs(dataset: hyaline.Dataset) -> None:
     command = [sys.executable, str(example), str(dataset.root)]
     answer = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "a ray meets" in answer.stdout and "the mean training colour scores " in answer.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "same"),
+    [
+        ("build random --seed 3", "datagen build random --seed 3"),
+        ("film dataset glass --spp 2", "datagen film glass --spp 2"),
+        ("film run glass/paper", "model film glass/paper"),
+        ("proxies check --geometry box", "proxies check --geometry box"),
+        ("report --format markdown", "report --format markdown"),
+    ],
+)
+def test_the_program_hyaline_calls_what_the_others_call(words: str, same: str) -> None:
+    assert parsed(f"hyaline {words}") == parsed(same)

@@ -1,11 +1,12 @@
 """When tests in a browser run: wherever there is one, and always where they are demanded."""
 
 import os
+from importlib import resources
 from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks.browser import find_browser
+from benchmarks.browser import Watched, find_browser
 from datagen.disk.errors import HyalineError
 
 if TYPE_CHECKING:
@@ -29,3 +30,11 @@ def wait_until(page: "Page", script: str) -> None:
             return
         page.wait_for_timeout(20)
     pytest.fail(f"did not come true: {script}")
+
+
+def check_accessible(watched: Watched) -> None:
+    """axe-core's rules hold: contrast, names, roles, focus and others."""
+    axe = pytest.importorskip("axe_playwright_python", reason="`pip install axe-playwright-python` brings axe-core")
+    watched.page.evaluate((resources.files(axe) / "axe.min.js").read_text())
+    found = watched.evaluate("async () => (await axe.run()).violations.map((rule) => [rule.id, rule.nodes[0].html])")
+    assert found == []

@@ -17,6 +17,7 @@ MAINS = {
     "proxies": "proxies.cli",
     "model": "model.cli",
     "report": "eval.cli",
+    "hyaline": "hyaline.cli",
     "hyaline-bench": "hyaline_bench.cli",  # A plug-in.
     "benchmarks": "benchmarks.cli",
 }
@@ -59,7 +60,7 @@ def parsed(line: str) -> dict[str, object]:
     Raises:
         UsageError: the line is not one of ours.
     """
-    program, *words = shlex.split(re.sub("^(eval|python -m) ", "", line))
+    program, *words = shlex.split(re.sub("^(eval|python -m) ", "", line.replace(" --quiet", "")))
     module = importlib.import_module(MAINS[program])
     asked = parse(program, module.report if program == "report" else module.commands(), words)
     assert isinstance(asked, functools.partial)

@@ -17,10 +17,15 @@ def install(place: Path, group: str, name: str, value: str, source: str) -> None
     (place / f"{module}.py").write_text(source)
 
 
-def install_from_guide(place: Path, page: str) -> list[str]:
-    """The examples of a page of docs/: each module with the entry point below it; the modules' names."""
-    text = (ROOT / "docs" / page).read_text()
-    examples = re.findall(r"```python\n(.*?)```\s*```toml\n(.*?)```", text, flags=re.DOTALL)
+def guide_to(part: str) -> str:
+    """The section of docs/extending.md about a part."""
+    text = (ROOT / "docs" / "extending.md").read_text()
+    return text.partition(f"\n## {part}\n")[2].partition("\n## ")[0]
+
+
+def install_from_guide(place: Path, part: str) -> list[str]:
+    """The examples of a section: each module with the entry point below it; the modules' names."""
+    examples = re.findall(r"```python\n(.*?)```\s*```toml\n(.*?)```", guide_to(part), flags=re.DOTALL)
     modules = []
     for source, points in examples:
         ((group, entries),) = tomllib.loads(points)["project"]["entry-points"].items()

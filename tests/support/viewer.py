@@ -65,6 +65,8 @@ class Window:
 
     def __init__(self, connection: Any) -> None:
         self._connection = connection
+        self.heard: list[str] = []
+        """The kinds of messages so far."""
 
     def stand_at(self, pose: Pose) -> None:
         """Says, as viser's page does, that the camera is here now."""
@@ -99,6 +101,7 @@ class Window:
                 parts.append(data[place : place + length])
                 place += length
             for message in content["messages"]:
+                self.heard.append(message["type"])
                 yield message, parts
 
     def pictures(self) -> Iterator[np.ndarray]:

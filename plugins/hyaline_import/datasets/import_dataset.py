@@ -35,7 +35,7 @@ READERS: Group[Callable[[Path], ForeignDataset | None]] = Group(
     name="hyaline.dataset_readers",
     what="layout",
     built_in={"transforms": "hyaline_import.datasets.layouts:read_folder"},
-    guide="docs/adding-a-reader.md",
+    guide="docs/extending.md",
 )
 """Each gets a folder, and returns None where it is not of its layout."""
 

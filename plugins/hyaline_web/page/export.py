@@ -86,7 +86,7 @@ def scene_page(
     scene = web_scene(renderer, config, dataset, geometry, quality)
     manifest = {**scene.manifest, "arrays": scene.packed.entries, "truth": cast(Json, _truths(dataset))}
     script = f'"use strict";\n(() => {{\n{package_text("hyaline_web.page", *SCRIPTS)}}})();\n'
-    style = package_text("hyaline_web.page", "page.css")
+    style = package_text("datagen.pages", "page.css") + package_text("hyaline_web.page", "page.css")
     title = f"{dataset.name}: {label}"
     return fill(
         package_text("hyaline_web.page", "page.html"),

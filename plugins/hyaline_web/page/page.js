@@ -70,7 +70,7 @@ class Page {
   }
 
   drew({ width, height, rays, ms }) {
-    if (this.beatsStill(width)) this.canvas.classList.add("drawn");
+    if (this.beatsStill(width)) this.canvas.classList.add("drawn"), (element("busy").hidden = true);
     if (performance.now() - this.answeredAt < MESSAGE_MS) return;
     const time = ms === undefined ? "" : `, ${ms < 10 ? ms.toFixed(1) : Math.round(ms)} ms a frame`;
     this.show(`${width} × ${height}, ${rays} ${rays === 1 ? "ray" : "rays"} a pixel${time}`, "off");
@@ -192,7 +192,7 @@ class Page {
     const source = (this.scene.manifest.truth || {})[element("views").value], image = element("truth");
     element("fade-label").hidden = image.hidden = !source;
     if (source) image.src = source;
-    image.style.opacity = element("fade").value / 100;
+    image.style.clipPath = `inset(0 ${100 - element("fade").value}% 0 0)`;
   }
 
   // ---- The link: what differs from the page as it opens
@@ -271,6 +271,7 @@ function fail(error) {
   element("message").textContent = `${error.message} What you see is a still picture.`;
   element("message").hidden = false;
   element("status").textContent = "Not drawn live.";
+  element("busy").hidden = element("hint").hidden = true;
 }
 
 async function open() {

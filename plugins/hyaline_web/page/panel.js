@@ -20,6 +20,8 @@ class Panel {
     on("picture", "click", () => page.savePicture());
     on("link", "click", () => page.copyLink());
     on("follow", "change", () => page.rays.clear());
+    on("more", "click", () => (element("more").ariaExpanded = String(element("panel").classList.toggle("open"))));
+    on("view", "pointerdown", () => (element("hint").hidden = true));
   }
 
   listViews() {

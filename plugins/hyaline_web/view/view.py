@@ -24,6 +24,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import viser
 import websockets.asyncio.server
+from PIL import ImageColor
 from websockets.asyncio.server import ServerConnection
 from websockets.http11 import Request, Response
 
@@ -34,6 +35,7 @@ from datagen.data.meshes import is_there
 from datagen.data.paths import TRUTH, find_dataset, view_name
 from datagen.disk.errors import HyalineError
 from datagen.look.drawings import object_colors
+from datagen.pages.charts import COLORS
 from datagen.terminal.command import Held, hold_signals, say, tell
 from hyaline_web.view.live_run import Job, LiveRun, MovedOn, Pose, Schedule, window_pose
 from model.run.run_folder import RUN, open_trained
@@ -118,18 +120,26 @@ def serving(port: int, label: str) -> Iterator[Server]:
 
 # What is shown: all browsers share it, and viser calls its callbacks in threads of its own
 
-COLORS = {"train": (90, 140, 230), "interpolating": (70, 180, 110), "extrapolating": (220, 90, 80)}
-"""Colours of camera frames by split."""
 FRAME_SHARE = 0.05
 """Size of a camera's frame, relative to its distance from the centre of the scene."""
 MOST_PIXELS = 160
 """Longer side of a picture in its frame; larger ones are subsampled."""
 GLASS_OPACITY = 0.35
+FIRST = (
+    "Drawing the first picture ...",
+    "It may take a minute; of a run in training, it comes with its first checkpoint.",
+)
+"""Title and text of the notification until a browser has its first picture."""
 
 
 def as_text(text: str) -> str:
     """Markdown that shows a text as it is, such as a folder's name, and loads nothing."""
     return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", text)
+
+
+def split_color(dataset: Dataset, split: str) -> str:
+    """The colour of a split's cameras, as `datagen look` draws them."""
+    return COLORS[[*dataset.splits].index(split) % len(COLORS)]
 
 
 class Stage:
@@ -165,7 +175,10 @@ class Stage:
         self._status, self._trouble = gui.add_markdown(as_text(dataset.name)), gui.add_markdown("", visible=False)
         for label, handles in (("meshes", solids), ("cameras", [frame for _, frame in self._frames])):
             self._add_switch(label, handles, is_on=not has_run)  # They would cover the prediction.
-        gui.add_markdown("Click a camera to look through it.")
+        splits = (f'<b style="color: {split_color(dataset, split)}">■</b> {split}' for split in dataset.splits)
+        gui.add_html(
+            f'<p style="margin: 8px 12px; font-size: .8em">Click a camera to look through it: {", ".join(splits)}</p>'
+        )
 
     def tell_run(self, status: str) -> None:
         """Shows the run's progress."""
@@ -205,7 +218,7 @@ class Stage:
             scale=FRAME_SHARE * float(np.linalg.norm(position - self._middle)),
             thickness=1.5,
             thickness_units="screen",
-            color=COLORS.get(view.split, COLORS["extrapolating"]),
+            color=ImageColor.getrgb(split_color(view.dataset, view.split))[:3],
             wxyz=wxyz,
             position=position,
         )
@@ -234,6 +247,7 @@ class Viewer:
         self._schedule = Schedule()
         self._looked_at = -math.inf
         self._news = threading.Event()
+        self._notes: dict[int, viser.NotificationHandle] = {}
         self._stage = Stage(server, dataset, has_run=run is not None)
         self._pictures: Iterator[None] = self._stage.pictures()
         server.on_client_connect(self._connect)
@@ -277,6 +291,8 @@ class Viewer:
         if client is None:  # It disconnected before its last move was processed.
             self._schedule.forget(job.client)
         else:
+            if (picture is not None or trouble) and job.client in self._notes:
+                self._notes.pop(job.client).remove()
             client.scene.set_background_image(picture, format="png")
             client.flush()
         self._schedule.finish(job)
@@ -294,6 +310,8 @@ class Viewer:
             self._schedule.move(client.client_id, pose, time.monotonic())
             self._news.set()
 
+        if self._run is not None:
+            self._notes[client.client_id] = client.add_notification(*FIRST, loading=True, with_close_button=False)
         client.camera.on_update(moved)
         moved(client.camera)
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import trimesh
 from support.commands import call, parsed, run
+from support.plugins import guide_to
 from support.synthetic import write_synthetic_dataset
 
 import hyaline
@@ -131,11 +132,11 @@ def test_the_example_of_a_scene_is_a_scene(tmp_path: Path) -> None:
     assert scene.objects[1].material.is_glass
 
 
-PROGRAMS = "datagen|proxies|model|report|eval report|hyaline-bench|python -m benchmarks"
+PROGRAMS = "(?<=`)hyaline|datagen|proxies|model|report|eval report|hyaline-bench|python -m benchmarks"
 COMMAND = re.compile(rf"(?:`|^)((?:{PROGRAMS}) (?!= )[^`\n#|;&>()]+)", re.MULTILINE)
 UNFINISHED = re.compile(
     r"^\S+: Missing |: Missing (value|from)|no \w+ command 'NAME'"
-    r"|no model train method '(METHOD|NAME|alpha-blend|first-surface|-)"
+    r"|no \w+ train method '(METHOD|NAME|alpha-blend|first-surface|-)"
 )
 
 
@@ -165,16 +166,16 @@ def demo(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run(f"model train paper glass_table --out runs/glass_table/light-path {small}")
 
 
-def python_of(page: str) -> str:
-    """All code of a page in Python, also where it is part of a list."""
-    blocks = re.findall(r"^ *```python\n(.*?)```", (ROOT / page).read_text(), flags=re.DOTALL | re.MULTILINE)
+def python_of(text: str) -> str:
+    """All code of a text in Python, also where it is part of a list."""
+    blocks = re.findall(r"^ *```python\n(.*?)```", text, flags=re.DOTALL | re.MULTILINE)
     return "\n".join(map(textwrap.dedent, blocks))
 
 
 @pytest.mark.usefixtures("demo")
 @pytest.mark.parametrize("page", ["README.md", "docs/python.md", "docs/datasets.md", "docs/labels.md"])
 def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
-    source = python_of(page)
+    source = python_of((ROOT / page).read_text())
     if page == "docs/labels.md":  # Its commands make what its lines open.
         found = re.findall("datagen (?:add|export|film|look) glass_table[^`\n]+", (ROOT / page).read_text())
         for line in dict.fromkeys(["datagen add glass_table --stereo 0.06", *found]):
@@ -199,7 +200,7 @@ def test_the_python_of_a_page_runs_from_top_to_bottom(page: str) -> None:
 
 def test_the_material_of_its_page_is_one() -> None:
     names: dict[str, Any] = {}
-    exec(python_of("docs/adding-a-material.md").partition("Material = ")[0], names)
+    exec(python_of(guide_to("A material")).partition("Material = ")[0], names)
     material = names["AirGap"]()
     assert material.is_glass and material.surface().ior == 1
     assert material.bsdf(lambda reflectance: {}) == {"type": "null"}
@@ -207,7 +208,7 @@ def test_the_material_of_its_page_is_one() -> None:
 
 def test_the_proxy_of_its_page_encloses_the_object_with_its_padding() -> None:
     names: dict[str, Any] = {}
-    exec(python_of("docs/adding-a-proxy-kind.md"), names)
+    exec(python_of(guide_to("A kind of proxy")), names)
     box = trimesh.creation.box((0.1, 0.2, 0.6))
     solid = SimpleNamespace(hull_points=np.array(box.vertices))
     ball = names["fit_ball"](solid, padding=0.01)
@@ -220,7 +221,7 @@ def test_the_proxy_of_its_page_encloses_the_object_with_its_padding() -> None:
 def test_the_complete_method_passes_the_checks_that_its_page_lists(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = (ROOT / "docs" / "adding-a-method.md").read_text()
+    page = guide_to("A method")
     source, entry = (re.search(rf"```{kind}\n(.*?)```", page, flags=re.DOTALL) for kind in ("python", "toml"))
     assert source is not None and entry is not None
     (tmp_path / "alpha_blend.py").write_text(source[1])
@@ -230,7 +231,7 @@ def test_the_complete_method_passes_the_checks_that_its_page_lists(
     answer = call(f"model check-method {name}")
     sys.modules.pop("alpha_blend", None)
     lines = answer.out.splitlines()
-    listed = re.findall(r"^\| ([^|]+) \|", page.partition("## The check")[2], flags=re.MULTILINE)[1:]
+    listed = re.findall(r"^\| ([^|]+) \|", page.partition("### The check")[2], flags=re.MULTILINE)[1:]
     assert answer.status == 0, answer.out + answer.err
     assert [re.sub(r"^(ok|skip) +|: .*", "", line) for line in lines] == listed
     assert [line.split()[0] for line in lines[:8]] == ["ok"] * 8

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from support.browser import require_browser
+from support.browser import check_accessible, require_browser
 from support.synthetic import write_predictions, write_synthetic_dataset
 
 from benchmarks.browser import Watched, running_browser, watched_page
@@ -68,22 +68,25 @@ def test_one_part_is_shown_at_a_time_and_the_slider_parts_truth_and_prediction(s
     page = shown.page
     page.locator("nav").get_by_text("very dark").click()
     assert page.locator("main > .page:visible").count() == 1
-    figure = page.locator(".compare:visible").first
-    slider, panels = figure.locator("input[type=range]"), figure.locator(".panels")
+    view = page.locator(".view:visible").first
+    slider, pictures = view.locator("input[type=range]"), view.locator(".row")
+    boxes = [picture.bounding_box() for picture in view.locator(".picture:visible").all()]
+    assert [box is not None and box["width"] >= 256 for box in boxes] == [True] * 3  # Truth, prediction and error.
+    assert view.locator(".sharp:visible").count() == 3
+    view.get_by_role("button", name="slider").click()
 
     def brightness(value: int) -> float:
         slider.evaluate("(slider, value) => { slider.value = value; slider.dispatchEvent(new Event('input')); }", value)
-        return mean_of(panels.screenshot())
+        return mean_of(pictures.screenshot())
 
     truth, half, prediction = brightness(100), brightness(50), brightness(0)
     assert truth > half + 10 > prediction + 20
     slider.focus()
     page.keyboard.press("ArrowRight")
     assert slider.input_value() == "1"
-    figure.get_by_role("button", name="Error").click()
-    assert mean_of(panels.screenshot()) > 150  # Eight times a large difference: white where it was black.
-    figure.get_by_role("button", name="Side by side").click()
-    assert figure.locator(".picture:visible").count() == 3
+    view.get_by_role("button", name="very dark").click()
+    assert view.locator(".picture:visible").count() == 2
+    assert mean_of(view.locator(".error").screenshot()) > 150  # Eight times a large difference: white.
 
 
 @pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
@@ -97,6 +100,7 @@ def test_neither_page_is_wider_than_a_phone(browser: "Browser", report: Path, da
             for link in watched.page.locator("nav a").all():
                 link.click()
                 assert watched.evaluate("() => document.documentElement.scrollWidth") <= 390
+            check_accessible(watched)
             assert watched.complaints == []
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
-from support.browser import wait_until
+from support.browser import check_accessible, wait_until
 from support.web_scenes import every_surface
 
 from benchmarks.browser import Watched, open_file, watched_page
@@ -118,6 +118,25 @@ def test_a_click_tells_the_layers_that_python_peels_and_the_branches_of_light(pa
     assert len(branches) > 1
     assert page.locator("#rays path").count() >= len(branches)
     assert page.locator("#rays circle").count() == len(peeled)
+
+
+@pytest.mark.parametrize("is_dark", [False, True], ids=["light", "dark"])
+def test_on_a_phone_the_picture_comes_first_and_the_controls_are_asked_for(
+    browser: "Browser", small_page: Path, is_dark: bool
+) -> None:
+    with watched_page(browser, width=390, height=844, dark=is_dark) as watched:
+        open_file(watched, small_page)
+        page = watched.page
+        box = page.locator("#stage").bounding_box()
+        assert box is not None and box["height"] > 0.85 * 844
+        assert page.locator("#hint").is_visible() and not page.locator("#views").is_visible()
+        page.get_by_role("button", name="Controls").click()
+        assert page.locator("#views").is_visible()
+        check_accessible(watched)
+        drag(page, center(page, "#view"), right=30, down=0)
+        assert not page.locator("#hint").is_visible()
+        page.locator("#busy").wait_for(state="hidden")
+        assert watched.complaints == []
 
 
 # Fingers: touches as the browser itself makes them, not events

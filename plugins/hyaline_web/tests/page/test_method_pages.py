@@ -22,7 +22,7 @@ def test_the_page_of_the_guides_method_draws_what_its_run_predicts(
     browser: "Browser", tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "installed").mkdir()
-    (module,) = install_from_guide(tmp_path / "installed", "adding-a-web-page.md")
+    (module,) = install_from_guide(tmp_path / "installed", "A web page of a method")
     monkeypatch.syspath_prepend(tmp_path / "installed")
     dataset = write_synthetic_dataset(tmp_path / "data")
     run, page = tmp_path / "run", tmp_path / "page.html"

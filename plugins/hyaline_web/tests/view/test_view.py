@@ -30,6 +30,8 @@ def test_a_browser_gets_what_the_run_predicts_from_its_own_camera_and_ctrl_c_end
             window.stand_at(pose)
             # A quick picture may come before, unless this one has overtaken it on the way.
             assert any(np.array_equal(picture, truth) for picture in window.pictures())
+            notes = [kind for kind in window.heard if "Notification" in kind]
+            assert notes == ["NotificationShowMessage", "RemoveNotificationMessage"]
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
