@@ -97,11 +97,7 @@ def shapes_by_id(scene: "mi.Scene") -> Int32[np.ndarray, " id"]:
 
 
 def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
-    """x, y and (of three) z of vectors, in memory aligned to a cache line.
-
-    Dr.Jit maps NumPy's memory instead of copying it, and compiles another kernel for unaligned memory. Without this,
-    kernels would be compiled again and again, depending on where NumPy put an array.
-    """
+    """x, y and (of three) z of vectors, aligned to a cache line: Dr.Jit compiles other kernels for unaligned memory."""
     import mitsuba as mi
 
     count, axes = vectors.shape

@@ -3,9 +3,6 @@
 Import this module after `use_mitsuba`.
 """
 
-# Dr.Jit's stubs do not know what `@dr.syntax` makes of a loop, and Mitsuba's describe no variant.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -67,11 +64,7 @@ def _sampler(seed: int, count: int) -> "mi.Sampler":
 
 @dr.syntax
 def _trace_photons(scene, ray, power, sampler, tables):
-    """Follows photons by way of glass and mirrors to matt surfaces.
-
-    Returns:
-        Where they end, the directions back, their power, and whether they ended on a matt surface after a detour.
-    """
+    """Where photons end, the directions back, their power, and whether they met a matt surface after a detour."""
     context = mi.BSDFContext()
     colors = (mi.UInt32(sampler.next_1d() * 3), mi.Float(3)) if tables.disperses else None
     has_all = mi.Bool(True)

@@ -1,8 +1,5 @@
 """The path-traced ground truth of one view: two independent halves, their mean, and the remaining noise."""
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
-
 import dataclasses
 import hashlib
 import math

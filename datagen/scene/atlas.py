@@ -41,10 +41,9 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
-    """The same surface with unique uv for every point: charts that neither overlap nor touch.
+    """The same surface with unique uv for every point, the same bytes every time; faces keep their order.
 
-    Vertices are duplicated along the atlas's seams, with the same position and normal; faces keep their order. The same
-    mesh always gives the same bytes.
+    Vertices are duplicated along the atlas's seams, with the same position and normal.
     """
     return unwrap_all({where: mesh})[where]
 

@@ -61,7 +61,6 @@ def make() -> Scene:
             elevation_deg=(8.0, 65.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(0.90, -0.90, 1.25), target=(0.0, 0.0, 0.82)),

@@ -52,7 +52,6 @@ def make() -> Scene:
             elevation_deg=(-8.0, 50.0),
             azimuth_deg=(-140.0, -40.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
             walk=(
                 WalkPoint(position=(1.20, -1.55, 1.35), target=(0.10, 0.10, 0.85)),

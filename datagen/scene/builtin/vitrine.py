@@ -51,7 +51,6 @@ def make() -> Scene:
             elevation_deg=(5.0, 60.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.3,
             walk=(
                 WalkPoint(position=(1.00, -1.05, 1.45), target=(0.0, 0.0, 1.12)),
