@@ -21,8 +21,7 @@ from datagen.scene.soundness import check_cameras_outside
 def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Split, Cameras]:
     """The cameras of all splits; only the training ones of a rig are random, from the dataset's seed.
 
-    Source: paper section 4.5. Training cameras lie on a hemisphere that is cropped at the floor, the interpolating path
-    lies on the same hemisphere, the extrapolating walk leaves it: nearer, farther, lower, looking elsewhere.
+    Source: paper section 4.5. The interpolating path lies on the training cameras' hemisphere, the walk leaves it.
     """
     if isinstance(rig, CameraList):
         return _listed(rig, config)

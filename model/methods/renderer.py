@@ -183,17 +183,13 @@ def noise_penalty(
 ) -> Float32[Tensor, "pixel 3"]:
     """The bias that noise of a variance adds to Charbonnier's penalty of the differences, to second order.
 
-    Few rays hit a lamp's reflection in a rough surface, so their mean is noisy. Squares penalise noise like error: a
-    renderer learns to dim lamps and to blur textures, because less variation between rays costs less. Twelve lobes
-    learned a radiance of 1.7 for a lamp of 3.8, and got dimmer with more training. The penalty's mean over noise of
-    variance v is that of the noiseless difference plus v / 2 times its second derivative. Gradients flow only through
-    the variance. Pixels brighter than a white truth have no penalty. The same idea, with two independent renderings:
-    Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
+    Squares penalise noise like error: a renderer learns to dim lamps and to blur textures, because less variation
+    between rays costs less. The penalty's mean over noise of variance v is that of the noiseless difference plus v / 2
+    times its second derivative. Gradients flow only through the variance. Pixels brighter than a white truth have no
+    penalty. The same idea: Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
 
-    The variance must be measured by independent groups of rays. Half of the spread of rays in separate cells is right
-    on average, but then rewards ripples that cancel within a pixel, which grow on rough surfaces (docs/notes). The
-    second derivative is evaluated as far out as the noise reaches: at 0, for a difference that is the mean of two large
-    ones, it would reward noise without limit.
+    The variance must be measured by independent groups of rays, or ripples that cancel within a pixel are rewarded. The
+    second derivative is evaluated as far out as the noise reaches: at 0, it could reward noise without limit.
     """
     given = differences.detach()
     curvature = softness**2 / (given.square() + variance.detach() + softness**2) ** 1.5

@@ -62,8 +62,7 @@ def train(
 
     SIGINT and SIGTERM end it after the current step, with a checkpoint.
 
-    A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
-    generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
+    Resumed runs give the same bytes, on as many CPU threads: each step has a generator seeded by (seed, step).
 
     Args:
         flags: those that asked for it, to be recorded.
