@@ -81,8 +81,9 @@ class PathTracer:
         roughness = np.array([surface.roughness for surface in surfaces], np.float32)
         tint = np.array([surface.color for surface in surfaces], np.float32)
         ior = np.array([surface.ior for surface in surfaces], np.float32)
-        offsets = [_ray_offset(shape) for shape in scene.shapes()]
-        self.scene, self.media = scene, media
+        boxes = [shape.bbox() for shape in scene.shapes()]
+        offsets = [RAY_OFFSET * largest_coordinate(np.array([box.min, box.max])) for box in boxes]
+        self.scene, self.media, self.air = scene, media, no_solids(media)
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.offset = mi.Float(by_id(np.array(offsets, np.float32), 0))
         self.lamp_offset = max(offsets[len(media.rank) :], default=0.0)
@@ -127,17 +128,12 @@ def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
     return (run + scramble % 3) % 3, weight
 
 
-def _ray_offset(shape: "mi.Shape") -> float:
-    box = shape.bbox()
-    return RAY_OFFSET * largest_coordinate(np.array([box.min, box.max]))
-
-
 @dr.syntax
 def _trace(scene, ray, points, scramble, index, colors, tables):
     """Radiance along camera rays; `colors` come from `_share_out_channels`, None if no glass disperses."""
     context = mi.BSDFContext()
     radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
-    solids = mi.UInt32(no_solids(tables.media))  # The solids that the ray is in.
+    solids = mi.UInt32(tables.air)  # The solids that the ray is in.
     dimension = mi.UInt32(2)  # Of the random numbers; the camera took two.
     depth, vanished = mi.UInt32(0), mi.UInt32(0)  # Bounces, and vanished surfaces passed.
     previous = dr.zeros(mi.Interaction3f)

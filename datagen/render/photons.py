@@ -18,7 +18,7 @@ from datagen.render.path_integrator import (
     start_off,
     surface_at,
 )
-from datagen.scene.media import medium_of, no_solids, solids_around
+from datagen.scene.media import medium_of, solids_around
 
 NUM_PHOTONS = 1 << 20
 """Photons sent to glass and mirrors; about half of them arrive."""
@@ -68,7 +68,7 @@ def _trace_photons(scene, ray, power, sampler, tables):
     context = mi.BSDFContext()
     colors = (mi.UInt32(sampler.next_1d() * 3), mi.Float(3)) if tables.disperses else None
     has_all = mi.Bool(True)
-    solids = mi.UInt32(no_solids(tables.media))
+    solids = mi.UInt32(tables.air)
     depth = mi.UInt32(0)
     p, has_arrived = mi.Point3f(0), mi.Bool(False)
     active = dr.max(power) > 0

@@ -120,8 +120,7 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
     Args:
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
-            less than a circle; `spline` runs through the interpolating test views. A spline has the dataset's lens,
-            principal point included; an orbit has its target in the middle of the pictures.
+            less than a circle, its target in the middle; `spline` runs through the interpolating test views.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.

@@ -54,9 +54,8 @@ def fill_in(textures: TexturePyramid, met: Float32[Tensor, " texel"]) -> None:
 
     A texel's features become the weighted mean of its own, with variance `NOISE` over its number of visits, and of
     those around it, with the surface's detail as variance: the mean square difference between neighbouring texels where
-    all are well known. So a patterned vase is left alone after few visits, and a plain floor is not. The surroundings
-    are found coarse to fine. Source: pull-push (Gortler et al. 1996, The Lumigraph, section 3.4). A surface that
-    training rays hardly met gets the mean of all surfaces.
+    all are well known. The surroundings are found coarse to fine. Source: pull-push (Gortler et al. 1996, The
+    Lumigraph, section 3.4). A surface that training rays hardly met gets the mean of all surfaces.
 
     Args:
         met: visits of each texel of `filled_layout`, in whole pixels (`add_visits`).

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_on, slab
-from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_on, slab, walk_along
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Diffuse, Plastic, SolidTexture, ThinDielectric
 from datagen.scene.modelling import (
     ball,
@@ -52,15 +52,15 @@ def make() -> Scene:
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
             target_jitter=0.3,
-            walk=(
-                WalkPoint(position=(1.00, -1.05, 1.45), target=(0.0, 0.0, 1.12)),
-                WalkPoint(position=(0.45, -0.60, 1.22), target=(-0.05, 0.0, 1.08)),
-                WalkPoint(position=(-0.25, -0.62, 1.05), target=(0.05, 0.02, 1.05)),
-                WalkPoint(position=(-0.95, -0.95, 0.95), target=(0.10, 0.05, 1.05)),
-                WalkPoint(position=(-0.40, -2.20, 1.40), target=(0.25, 0.30, 1.10)),
-                WalkPoint(position=(1.60, -2.40, 2.20), target=(-0.10, 0.10, 1.00)),
-                WalkPoint(position=(1.90, 0.50, 1.30), target=(-0.10, 0.00, 1.12)),
-                WalkPoint(position=(0.80, 0.90, 1.75), target=(0.00, -0.05, 1.10)),
+            walk=walk_along(
+                ((1.00, -1.05, 1.45), (0.0, 0.0, 1.12)),
+                ((0.45, -0.60, 1.22), (-0.05, 0.0, 1.08)),
+                ((-0.25, -0.62, 1.05), (0.05, 0.02, 1.05)),
+                ((-0.95, -0.95, 0.95), (0.10, 0.05, 1.05)),
+                ((-0.40, -2.20, 1.40), (0.25, 0.30, 1.10)),
+                ((1.60, -2.40, 2.20), (-0.10, 0.10, 1.00)),
+                ((1.90, 0.50, 1.30), (-0.10, 0.00, 1.12)),
+                ((0.80, 0.90, 1.75), (0.00, -0.05, 1.10)),
             ),
         ),
     )
