@@ -1,7 +1,6 @@
 """The scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
 
-Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest
-(datagen/scene/media.py).
+Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest.
 """
 
 from functools import partial
