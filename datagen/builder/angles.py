@@ -27,12 +27,10 @@ Directions = Float[np.ndarray, "place 3"]
 def make_angle_cameras(scene: Scene, config: DatasetConfig) -> dict[Split, Cameras]:
     """The cameras of all splits by angle: as many as `config` has extrapolating views, the same at every call.
 
-    The region that training covers is that of directions from the rig's target, the scene's centre, to cameras:
-    elevations and azimuths of the rig. A camera of `extrapolating-20deg` lies exactly 20 degrees outside of it, at
-    the training distance, and looks at the centre: so the angle alone is varied, neither distance nor aim. They are
-    evenly spread over all such places, beside the region and above it, but for those that are lower than training
-    and lower than 5 degrees, and those to which a training camera cannot be rotated without running into something (a
-    wall, a floor).
+    Training covers the elevations and azimuths of the rig, as seen from its target. A camera of `extrapolating-20deg`
+    lies exactly 20 degrees outside of them, at the training distance, and looks at the target. They are evenly spread
+    over all such places, but for those that are lower than training and than 5 degrees, and those to which a training
+    camera cannot be rotated without running into something.
 
     Raises:
         HyalineError: no such place exists.

@@ -55,11 +55,11 @@ class RenderJob:
 
 def render_task(job: RenderJob, task: Task) -> None:
     """Renders one view and commits it."""
-    from datagen.render.truth import picture_bytes, radiance_bytes, render_view, view_seed
+    from datagen.render.truth import derive_seed, render_view, truth_files
 
     split, view = task
     config = job.dataset.config
-    seed, spp = view_seed(config.seed, split, view), config.split(split).spp
+    seed, spp = derive_seed(config.seed, split, view, "render"), config.split(split).spp
     assert spp is not None, "an imported dataset is not rendered"
     truth = render_view(
         job.renderer,
@@ -78,7 +78,7 @@ def render_task(job: RenderJob, task: Task) -> None:
         job.dataset,
         split,
         view,
-        {".png": picture_bytes(truth), ".exr": radiance_bytes(truth)},
+        truth_files(truth),
         seed=seed,
         spp=truth.spp,
         noise_mse=truth.noise_mse,

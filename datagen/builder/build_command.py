@@ -22,7 +22,7 @@ from datagen.disk.errors import HyalineError, UsageError
 from datagen.disk.ownership import DATASET, refuse_others
 from datagen.machine.launch import raise_failures, run_in_jobs
 from datagen.scene.edits import parse_edit
-from datagen.scene.finding import ImportChoices, find_scene, is_foreign, numbered_scenes
+from datagen.scene.finding import ImportChoices, find_scene, find_source, numbered_scenes
 from datagen.terminal.command import say, say_all
 from datagen.terminal.parsing import changed_flags, flag_words
 
@@ -75,7 +75,7 @@ def _build_scene(
     check_settings(num_layers=size.num_layers, workers=choices.workers)
     config = configure(choices.preset, size, seed=choices.seed)
     part = None if choices.shard is None else parse_shard(choices.shard)
-    if choices.out is not None or ("/" not in name and not is_foreign(name)):
+    if choices.out is not None or ("/" not in name and find_source(name, is_of_files=True) is None):
         # Before anything is modelled.
         refuse_others(choices.out or DATA_ROOT / name, DATASET)
     scene = find_scene(name, resolution=config.resolution, imports=imports)

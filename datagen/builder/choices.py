@@ -211,10 +211,8 @@ def fit_to_scene(config: DatasetConfig, scene: "Scene", size: SizeChoices) -> Da
 class Shard:
     """One of `count` disjoint parts of the views of a dataset, which several machines may make at once.
 
-    Machines meet in the folder alone, without a lock that all of them would have to see (flock often ends at the
-    machine). So a part never deletes or replaces anything but by the same bytes: what several need (scene, cameras,
-    heads) each writes whole and of the same content, and a head that stands there is never replaced. What a killed part
-    left is cleared by a build without a part, when all have ended.
+    Machines meet in the folder alone, without a lock (flock often ends at the machine). So a part never deletes or
+    replaces anything but by the same bytes. What a killed part left is cleared by a build without a part.
     """
 
     number: int

@@ -308,8 +308,7 @@ def find_edit_mask(
     Args:
         shown: pixels that show a changed object.
         before: the two independent halves of the truth before the edit, in sRGB.
-        after: the same after it. Where both truths were rendered with the same random numbers, their noise is the same
-            but for light that the edit touches; so the noise is taken from the difference, not from each truth.
+        after: the same after it. Noise is taken from the difference: truths of the same random numbers share it.
     """
     from scipy.ndimage import uniform_filter
 

@@ -4,9 +4,8 @@ scene/meshes/NAME.ply              the truth
 proxies/KIND/proxies.json          sealed, written first: one mesh per object, with SHA-256 and statistics
 proxies/KIND/meshes/NAME.ply
 
-KIND is a geometry's name: a kind of proxy such as box, or `mixed` and more, where `assignment` in proxies.json names
-each object's stand-in. Fitted glass is stored likewise, as kind `fitted` or `fitted-NAME`; `materials` in proxies.json
-has the materials that were found, by object.
+KIND is a geometry's name: a kind of proxy, or `mixed` and more, where `assignment` in proxies.json names each object's
+stand-in; of fitted glass `fitted` or `fitted-NAME`, where `materials` has those that were found, by object.
 """
 
 from collections.abc import Mapping

@@ -176,8 +176,7 @@ def unfolded(
 ) -> Int[np.ndarray, "face 3"]:
     """The triangles of polygons, without overlaps and inside each polygon.
 
-    A fan around the first corner leaves a concave polygon and folds back into it; such polygons are triangulated in
-    the plane that they face most.
+    Concave polygons, whose fans fold back, are triangulated in the plane that they face most.
 
     Args:
         faces: the polygons as fans around their first corners, one after the other.

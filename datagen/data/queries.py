@@ -28,8 +28,7 @@ def windings(
 ) -> Int[np.ndarray, " point"]:
     """The winding number of closed, outward triangles around each point: 1 inside a solid, 0 outside.
 
-    Each point looks along one ray, in a direction that no model is aligned with, and counts the faces that the ray
-    leaves through minus those that it enters through. Exact, except for points within rounding of an edge.
+    It counts the faces that a ray from the point leaves through minus those that it enters through.
 
     Args:
         own: the face that each point lies on; its winding number is then that just outside this face.

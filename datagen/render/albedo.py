@@ -7,9 +7,6 @@ Source: Turquin 2019, "Practical multiple scattering compensation for microfacet
 light on one or two facets, is 1 + c (1 - E) / E.
 """
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportOperatorIssue=false
-
 import functools
 
 import numpy as np
@@ -29,14 +26,10 @@ ANGLES = 64
 def facet_shares(cosine: ArrayLike, alpha: ArrayLike, eta: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
     """Shares of light that facets mirror and let through, without light that meets further facets.
 
-    The arguments are broadcast.
-
     Args:
         cosine: of the angle between the light and the surface's normal.
         alpha: GGX roughness, more than 0.
         eta: index of refraction behind the surface over that in front.
-
-    Source: facets sampled as in datagen/render/facets.py; Fresnel's equations; Smith's shadowing.
     """
     cosine, alpha, eta = (np.asarray(values, np.float32)[..., None, None] for values in (cosine, alpha, eta))
     # Half of the azimuths; the others mirror them. Most points are where facets are steep, whose share changes most.
@@ -81,26 +74,6 @@ def albedo_table() -> Float32[np.ndarray, "index alpha cosine"]:
     return table
 
 
-def albedo(table, cosine, alpha, eta):
-    """The albedo by `albedo_table`, flat; arguments as of `facet_shares`, alpha may be 0."""
-    import drjit as dr
-    import mitsuba as mi
-
-    contrast = (eta - 1) / (eta + 1)
-    places = dr.mulsign(dr.sqrt(dr.abs(contrast)), contrast) / 2 + 0.5, alpha, dr.sqrt(cosine)
-    corners = [(mi.Float(1), mi.UInt32(0))]
-    for place, size in zip(places, SHAPE, strict=True):
-        scaled = place * (size - 1)
-        low = dr.minimum(mi.UInt32(scaled), size - 2)
-        share = scaled - mi.Float(low)
-        corners = [
-            (weight * part, size * index + low + step)
-            for weight, index in corners
-            for step, part in enumerate((1 - share, share))
-        ]
-    return sum(weight * dr.gather(mi.Float, table, index) for weight, index in corners)
-
-
 # Clear coats
 
 
@@ -113,11 +86,9 @@ def mirrored_by_coat(ior: float, alpha: float) -> float:
 
 
 def below_coat(base: Float[np.ndarray, "..."], ior: float, alpha: float) -> Float[np.ndarray, "..."]:
-    """The base with which Mitsuba's `roughplastic`, divided by the coat's albedo, is a coat over `base` that loses
-    no light; above 1 for white.
+    """The base with which Mitsuba's `roughplastic`, divided by the coat's albedo, loses no light; above 1 for white.
 
-    Light that the coat lets through, `through`, comes out of the base unless it is reflected back, which leaves
-    through / ior^2 of it (reciprocity). Mitsuba loses some of it, going out and back.
+    Of the light that comes out of the base, through / ior^2 leaves the coat (reciprocity); Mitsuba loses some of it.
     """
     cosine = (np.arange(ANGLES) + 0.5) / ANGLES
     weights = cosine / cosine.sum()

@@ -1,14 +1,10 @@
 """A map of caustics: from which directions glass and mirrors bring the light of lamps to places on matt surfaces.
 
-A path tracer finds a small lamp behind glass only by chance. Photons, traced from the lamps by way of glass and mirrors
-to the first matt surface, tell where to look for it, and the path tracer aims a share of its rays there. The map only
-chooses directions, with a known density: pictures are unbiased however few or wrong its photons are.
+Photons tell the path tracer where to look for small lamps (render/photons.py). The map only chooses directions, with a
+known density: pictures are unbiased however few or wrong its photons are.
 Source: Jensen 1995, "Importance Driven Path Tracing using the Photon Map".
 Import this module after `use_mitsuba`.
 """
-
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false, reportOperatorIssue=false
 
 import math
 from typing import Any, NamedTuple

@@ -1,14 +1,12 @@
 """Microfacets of rough surfaces (GGX), sampled by visible area. Call `use_mitsuba` first.
 
-Source: GGX facets with Smith's shadowing, sampled by their visible area (Dupuy and Benyoub 2023, "Sampling Visible GGX
-Normals with Spherical Caps"). A sampled direction has the weight Fresnel's term times shadowing. Light that goes from
-facet to facet is left out here, as in Mitsuba's own plugins; render/albedo.py makes up for it.
+Source: Dupuy and Benyoub 2023, "Sampling Visible GGX Normals with Spherical Caps"; Smith's shadowing. A sampled
+direction has the weight Fresnel's term times shadowing. render/albedo.py makes up for light from facet to facet.
 """
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportOperatorIssue=false
-
 from typing import TYPE_CHECKING, NamedTuple
+
+from datagen.render.albedo import SHAPE
 
 if TYPE_CHECKING:
     import mitsuba as mi
@@ -40,17 +38,47 @@ def unshadowed(wo, alpha):
     return 2 / (1 + dr.sqrt(1 + alpha * alpha * tangent2))
 
 
+def albedo(table, cosine, alpha, eta):
+    """Share of light that facets keep, by `albedo_table`, flat; arguments as of `facet_shares`, alpha may be 0."""
+    import drjit as dr
+    import mitsuba as mi
+
+    contrast = (eta - 1) / (eta + 1)
+    places = dr.mulsign(dr.sqrt(dr.abs(contrast)), contrast) / 2 + 0.5, alpha, dr.sqrt(cosine)
+    corners = [(mi.Float(1), mi.UInt32(0))]
+    for place, size in zip(places, SHAPE, strict=True):
+        scaled = place * (size - 1)
+        low = dr.minimum(mi.UInt32(scaled), size - 2)
+        share = scaled - mi.Float(low)
+        corners = [
+            (weight * part, size * index + low + step)
+            for weight, index in corners
+            for step, part in enumerate((1 - share, share))
+        ]
+    return sum(weight * dr.gather(mi.Float, table, index) for weight, index in corners)
+
+
+def gain_of_facets(is_coat, surface, wo, share):
+    """The factor by which coats and metals scatter more than single facets do; metal tints light at each facet.
+
+    Args:
+        surface: its `alpha` and `albedo`.
+        share: scattered light over the density of `wo`. Of metal, that is its colour times the shadowing.
+    """
+    import drjit as dr
+
+    return dr.rcp(1 - dr.select(is_coat, 1, share / unshadowed(wo, surface.alpha)) * (1 - surface.albedo))
+
+
 def lobe_of_glass(wi, wo, eta, alpha):
     """How much rough glass scatters from `wo` to `wi`, and the density with which sampled facets give `wo`.
 
+    The first is the scattering function times the cosine at `wo`, the second is over solid angle.
+
     Args:
-        wi: unit direction, in the surface's frame, from which the ray came; on either side.
-        wo: unit direction to light, on either side.
+        wi, wo: unit directions, in the surface's frame, from which the ray came and to light; on either side.
         eta: index of refraction inside over that outside.
         alpha: GGX roughness, more than 0.
-
-    Returns:
-        The scattering function times the cosine at `wo`, and the density over solid angle.
 
     Source: Walter et al. 2007, "Microfacet Models for Refraction through Rough Surfaces", Eqs. 20 and 21.
     """

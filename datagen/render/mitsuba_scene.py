@@ -97,11 +97,7 @@ def shapes_by_id(scene: "mi.Scene") -> Int32[np.ndarray, " id"]:
 
 
 def to_columns(vectors: Float[np.ndarray, "ray axis"]) -> "list[mi.Float]":
-    """x, y and (of three) z of vectors, in memory aligned to a cache line.
-
-    Dr.Jit maps NumPy's memory instead of copying it, and compiles another kernel for unaligned memory. Without this,
-    kernels would be compiled again and again, depending on where NumPy put an array.
-    """
+    """x, y and (of three) z of vectors, aligned to a cache line: Dr.Jit compiles other kernels for unaligned memory."""
     import mitsuba as mi
 
     count, axes = vectors.shape
@@ -313,7 +309,8 @@ def environment_plugin(scene: Scene) -> Plugin:
     if isinstance(environment, SoftEnvironment):
         radiance, to_world = painted(environment), _Z_UP
     else:
-        radiance, to_world = _map_of(scene, environment), _about_z(environment.rotation_deg) @ _MIDDLE_TO_X
+        radiance = read_map(image_bytes(scene, environment), where=f"scene {scene.name}: {environment.path}")
+        radiance, to_world = radiance * np.float32(environment.scale), _about_z(environment.rotation_deg) @ _MIDDLE_TO_X
     if not radiance.any():  # Mitsuba 3.9 divides a map by its sum.
         radiance = np.full_like(radiance, BLACK)
     return {"type": "envmap", "bitmap": mi.Bitmap(radiance), "to_world": mitsuba_transform(to_world)}
@@ -338,11 +335,6 @@ def _about_z(angle_deg: float) -> Float[np.ndarray, "4 4"]:
     cosine, sine = np.cos(np.radians(angle_deg)), np.sin(np.radians(angle_deg))
     turned[:2, :2] = [[cosine, -sine], [sine, cosine]]
     return turned
-
-
-def _map_of(scene: Scene, environment: EnvironmentMap) -> Float32[np.ndarray, "h w 3"]:
-    where = f"scene {scene.name}: {environment.path}"
-    return read_map(image_bytes(scene, environment), where=where) * np.float32(environment.scale)
 
 
 def painted(environment: SoftEnvironment) -> Float32[np.ndarray, "h w 3"]:

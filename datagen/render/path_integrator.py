@@ -1,22 +1,15 @@
 """The path tracer for ground truth: absorbing and nested glass, and the cheapest samples that soft light allows.
 
-It estimates the same as Mitsuba's `path`, and more. Mitsuba treats absorption only as a participating medium, where a
-path is absorbed at random; here the throughput is multiplied by exp(-absorption * length). Mitsuba's `dielectric`
-borders on the same medium everywhere; here a glass surface borders on the medium that the ray is in
-(datagen/scene/media.py), by the formulas of `dielectric` and, if it is rough, of `roughdielectric`.
+It estimates the same as Mitsuba's `path`, and more: absorption multiplies the throughput by exp(-absorption * length),
+and a glass surface borders on the medium that the ray is in (datagen/scene/media.py), by the formulas of `dielectric`
+and `roughdielectric`. A path keeps all colour channels until it first hits glass that disperses, and continues with one
+of them; the paths of a pixel are divided evenly among the channels.
 
-If glass disperses, its index of refraction depends on the colour: a path keeps all three channels until it first hits
-such glass, and continues with one of them; the paths of a pixel are divided evenly among the channels.
-
-Three things make a picture cheap. Its random numbers are Sobol's (render/sobol.py). Light is sampled only where there
-is something to aim at, a lamp or a small bright part of the sky: a soft sky is found as well by the rays that materials
-send out, for half the rays. And where glass or a mirror is between a lamp and a matt surface, which light sampling
-cannot see through, half of the rays follow a map of caustics (render/caustics.py).
+Its random numbers are Sobol's (render/sobol.py). Light is sampled only where there is something to aim at: a soft sky
+is found as well by the rays that materials send out, for half the rays. Where glass or a mirror is between a lamp and a
+matt surface, half of the rays follow a map of caustics (render/caustics.py).
 Import this module after `use_mitsuba`.
 """
-
-# Dr.Jit's stubs do not know that a registry array can be reinterpreted, nor what `@dr.syntax` makes of a loop.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -26,9 +19,9 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import Float32
 
-from datagen.render.albedo import albedo, albedo_table
+from datagen.render.albedo import albedo_table
 from datagen.render.caustics import CausticMap, Spot
-from datagen.render.facets import bounce_off_facet, lobe_of_glass, unshadowed
+from datagen.render.facets import albedo, bounce_off_facet, gain_of_facets, lobe_of_glass
 from datagen.render.sobol import SobolPoints
 from datagen.scene.materials import Surface
 from datagen.scene.media import (
@@ -57,9 +50,8 @@ GUIDED_SHARE = 0.5
 class PathTracer:
     """Unidirectional path tracing with multiple importance sampling. Cameras and lights are in air.
 
-    There is no Russian roulette: it costs more in noise than it saves. The attributes are the kernel's options and
-    lookup tables; tables of shapes are by registry id. Not a dataclass: Dr.Jit 1.5 would treat it as loop state and
-    assign its fields.
+    There is no Russian roulette: it costs more in noise than it saves. Tables of shapes are by registry id. Not a
+    dataclass: Dr.Jit 1.5 would treat it as loop state and assign its fields.
     """
 
     def __init__(
@@ -89,8 +81,9 @@ class PathTracer:
         roughness = np.array([surface.roughness for surface in surfaces], np.float32)
         tint = np.array([surface.color for surface in surfaces], np.float32)
         ior = np.array([surface.ior for surface in surfaces], np.float32)
-        offsets = [_ray_offset(shape) for shape in scene.shapes()]
-        self.scene, self.media = scene, media
+        boxes = [shape.bbox() for shape in scene.shapes()]
+        offsets = [RAY_OFFSET * largest_coordinate(np.array([box.min, box.max])) for box in boxes]
+        self.scene, self.media, self.air = scene, media, no_solids(media)
         self.max_depth, self.has_lamps, self.aims = max_depth, has_lamps, aims
         self.offset = mi.Float(by_id(np.array(offsets, np.float32), 0))
         self.lamp_offset = max(offsets[len(media.rank) :], default=0.0)
@@ -128,19 +121,11 @@ class PathTracer:
 
 
 def _share_out_channels(index, spp, scramble) -> tuple[Lanes, Lanes]:
-    """The colour channel of each sample's path after dispersion, and its weight, so that channels are unbiased.
-
-    A pixel's samples are cut into three runs; which channel gets which run is random for each pixel.
-    """
+    """The colour channel of each sample's path after dispersion, by thirds in random order, and its weight."""
     run = index * 3 // spp
     first, end = (run * spp + 2) // 3, ((run + 1) * spp + 2) // 3
     weight = mi.Float(spp) / mi.Float(end - first) if spp >= 3 else mi.Float(3)
     return (run + scramble % 3) % 3, weight
-
-
-def _ray_offset(shape: "mi.Shape") -> float:
-    box = shape.bbox()
-    return RAY_OFFSET * largest_coordinate(np.array([box.min, box.max]))
 
 
 @dr.syntax
@@ -148,7 +133,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
     """Radiance along camera rays; `colors` come from `_share_out_channels`, None if no glass disperses."""
     context = mi.BSDFContext()
     radiance, throughput = mi.Spectrum(0), mi.Spectrum(1)
-    solids = mi.UInt32(no_solids(tables.media))  # The solids that the ray is in.
+    solids = mi.UInt32(tables.air)  # The solids that the ray is in.
     dimension = mi.UInt32(2)  # Of the random numbers; the camera took two.
     depth, vanished = mi.UInt32(0), mi.UInt32(0)  # Bounces, and vanished surfaces passed.
     previous = dr.zeros(mi.Interaction3f)
@@ -188,7 +173,7 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
         sample2 = points.sample_2d(scramble, index, dimension + 1, active)
         dimension += 3
         bsdf = si.bsdf(ray)
-        is_rough = active & ~is_glass
+        is_rough, matt = active & ~is_glass, is_matt(bsdf)
         surface = surface_at(tables, si, eta, is_glass, active & ~vanishes)
         if dr.hint(tables.aims, mode="scalar"):
             # Light sampled from here; smooth glass has no such term.
@@ -199,13 +184,13 @@ def _trace(scene, ray, points, scramble, index, colors, tables):
             active_light &= _is_lit(scene, tables, si, offset, ds, active_light)
             wo = si.to_local(ds.d)
             value, pdf, bsdf_sample, bsdf_weight = _scatter(tables, context, si, bsdf, wo, sample1, sample2, is_rough)
-            value *= _gain(tables, bsdf, surface, wo, value / dr.maximum(pdf, 1e-20))
+            value *= gain_of_facets(matt, surface, wo, value / dr.maximum(pdf, 1e-20))
             value, pdf = _scattered_by_glass(tables, si, eta, wo, surface, (value, pdf))
             weight = dr.select(ds.delta, 1, _balance(ds.pdf, pdf))
             radiance += dr.select(active_light, throughput * value * light * weight, 0)
         else:
             bsdf_sample, bsdf_weight = bsdf.sample(context, si, sample1, sample2, is_rough)
-        bsdf_weight *= _gain(tables, bsdf, surface, bsdf_sample.wo, bsdf_weight)
+        bsdf_weight *= gain_of_facets(matt, surface, bsdf_sample.wo, bsdf_weight)
 
         # Glass reflects or refracts. Where its surface vanishes, both media are the same and nothing is reflected.
         is_reflected, glass_wo, glass_share = meet_glass(tables, si, eta, surface, vanishes, (sample1, sample2))
@@ -261,11 +246,7 @@ def is_matt(bsdf) -> Lanes:
 
 
 def pass_medium(tables, solids, ray, si, hit) -> tuple[Lanes, Lanes]:
-    """The distance off the next surface at which rays start, and the transmittance of the medium on the way to it.
-
-    The length that a ray skipped when it started off a thin wall's other face counts. A ray in glass always hits
-    something; the guard is for leaky meshes.
-    """
+    """The distance off the next surface at which rays start, and the transmittance of the medium on the way to it."""
     offset = dr.gather(mi.Float, tables.offset, dr.reinterpret_array(mi.UInt32, si.shape), hit)
     sigma_a = dr.gather(mi.Spectrum, tables.absorption, medium_of(tables.media, solids), hit)
     length = si.t + skipped_length(offset, dr.dot(ray.d, si.n))
@@ -342,18 +323,6 @@ def surface_at(tables, si, eta, is_glass, active) -> SurfaceOptics:
         is_one = (dr.abs(eta - 1) < SAME_INDEX) | ~is_solid
         tint = dr.select(is_one, 1, dr.gather(mi.Spectrum, tables.tint, shape, is_solid))
     return SurfaceOptics(alpha=alpha, is_frosted=is_glass & (alpha > 0), tint=tint, albedo=kept)
-
-
-def _gain(tables, bsdf, surface, wo, share) -> Lanes:
-    """The factor by which coats and metals scatter more than single facets do; metal tints light at each facet.
-
-    Args:
-        share: scattered light over the density of `wo`. Of metal, that is its colour times the shadowing.
-    """
-    if not tables.has_facets:
-        return mi.Spectrum(1)
-    color = dr.select(is_matt(bsdf), 1, share / unshadowed(wo, surface.alpha))
-    return dr.rcp(1 - color * (1 - surface.albedo))
 
 
 def _scattered_by_glass(tables, si, eta, wo, surface, otherwise) -> tuple[Lanes, Lanes]:

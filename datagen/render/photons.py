@@ -3,9 +3,6 @@
 Import this module after `use_mitsuba`.
 """
 
-# Dr.Jit's stubs do not know what `@dr.syntax` makes of a loop, and Mitsuba's describe no variant.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportAttributeAccessIssue=false
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -21,7 +18,7 @@ from datagen.render.path_integrator import (
     start_off,
     surface_at,
 )
-from datagen.scene.media import medium_of, no_solids, solids_around
+from datagen.scene.media import medium_of, solids_around
 
 NUM_PHOTONS = 1 << 20
 """Photons sent to glass and mirrors; about half of them arrive."""
@@ -67,15 +64,11 @@ def _sampler(seed: int, count: int) -> "mi.Sampler":
 
 @dr.syntax
 def _trace_photons(scene, ray, power, sampler, tables):
-    """Follows photons by way of glass and mirrors to matt surfaces.
-
-    Returns:
-        Where they end, the directions back, their power, and whether they ended on a matt surface after a detour.
-    """
+    """Where photons end, the directions back, their power, and whether they met a matt surface after a detour."""
     context = mi.BSDFContext()
     colors = (mi.UInt32(sampler.next_1d() * 3), mi.Float(3)) if tables.disperses else None
     has_all = mi.Bool(True)
-    solids = mi.UInt32(no_solids(tables.media))
+    solids = mi.UInt32(tables.air)
     depth = mi.UInt32(0)
     p, has_arrived = mi.Point3f(0), mi.Bool(False)
     active = dr.max(power) > 0

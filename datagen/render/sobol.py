@@ -1,8 +1,7 @@
 """The path tracer's random numbers: Sobol's sequence, scrambled independently for each pixel and dimension.
 
-A pixel's points are spread evenly over many bounces at once, not only in pairs of dimensions as in Mitsuba's
-`multijitter`. Source: Owen 1995, "Randomly Permuted (t,m,s)-Nets and (t,s)-Sequences"; the scrambling is a hash by
-Laine and Karras 2011 with the constants of Burley 2020, "Practical Hash-based Owen Scrambling".
+Source: Owen 1995, "Randomly Permuted (t,m,s)-Nets and (t,s)-Sequences"; the scrambling is a hash by Laine and Karras
+2011 with the constants of Burley 2020, "Practical Hash-based Owen Scrambling".
 Import this module after `use_mitsuba`.
 """
 

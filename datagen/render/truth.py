@@ -1,8 +1,5 @@
 """The path-traced ground truth of one view: two independent halves, their mean, and the remaining noise."""
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportAttributeAccessIssue=false, reportArgumentType=false, reportCallIssue=false
-
 import dataclasses
 import hashlib
 import math
@@ -12,7 +9,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from datagen.data.cameras import Cameras
-from datagen.data.config import ROUNDING_MSE, Split
+from datagen.data.config import ROUNDING_MSE
 from datagen.data.images import encode_exr, png_bytes, srgb_from_linear, to_8bit
 from datagen.data.meshes import is_there
 from datagen.disk.errors import HyalineError
@@ -112,19 +109,10 @@ def derive_seed(*parts: object) -> int:
     return int.from_bytes(digest[:4], "little")
 
 
-def view_seed(seed: int, split: Split, view: int) -> int:
-    """The seed of one view of a dataset; views are independent of each other and of their order."""
-    return derive_seed(seed, split, view, "render")
-
-
-def picture_bytes(truth: Truth) -> bytes:
-    """The 8-bit sRGB PNG."""
-    return png_bytes(to_8bit(srgb_from_linear(truth.radiance)))
-
-
-def radiance_bytes(truth: Truth) -> bytes:
-    """The EXR: linear R, G, B and the half difference as noise.R, noise.G, noise.B, all half floats."""
-    return encode_exr(truth.radiance, truth.half_difference)
+def truth_files(truth: Truth) -> dict[str, bytes]:
+    """The 8-bit sRGB PNG, and the EXR: linear R, G, B and the half difference as noise.*, all half floats."""
+    picture = png_bytes(to_8bit(srgb_from_linear(truth.radiance)))
+    return {".png": picture, ".exr": encode_exr(truth.radiance, truth.half_difference)}
 
 
 def _truth(first: Float[np.ndarray, "h w 3"], second: Float[np.ndarray, "h w 3"], spp: int) -> Truth:

@@ -41,20 +41,16 @@ Arrays = Mapping[str, np.ndarray]
 
 
 def unwrap(mesh: Mesh, *, where: str) -> Mesh:
-    """The same surface with unique uv for every point: charts that neither overlap nor touch.
+    """The same surface with unique uv for every point, the same bytes every time; faces keep their order.
 
-    Vertices are duplicated along the atlas's seams, with the same position and normal; faces keep their order. The same
-    mesh always gives the same bytes.
+    Vertices are duplicated along the atlas's seams, with the same position and normal.
     """
     return unwrap_all({where: mesh})[where]
 
 
 def unwrap_all(meshes: dict[str, Mesh]) -> dict[str, Mesh]:
-    """`unwrap` for many meshes, in a few parallel child processes; the keys name the meshes in errors.
-
-    xatlas hangs on infinite coordinates and could crash, so it never runs in this process. A surface that was unwrapped
-    before gets the same atlas from the user's cache.
-    """
+    """`unwrap` for many meshes, named by their keys in errors; by the user's cache, or in a few child processes: xatlas
+    hangs on infinite coordinates and could crash."""
     from datagen.machine.processes import num_cores
 
     for where, mesh in meshes.items():

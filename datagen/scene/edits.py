@@ -1,9 +1,7 @@
 """Edits of a scene whose renderer is already trained: how they are written, and what they do.
 
 Objects keep their ids, names and atlases, so that trained textures stay valid. A removed object leaves its id unused. A
-copy is a new object after all others, with an id of its own: it moves, hides and refracts independently, and renderers
-look up the textures of its original (`EditedScene.copies`). A second instance with the same id would not do: a texel
-would have two positions, and layers could not distinguish them.
+copy is a new object after all others, with an id of its own, and renderers look up the textures of its original.
 """
 
 import dataclasses

@@ -91,11 +91,6 @@ def numbered_scenes(given: str) -> SceneSource | None:
     return source if source is not None and source.name_of is not None else None
 
 
-def is_foreign(given: str) -> bool:
-    """True for a file that is imported."""
-    return find_source(given, is_of_files=True) is not None
-
-
 def find_scene(
     given: str,
     *,

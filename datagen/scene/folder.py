@@ -95,7 +95,9 @@ def scene_files(scene: Scene) -> dict[str, bytes]:
         cameras=scene.cameras if isinstance(scene.cameras, CameraRig) else None,
     )
     if isinstance(scene.cameras, CameraList):
-        files |= camera_files(scene.cameras)
+        for split in SPLITS:
+            bare = dataclasses.replace(scene.cameras.of(split), near=None, far=None)
+            files[TRANSFORMS_FILES[split]] = transforms_bytes(bare, split)
     # Parsed and written again, so that 1 and 1.0 give the same bytes.
     canonical = from_json(_SceneFile, to_json(file), where=f"scene {scene.name}")
     data = cast(dict[str, Json], to_json(canonical))
@@ -126,12 +128,6 @@ def listed_cameras(dataset: Dataset) -> CameraList:
     """The cameras of a dataset, or of the one around a variant, one by one."""
     owner = dataset.parent or dataset
     return CameraList(**{split: owner.cameras(split) for split in SPLITS})
-
-
-def camera_files(cameras: CameraList) -> dict[str, bytes]:
-    """The files of a scene's folder that list its cameras, by name."""
-    bare = {split: dataclasses.replace(cameras.of(split), near=None, far=None) for split in SPLITS}
-    return {TRANSFORMS_FILES[split]: transforms_bytes(bare[split], split) for split in SPLITS}
 
 
 def read_camera_list(folder: Path) -> CameraList:

@@ -4,14 +4,10 @@ Nested dielectrics by priority: every mesh stays closed, and a drink extends sli
 solids overlap, the one of the lowest rank fills the space, and the surfaces of the others do not exist there.
 Source: Schmidt and Budge 2002, "Simple Nested Dielectrics in Ray Traced Images".
 
-A kernel carries, with each ray, the `solids` that it is in: a UInt32 that starts as `no_solids(media)` in air and is
-changed only by `with_solid` and `without_solid`. At a surface of rank `rank`, whichever way the ray crosses it,
-
-    inner = medium_of(media, with_solid(media, solids, rank))
-    outer = medium_of(media, without_solid(media, solids, rank))
-
-are the media on its two sides, and nothing happens if they are the same. This does not depend on whether the ray was in
-the solid, so a ray that slipped through an edge is corrected at the next surface of that solid.
+A kernel carries, with each ray, the `solids` that it is in: a UInt32 that starts as `no_solids(media)` in air. At a
+surface, the media of `with_solid` and `without_solid` are on its two sides, and nothing happens if they are the same.
+This does not depend on whether the ray was in the solid: one that slipped through an edge is corrected at the next
+surface of that solid.
 """
 
 # Mitsuba's stubs describe no variant: what is a number in one is an array in another.
@@ -135,14 +131,12 @@ def solids_around(
 #   off the face by up to 1.5 u L. The ray's origin has no influence.
 # - The next intersection subtracts the ray's origin from the corners, for another error of about u L.
 #
-# Of rays that left boxes, balls, slender cylinders and ground planes, rotated or not, at the origin and 100 m away, up
-# to 5 % (an axis-aligned box; mostly below 0.1 %) hit their own face again after starting u L off it, none after 2 u L.
-# RAY_OFFSET is twice that. An offset that depends on each hit's own coordinates, as in Waechter and Binder (*Ray
-# Tracing Gems*, chapter 6), is too small near the origin on large faces: 0.1 % of the rays from a tilted 200 m square
-# hit it again.
+# Of rays that left boxes, balls, slender cylinders and ground planes, up to 5 % hit their own face again after starting
+# u L off it, none after 2 u L; RAY_OFFSET is twice that. An offset by each hit's own coordinates, as in Waechter and
+# Binder (*Ray Tracing Gems*, chapter 6), is too small near the origin on large faces.
 #
-# So walls must be thicker than 8 u L, and than 4 u of the length of the rays that hit them, of which 1 % find the far
-# face first at 1 u: a micrometre near the origin, a tenth of a millimetre 100 m away. Thinner ones are lost, unchecked.
+# So walls must be thicker than 8 u L, and than 4 u of the length of the rays that hit them: a micrometre near the
+# origin, a tenth of a millimetre 100 m away. Thinner ones are lost, unchecked.
 
 
 LAST_PLACE = 2.0**-23

@@ -21,8 +21,7 @@ from datagen.scene.soundness import check_cameras_outside
 def make_cameras(rig: CameraRig | CameraList, config: DatasetConfig) -> dict[Split, Cameras]:
     """The cameras of all splits; only the training ones of a rig are random, from the dataset's seed.
 
-    Source: paper section 4.5. Training cameras lie on a hemisphere that is cropped at the floor, the interpolating path
-    lies on the same hemisphere, the extrapolating walk leaves it: nearer, farther, lower, looking elsewhere.
+    Source: paper section 4.5. The interpolating path lies on the training cameras' hemisphere, the walk leaves it.
     """
     if isinstance(rig, CameraList):
         return _listed(rig, config)
@@ -121,8 +120,7 @@ def make_path(dataset: Dataset, path: str, frames: int, *, width: int | None, he
 
     Args:
         path: `orbit` turns around the scene at its cameras' middle elevation, or swings to and fro where walls leave
-            less than a circle; `spline` runs through the interpolating test views. A spline has the dataset's lens,
-            principal point included; an orbit has its target in the middle of the pictures.
+            less than a circle, its target in the middle; `spline` runs through the interpolating test views.
         frames: how many cameras; those of an orbit repeat without a jump.
         width: of the pictures, in pixels; the dataset's unless given. The lens's horizontal angle stays.
         height: of the pictures, in pixels; the width's share of the dataset's aspect unless given.

@@ -249,12 +249,7 @@ def _check_contact(scene: Scene, there: list[SceneObject]) -> None:
 
 
 def touching_share(mesh: Mesh, other: Mesh, *, within: float = TOLERANCE, are_opposed: bool = False) -> float:
-    """The share of a mesh's surface that lies in faces of another, measured at `SAMPLES` points.
-
-    Args:
-        within: distance in metres up to which it lies in them.
-        are_opposed: only in faces with opposite normals: the meshes touch from outside.
-    """
+    """The share of a mesh's surface that lies in faces of another, by `_touches` at `SAMPLES` points."""
     return float(_touches(mesh, other, within, points_on(mesh, SAMPLES), are_opposed=are_opposed).mean())
 
 
@@ -268,11 +263,8 @@ def touching_faces(mesh: Mesh, other: Mesh) -> Bool[np.ndarray, " face"]:
 def _touches(
     mesh: Mesh, other: Mesh, within: float, sampled: SurfacePoints, *, are_opposed: bool = False
 ) -> Bool[np.ndarray, " sample"]:
-    """Which points of a mesh lie at most `within` from a parallel face of another.
-
-    Args:
-        are_opposed: the faces must have opposite normals.
-    """
+    """Which points of a mesh lie at most `within` metres from a parallel face of another, with opposite normals if
+    `are_opposed`: the meshes touch from outside."""
     from trimesh.triangles import closest_point
 
     touches = np.zeros(len(sampled.position), bool)

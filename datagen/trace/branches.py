@@ -1,13 +1,8 @@
 """The kernel that follows the branches of light paths, one surface at a time (datagen/trace/light_path.py).
 
-A ray has one branch at a time and a queue of starts of further ones. Each step of the loop meets the next surface of
-the branch, records a vertex, puts the surface's mirror image into the queue, and goes on behind the surface; where the
-branch ends, the first start in the queue comes next.
+A ray has one branch at a time and a queue of starts of further ones; where the branch ends, the first of them comes
+next.
 """
-
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
-# pyright: reportAttributeAccessIssue=false
 
 from typing import TYPE_CHECKING
 

@@ -1,21 +1,18 @@
 """Light paths: which surfaces a pixel really shows, by refraction and reflection.
 
-A straight ray looks up the wrong texels behind solid glass. Here each ray is followed as light travels, in branches.
-Branch 0 is refracted: through every dielectric interface by Snell's law (total internal reflection reflects it),
-straight through thin panes, until it hits something opaque or leaves the scene. Branch 1 is reflected at the first
-surface, if that is glass or glossy, and then followed in the same way; rough surfaces reflect it by one facet, so that
-several rays together show a blurred reflection. Further branches are reflected at later surfaces of any branch, those
-of the largest throughput first. Faint branches and those beyond `max_branches` are not followed: either the renderer
-makes up for their light, or, where `Limits.makes_up`, they count as if they showed what the ray's other branches show.
+Each ray is followed as light travels, in branches. Branch 0 is refracted: through every dielectric interface by Snell's
+law (total internal reflection reflects it), straight through thin panes, until it hits something opaque or leaves the
+scene. Branch 1 is reflected at the first surface, if that is glass or glossy, and then followed in the same way; rough
+surfaces reflect it by one facet, so that several rays together show a blurred reflection. Further branches are
+reflected at later surfaces of any branch, those of the largest throughput first. Faint branches and those beyond
+`max_branches` are not followed: either the renderer makes up for their light, or, where `Limits.makes_up`, they count
+as if they showed what the ray's other branches show.
 
 Glass that disperses has an index for each colour channel. `trace` follows green light, as if the others went the same
 way; `trace_ends` also follows red and blue, only for rays that hit such glass.
 
 Call `use_mitsuba` first.
 """
-
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,13 +1,9 @@
 """Straight layers: every surface along a pixel's ray, found by Mitsuba's ray tracer. Call `use_mitsuba` first.
 
-This rule misses no layer and finds none twice (checked against an independent engine): the origin stays fixed, the
-distance t advances by a relative 2.4e-7 past each hit, a repeated hit of the last primitive does not count, and
-intersections are the robust ones. Mitsuba's own `spawn_ray` moves the origin by about 1e-4 along the normal, and loses
-half of the hits where surfaces are closer than that.
+This rule misses no layer and finds none twice: the origin stays fixed, the distance t advances by a relative 2.4e-7
+past each hit, a repeated hit of the last primitive does not count, and intersections are the robust ones. Mitsuba's own
+`spawn_ray` loses half of the hits where surfaces are closer than 1e-4.
 """
-
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
 
 import functools
 from dataclasses import dataclass

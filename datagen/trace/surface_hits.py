@@ -1,13 +1,8 @@
 """A ray's hit on a surface, and the surface's effect on the ray: the steps of datagen/trace/branches.py."""
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false, reportIndexIssue=false
-# pyright: reportAttributeAccessIssue=false
-
 from typing import TYPE_CHECKING, NamedTuple
 
-from datagen.render.albedo import albedo
-from datagen.render.facets import facet_towards, mirrored_by, refracted_by
+from datagen.render.facets import albedo, facet_towards, mirrored_by, refracted_by
 from datagen.render.mitsuba_scene import id_of_shape
 from datagen.scene.media import SAME_INDEX, Media, medium_of, with_solid, without_solid
 from datagen.trace.surface_tables import (

@@ -1,8 +1,5 @@
 """Inputs of the light path kernel: limits, optics by object, corners by face, and the texels that tint metals."""
 
-# Mitsuba's stubs describe no variant: what is a number in one is an array in another.
-# pyright: reportArgumentType=false, reportCallIssue=false, reportOperatorIssue=false
-
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np

@@ -112,15 +112,11 @@ def made_ahead(
 ) -> Generator[TracedT, None, None]:
     """The pixels for each step; a second thread traces their batches during the step before, while torch computes.
 
-    Rays do not depend on weights, and each batch has a generator of its own, so a run that is resumed at any step gets
-    the same batches.
+    Each batch has a generator of its own, so a run that is resumed at any step gets the same batches.
 
     Args:
         draw: fresh generators of a step's batches, by step.
         size: pixels in each batch.
-
-    Raises:
-        Exception: what went wrong in the other thread.
     """
 
     def make(step: int) -> deque[tuple[object, np.random.Generator, object]]:

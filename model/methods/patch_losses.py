@@ -115,9 +115,8 @@ class PerceptualLoss(nn.Module):
     """The distance between VGG features of pictures and ground truth; it has no learned parameters.
 
     The mean over the compared layers of their mean absolute differences, each divided by the layer's standard deviation
-    on a fixed picture, so that layers have equal weight whatever the scale of their weights. Pictures are normalised
-    like ImageNet's, unlike in the authors' code. Random weights (Kaiming, fixed seed) are a stand-in: Liu et al., CVPR
-    2021 (arXiv 2103.10571), find that structure matters more than training in such losses.
+    on a fixed picture. Pictures are normalised like ImageNet's, unlike in the authors' code. Random weights (Kaiming,
+    fixed seed) are a stand-in; source: Liu et al., CVPR 2021 (arXiv 2103.10571).
     """
 
     mean: Tensor

@@ -2,10 +2,7 @@
 
 A method is a frozen dataclass that derives from `MethodConfig`. Its fields are the flags of `model train NAME` (see
 model/settings.py); its methods make everything else. Importing it must not import torch, so that `--help` answers
-at once. docs/extending.md shows how to write one.
-
-Other distributions bring methods by entry points of the group `hyaline.methods`: the name is the method's, and it
-refers to a class that derives from `MethodConfig`.
+at once. docs/extending.md shows how to write one, and how other distributions bring theirs.
 """
 
 import functools

@@ -170,9 +170,7 @@ def _soft_mean(differences: Float32[Tensor, "pixel 3"], softness: float) -> Tens
 def difference(colors: Float32[Tensor, "*b 3"], truth: Float32[Tensor, "*b 3"]) -> Float32[Tensor, "*b 3"]:
     """Predicted minus true sRGB; 0 where the truth is white and the prediction is brighter.
 
-    Pictures clip: 255 may mean anything brighter, and pulling a lamp of radiance 4 down to 1 would dim its reflections
-    in glass, which are not clipped. Measured on the glass table (600 steps, at 20 and 40 degrees outside of the
-    training cameras): +0.3 dB on both for `light-path`.
+    Pictures clip: pulling a lamp of radiance 4 down to 1 would dim its reflections in glass, which are not clipped.
     """
     missed = colors - truth
     return torch.where(truth < 1, missed, missed.clamp_max(0))
@@ -183,17 +181,13 @@ def noise_penalty(
 ) -> Float32[Tensor, "pixel 3"]:
     """The bias that noise of a variance adds to Charbonnier's penalty of the differences, to second order.
 
-    Few rays hit a lamp's reflection in a rough surface, so their mean is noisy. Squares penalise noise like error: a
-    renderer learns to dim lamps and to blur textures, because less variation between rays costs less. Twelve lobes
-    learned a radiance of 1.7 for a lamp of 3.8, and got dimmer with more training. The penalty's mean over noise of
-    variance v is that of the noiseless difference plus v / 2 times its second derivative. Gradients flow only through
-    the variance. Pixels brighter than a white truth have no penalty. The same idea, with two independent renderings:
-    Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
+    Squares penalise noise like error: a renderer learns to dim lamps and to blur textures, because less variation
+    between rays costs less. The penalty's mean over noise of variance v is that of the noiseless difference plus v / 2
+    times its second derivative. Gradients flow only through the variance. Pixels brighter than a white truth have no
+    penalty. The same idea: Deng et al. 2022, "Reconstructing Translucent Objects using Differentiable Rendering".
 
-    The variance must be measured by independent groups of rays. Half of the spread of rays in separate cells is right
-    on average, but then rewards ripples that cancel within a pixel, which grow on rough surfaces (docs/notes). The
-    second derivative is evaluated as far out as the noise reaches: at 0, for a difference that is the mean of two large
-    ones, it would reward noise without limit.
+    The variance must be measured by independent groups of rays, or ripples that cancel within a pixel are rewarded. The
+    second derivative is evaluated as far out as the noise reaches: at 0, it could reward noise without limit.
     """
     given = differences.detach()
     curvature = softness**2 / (given.square() + variance.detach() + softness**2) ** 1.5
@@ -203,11 +197,8 @@ def noise_penalty(
 def mean_square(differences: Float32[Tensor, "pixel 3"], variance: Float32[Tensor, "pixel 3"]) -> Tensor:
     """The mean square of the differences, minus the variance of their noise: the loss of the sky.
 
-    Where a rough surface mirrors a lamp, a few rays hit it and most miss, so a pixel's colour is mostly below its mean
-    and sometimes far above. Charbonnier's penalty, which is linear there, is smallest at the *median*, and gradients
-    reach the lamp only from the hits: it stays too dim, however exactly noise is subtracted. Squares are smallest at
-    the mean, and noise adds exactly its variance to them. Textures keep the penalty: with squares they would follow
-    noisy training pictures. Measured on `vitrine` and `plant_shelf` of `standard` (400 steps): the lamp of 3.5 is
-    learned as 2.4 (1.2 by the penalty), and the worst extrapolating view of `vitrine` gains 4.0 dB.
+    Where a rough surface mirrors a lamp, few rays hit it, so a pixel's colour is mostly below its mean. Charbonnier's
+    penalty is smallest at the *median*, squares at the mean, and noise adds exactly its variance to them. Textures keep
+    the penalty: with squares they would follow noisy training pictures.
     """
     return SQUARES * torch.where(differences.detach() == 0, 0.0, differences.square() - variance).mean()

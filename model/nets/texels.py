@@ -1,8 +1,7 @@
 """The inner loops of neural textures on a CPU: weighted sums of four texels, their gradients, and Adam for large ones.
 
-Compiled by Numba. The loops visit each slot of a stack of layers once, skip empty ones, and write directly into the
-result, without the copies of texels that torch's own operations spend their time on. The remaining cost is memory
-latency: each loop first lists the texels of a block of slots, and then prefetches them a few slots ahead.
+Compiled by Numba. The loops visit each slot of a stack of layers once and write directly into the result. The cost is
+memory latency: each loop first lists the texels of a block of slots, and then prefetches them a few slots ahead.
 
 An update of `LazyAdam` costs as much as the texels that its rays meet, not as all texels. In dense Adam every texel
 keeps moving by its momentum after the update that met it. Here a texel catches up when it is read next. Its gradient

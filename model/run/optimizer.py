@@ -85,9 +85,8 @@ def orthogonalized(matrix: Float32[Tensor, "row column"]) -> Float32[Tensor, "ro
 class Optimizer(torch.optim.Adam):
     """torch's Adam, to the bit, without `import torch._dynamo`, which takes 3 s of CPU time.
 
-    torch wraps its optimizers' methods so that `torch.compile` leaves them alone, and each wrapper imports the compiler
-    for that. `step` here is the method inside the wrapper; the others get the attribute that torch 2.13 caches it in.
-    A torch that caches it elsewhere imports its compiler as before.
+    torch wraps its optimizers' methods, and each wrapper imports the compiler. `step` here is the method inside the
+    wrapper; the others get the attribute that torch 2.13 caches the compiler in.
 
     Large textures have a `LazyAdam` each, which moves the texels that an update reads. `Muon` may move the matrices of
     the first group, the network's, at that group's rate; they are in no group then.

@@ -47,8 +47,6 @@ def predict_pixels(
 ) -> UInt8[np.ndarray, "pixel 3"]:
     """8-bit sRGB colours of pixels, clipped and rounded; batch norm uses its running statistics.
 
-    The renderer's mode (training or not) is the same afterwards.
-
     Args:
         index: row numbers, those of whole views if `pixels.whole_views`; None: all.
 

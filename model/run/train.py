@@ -63,8 +63,7 @@ def train(
 
     SIGINT and SIGTERM end it after the current step, with a checkpoint.
 
-    A run that was stopped and resumed gives the same bytes as one that was not: each step draws its pixels from a
-    generator of its own, seeded by (seed, step). That holds for equal numbers of CPU threads.
+    Resumed runs give the same bytes, on as many CPU threads: each step has a generator seeded by (seed, step).
 
     Args:
         flags: those that asked for it, to be recorded.
@@ -347,8 +346,7 @@ def read_finite(loss: Tensor, renderer: nn.Module, *, step: int, out: Path) -> f
     """The loss; stops a run if it or a gradient is not finite, before the optimiser sees them: Adam would keep them for
     ever.
 
-    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. The same holds for a norm, which
-    takes 4 ms, but a GPU computes those of all gradients in one launch. It is waited for once.
+    A sum is not finite if one of its terms is not; it takes 1 ms, `isfinite` 17 ms. So is a norm: on a GPU, one launch.
     """
     learned = [value for value in renderer.parameters() if value.grad is not None]
     gradients = [cast(Tensor, value.grad) for value in learned]

@@ -28,7 +28,7 @@ from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
 from datagen.disk.records import SEAL, seal_bytes
 from datagen.machine.mitsuba_variant import use_mitsuba
-from datagen.render.truth import Truth, radiance_bytes
+from datagen.render.truth import Truth, truth_files
 from datagen.scene.folder import load_scene, save_scene
 from eval.score.runs import open_run, read_prediction
 from hyaline_import.commands import DatasetImportChoices
@@ -80,7 +80,7 @@ def write_world(root: Path) -> None:
     use_mitsuba()
     ramp = np.linspace(0, 1, 192, dtype=np.float32).reshape(8, 8, 3)
     truth = Truth(radiance=ramp, half_difference=0.01 * ramp, spp=4, noise_mse=1e-5)
-    (root / "view.exr").write_bytes(radiance_bytes(truth))
+    (root / "view.exr").write_bytes(truth_files(truth)[".exr"])
     (root / "theirs").mkdir()
     frames = []
     for view in range(4):

@@ -8,8 +8,8 @@ import numpy as np
 from datagen.data.config import OWN_LICENSE
 from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
-from datagen.scene.description import Scene, SceneObject
-from datagen.scene.materials import Material
+from datagen.scene.description import Scene, SceneObject, WalkPoint
+from datagen.scene.materials import Material, Vector
 from datagen.scene.mending import assemble
 from datagen.scene.modelling import Point, moved, resting, rounded_box, transformed
 from datagen.terminal.command import choose, say
@@ -28,6 +28,11 @@ def make_scene(name: str) -> Scene:
 
 GAP = 0.001
 """Metres between touching objects: coincident faces lose layers."""
+
+
+def walk_along(*points: tuple[Vector, Vector]) -> tuple[WalkPoint, ...]:
+    """Camera positions and their targets as the key points of a walk."""
+    return tuple(WalkPoint(position=position, target=target) for position, target in points)
 
 
 def slab(name: str, size: Point, center: Point, material: Material, *, bevel: float = 0.004) -> SceneObject:

@@ -1,7 +1,6 @@
 """The scene `drinks`: tinted drinks in glasses, with ice and a straw, on a table in a room.
 
-Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest
-(datagen/scene/media.py).
+Drinks extend into the walls of their glasses and have the lowest priority, ice has the highest.
 """
 
 from functools import partial
@@ -9,8 +8,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_enlarged, slab
-from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_enlarged, slab, walk_along
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Color, Dielectric, Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import (
     ball,
@@ -61,17 +60,16 @@ def make() -> Scene:
             elevation_deg=(8.0, 65.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
-            walk=(
-                WalkPoint(position=(0.90, -0.90, 1.25), target=(0.0, 0.0, 0.82)),
-                WalkPoint(position=(0.50, -0.55, 1.00), target=(0.0, 0.02, 0.83)),
-                WalkPoint(position=(0.05, -0.62, 0.90), target=(0.02, 0.05, 0.84)),
-                WalkPoint(position=(-0.50, -0.60, 0.95), target=(0.05, 0.05, 0.82)),
-                WalkPoint(position=(-0.75, -1.40, 1.05), target=(0.15, 0.20, 0.80)),
-                WalkPoint(position=(0.45, -2.20, 1.60), target=(-0.10, 0.10, 0.80)),
-                WalkPoint(position=(1.80, -1.20, 2.00), target=(-0.10, 0.05, 0.75)),
-                WalkPoint(position=(1.50, 0.45, 1.10), target=(-0.05, 0.02, 0.82)),
+            walk=walk_along(
+                ((0.90, -0.90, 1.25), (0.0, 0.0, 0.82)),
+                ((0.50, -0.55, 1.00), (0.0, 0.02, 0.83)),
+                ((0.05, -0.62, 0.90), (0.02, 0.05, 0.84)),
+                ((-0.50, -0.60, 0.95), (0.05, 0.05, 0.82)),
+                ((-0.75, -1.40, 1.05), (0.15, 0.20, 0.80)),
+                ((0.45, -2.20, 1.60), (-0.10, 0.10, 0.80)),
+                ((1.80, -1.20, 2.00), (-0.10, 0.05, 0.75)),
+                ((1.50, 0.45, 1.10), (-0.05, 0.02, 0.82)),
             ),
         ),
     )

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_enlarged, slab
-from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_enlarged, slab, walk_along
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, SolidTexture
 from datagen.scene.modelling import (
     Part,
@@ -56,15 +56,15 @@ def make() -> Scene:
             fov_deg=45.0,
             # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
-            walk=(
-                WalkPoint(position=(1.15, -1.25, 1.30), target=(0.0, 0.0, 0.80)),
-                WalkPoint(position=(0.72, -0.62, 0.98), target=(-0.05, 0.02, 0.80)),
-                WalkPoint(position=(0.20, -0.78, 0.86), target=(0.02, 0.10, 0.80)),
-                WalkPoint(position=(-0.70, -1.05, 0.55), target=(0.05, 0.15, 0.70)),
-                WalkPoint(position=(-0.90, -1.90, 0.95), target=(0.30, 0.40, 0.75)),
-                WalkPoint(position=(0.60, -3.00, 1.80), target=(-0.20, 0.20, 0.80)),
-                WalkPoint(position=(2.60, -1.70, 2.60), target=(-0.20, 0.10, 0.70)),
-                WalkPoint(position=(2.10, 0.60, 1.10), target=(-0.10, 0.05, 0.78)),
+            walk=walk_along(
+                ((1.15, -1.25, 1.30), (0.0, 0.0, 0.80)),
+                ((0.72, -0.62, 0.98), (-0.05, 0.02, 0.80)),
+                ((0.20, -0.78, 0.86), (0.02, 0.10, 0.80)),
+                ((-0.70, -1.05, 0.55), (0.05, 0.15, 0.70)),
+                ((-0.90, -1.90, 0.95), (0.30, 0.40, 0.75)),
+                ((0.60, -3.00, 1.80), (-0.20, 0.20, 0.80)),
+                ((2.60, -1.70, 2.60), (-0.20, 0.10, 0.70)),
+                ((2.10, 0.60, 1.10), (-0.10, 0.05, 0.78)),
             ),
         ),
     )

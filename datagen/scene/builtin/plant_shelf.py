@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_on, slab
-from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_on, slab, walk_along
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Dielectric, Diffuse, Material, Plastic, SolidTexture
 from datagen.scene.modelling import (
     ball,
@@ -52,17 +52,16 @@ def make() -> Scene:
             elevation_deg=(-8.0, 50.0),
             azimuth_deg=(-140.0, -40.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.25,
-            walk=(
-                WalkPoint(position=(1.20, -1.55, 1.35), target=(0.10, 0.10, 0.85)),
-                WalkPoint(position=(0.30, -1.05, 1.20), target=(0.05, 0.20, 0.95)),
-                WalkPoint(position=(-0.10, -0.75, 0.80), target=(0.05, 0.20, 0.70)),
-                WalkPoint(position=(-0.85, -0.80, 0.60), target=(0.10, 0.20, 0.72)),
-                WalkPoint(position=(-1.90, -0.90, 1.00), target=(0.20, 0.10, 0.85)),
-                WalkPoint(position=(-1.00, -3.60, 1.60), target=(0.15, 0.20, 0.85)),
-                WalkPoint(position=(1.40, -2.60, 2.50), target=(0.15, 0.20, 0.75)),
-                WalkPoint(position=(2.30, -0.60, 1.10), target=(0.20, 0.15, 0.90)),
+            walk=walk_along(
+                ((1.20, -1.55, 1.35), (0.10, 0.10, 0.85)),
+                ((0.30, -1.05, 1.20), (0.05, 0.20, 0.95)),
+                ((-0.10, -0.75, 0.80), (0.05, 0.20, 0.70)),
+                ((-0.85, -0.80, 0.60), (0.10, 0.20, 0.72)),
+                ((-1.90, -0.90, 1.00), (0.20, 0.10, 0.85)),
+                ((-1.00, -3.60, 1.60), (0.15, 0.20, 0.85)),
+                ((1.40, -2.60, 2.50), (0.15, 0.20, 0.75)),
+                ((2.30, -0.60, 1.10), (0.20, 0.15, 0.90)),
             ),
         ),
     )

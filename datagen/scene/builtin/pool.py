@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_on, slab
-from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_on, slab, walk_along
+from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
 from datagen.scene.modelling import (
     ball,
@@ -54,15 +54,15 @@ def make() -> Scene:
             azimuth_deg=(-170.0, -10.0),
             fov_deg=45.0,
             target_jitter=0.2,
-            walk=(
-                WalkPoint(position=(0.85, -1.00, 1.10), target=(0.0, 0.0, 0.30)),
-                WalkPoint(position=(0.40, -0.62, 0.86), target=(0.0, 0.05, 0.28)),
-                WalkPoint(position=(-0.12, -0.52, 0.62), target=(0.05, 0.10, 0.30)),
-                WalkPoint(position=(-0.80, -0.90, 0.85), target=(0.05, 0.0, 0.28)),
-                WalkPoint(position=(-0.90, -1.65, 1.20), target=(0.15, 0.1, 0.28)),
-                WalkPoint(position=(0.50, -1.90, 1.70), target=(-0.1, 0.1, 0.28)),
-                WalkPoint(position=(1.50, -1.10, 1.30), target=(-0.1, 0.0, 0.30)),
-                WalkPoint(position=(1.25, -0.20, 1.15), target=(0.0, 0.0, 0.30)),
+            walk=walk_along(
+                ((0.85, -1.00, 1.10), (0.0, 0.0, 0.30)),
+                ((0.40, -0.62, 0.86), (0.0, 0.05, 0.28)),
+                ((-0.12, -0.52, 0.62), (0.05, 0.10, 0.30)),
+                ((-0.80, -0.90, 0.85), (0.05, 0.0, 0.28)),
+                ((-0.90, -1.65, 1.20), (0.15, 0.1, 0.28)),
+                ((0.50, -1.90, 1.70), (-0.1, 0.1, 0.28)),
+                ((1.50, -1.10, 1.30), (-0.1, 0.0, 0.30)),
+                ((1.25, -0.20, 1.15), (0.0, 0.0, 0.30)),
             ),
         ),
     )

@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_on, slab
-from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_on, slab, walk_along
+from datagen.scene.description import CameraRig, Card, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Dielectric, Diffuse, Plastic, RoughDielectric, SolidTexture
 from datagen.scene.modelling import (
     ball,
@@ -61,15 +61,15 @@ def make() -> Scene:
             azimuth_deg=(-165.0, -15.0),
             fov_deg=45.0,
             target_jitter=0.2,
-            walk=(
-                WalkPoint(position=(0.62, -0.70, 1.10), target=(0.0, 0.0, 0.80)),
-                WalkPoint(position=(0.22, -0.36, 0.93), target=(-0.04, 0.02, 0.80)),
-                WalkPoint(position=(-0.10, -0.50, 0.86), target=(0.05, 0.05, 0.80)),
-                WalkPoint(position=(-0.55, -0.62, 0.95), target=(0.05, 0.0, 0.78)),
-                WalkPoint(position=(-0.60, -1.15, 1.25), target=(0.10, 0.05, 0.78)),
-                WalkPoint(position=(0.40, -1.30, 1.55), target=(-0.05, 0.05, 0.78)),
-                WalkPoint(position=(1.00, -0.75, 1.05), target=(-0.05, 0.0, 0.80)),
-                WalkPoint(position=(0.80, -0.10, 1.25), target=(0.0, 0.0, 0.80)),
+            walk=walk_along(
+                ((0.62, -0.70, 1.10), (0.0, 0.0, 0.80)),
+                ((0.22, -0.36, 0.93), (-0.04, 0.02, 0.80)),
+                ((-0.10, -0.50, 0.86), (0.05, 0.05, 0.80)),
+                ((-0.55, -0.62, 0.95), (0.05, 0.0, 0.78)),
+                ((-0.60, -1.15, 1.25), (0.10, 0.05, 0.78)),
+                ((0.40, -1.30, 1.55), (-0.05, 0.05, 0.78)),
+                ((1.00, -0.75, 1.05), (-0.05, 0.0, 0.80)),
+                ((0.80, -0.10, 1.25), (0.0, 0.0, 0.80)),
             ),
         ),
     )

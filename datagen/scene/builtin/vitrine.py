@@ -5,8 +5,8 @@ from functools import partial
 import numpy as np
 
 from datagen.data.meshes import Mesh
-from datagen.scene.builtin import GAP, put_on, slab
-from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment, WalkPoint
+from datagen.scene.builtin import GAP, put_on, slab, walk_along
+from datagen.scene.description import CameraRig, Lobe, Scene, SceneObject, SoftEnvironment
 from datagen.scene.materials import Conductor, Diffuse, Plastic, SolidTexture, ThinDielectric
 from datagen.scene.modelling import (
     ball,
@@ -51,17 +51,16 @@ def make() -> Scene:
             elevation_deg=(5.0, 60.0),
             azimuth_deg=(-150.0, 60.0),
             fov_deg=45.0,
-            # Training sees nearly everything that the walk sees: no method can know unseen surfaces.
             target_jitter=0.3,
-            walk=(
-                WalkPoint(position=(1.00, -1.05, 1.45), target=(0.0, 0.0, 1.12)),
-                WalkPoint(position=(0.45, -0.60, 1.22), target=(-0.05, 0.0, 1.08)),
-                WalkPoint(position=(-0.25, -0.62, 1.05), target=(0.05, 0.02, 1.05)),
-                WalkPoint(position=(-0.95, -0.95, 0.95), target=(0.10, 0.05, 1.05)),
-                WalkPoint(position=(-0.40, -2.20, 1.40), target=(0.25, 0.30, 1.10)),
-                WalkPoint(position=(1.60, -2.40, 2.20), target=(-0.10, 0.10, 1.00)),
-                WalkPoint(position=(1.90, 0.50, 1.30), target=(-0.10, 0.00, 1.12)),
-                WalkPoint(position=(0.80, 0.90, 1.75), target=(0.00, -0.05, 1.10)),
+            walk=walk_along(
+                ((1.00, -1.05, 1.45), (0.0, 0.0, 1.12)),
+                ((0.45, -0.60, 1.22), (-0.05, 0.0, 1.08)),
+                ((-0.25, -0.62, 1.05), (0.05, 0.02, 1.05)),
+                ((-0.95, -0.95, 0.95), (0.10, 0.05, 1.05)),
+                ((-0.40, -2.20, 1.40), (0.25, 0.30, 1.10)),
+                ((1.60, -2.40, 2.20), (-0.10, 0.10, 1.00)),
+                ((1.90, 0.50, 1.30), (-0.10, 0.00, 1.12)),
+                ((0.80, 0.90, 1.75), (0.00, -0.05, 1.10)),
             ),
         ),
     )
@@ -73,10 +72,6 @@ def _room() -> list[SceneObject]:
     varnish = Plastic(color=ash, roughness=0.2)
     first = SolidTexture(pattern="stripes", colors=((0.75, 0.30, 0.16), (0.82, 0.70, 0.46)), scale=0.30, axis="x")
     second = SolidTexture(pattern="marble", colors=((0.12, 0.28, 0.42), (0.85, 0.78, 0.62)), scale=0.45)
-    paintings = [
-        moved(rounded_box((0.9, 0.03, 1.2), bevel=0.005), (-0.55, 2.18, 1.55)),
-        moved(rounded_box((0.03, 1.4, 0.9), bevel=0.005), (-2.20, 0.15, 1.50)),
-    ]
     outline = curved([(0.09, 0.0), (0.19, 0.20), (0.21, 0.45), (0.11, 0.78), (0.07, 0.92), (0.10, 1.02)], count=24)
     urn = lathe(walled([(0.0, 0.0), *map(tuple, outline.tolist())], wall=0.012, floor=0.02), segments=72, crease_deg=30)
     bands = SolidTexture(pattern="stripes", colors=((0.72, 0.66, 0.52), (0.10, 0.30, 0.28)), scale=0.17, axis="z")
@@ -84,8 +79,8 @@ def _room() -> list[SceneObject]:
         slab("floor", (7.0, 7.0, 0.05), (0.6, -0.6, -0.025), Plastic(color=terrazzo, roughness=0.3)),
         slab("back_wall", (6.2, 0.08, 3.4), (0.7, 2.24, 1.701), Diffuse(color=(0.70, 0.66, 0.60))),
         slab("left_wall", (0.08, 6.2, 3.4), (-2.26, -0.95, 1.701), Diffuse(color=(0.66, 0.44, 0.36))),
-        SceneObject(name="painting_stripes", mesh=paintings[0], material=Diffuse(color=first)),
-        SceneObject(name="painting_marble", mesh=paintings[1], material=Diffuse(color=second)),
+        slab("painting_stripes", (0.9, 0.03, 1.2), (-0.55, 2.18, 1.55), Diffuse(color=first), bevel=0.005),
+        slab("painting_marble", (0.03, 1.4, 0.9), (-2.20, 0.15, 1.50), Diffuse(color=second), bevel=0.005),
         SceneObject(name="urn", mesh=moved(urn, (1.15, 1.45, GAP)), material=Plastic(color=bands, roughness=0.2)),
         slab("plinth", (1.0, 0.66, PLINTH_TOP - GAP), (0, 0, (PLINTH_TOP + GAP) / 2), varnish, bevel=0.008),
     ]

@@ -57,8 +57,7 @@ class LightPathRenderer(Renderer[LightPathPixels]):
 
     Radiance = sum over branches of throughput times the radiance at the branch's end (a texel's decoded radiance, or
     the environment), averaged over the pixel's rays in linear light; plus a small non-negative residual from the
-    stacked features of the first vertices, for paths that are not traced. Edits stay valid: removed objects are not
-    vertices of any path.
+    stacked features of the first vertices, for paths that are not traced.
 
     With straight layers (on proxies) the same decoder shades these, too. Each gets an opacity from its own texel and
     from the stack network, they are composited front to back, and replace a learned share of the paths' radiance.
