@@ -37,7 +37,7 @@ TWO = pytest.mark.parametrize(
 
 def test_scene_is_valid_and_within_its_budget(scene: Scene) -> None:
     check_scene(scene)
-    assert 30_000 <= sum(len(item.mesh.faces) for item in scene.objects) <= 120_000
+    assert 30_000 <= sum(len(item.mesh.faces) for item in scene.objects) <= 140_000
     assert all(item.name == item.name.lower() for item in scene.objects)
     assert any(item.material.is_glass for item in scene.objects)
 
