@@ -9,9 +9,10 @@ import pytest
 import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.meshes import mesh_of
 from support.reference import winding_numbers
 
-from datagen.data.meshes import Mesh, check_mesh, face_corners, points_on, signed_volume, vertex_normals
+from datagen.data.meshes import Mesh, check_mesh, face_corners, points_on, signed_volume
 from datagen.data.paths import ProxyKind
 from datagen.data.queries import check_closed
 from proxies import solid
@@ -27,20 +28,14 @@ def fit(kind: ProxyKind, own: Solid, *, padding: float) -> Mesh:
     return FITTERS[kind]((own,), (padding,))[0]
 
 
-def mesh_of(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
-    vertices = vertices.astype(np.float32)
-    return Mesh(
-        vertices=vertices,
-        faces=faces.astype(np.int32),
-        normals=vertex_normals(vertices, faces).astype(np.float32),
-        uv=np.zeros((len(vertices), 2), np.float32),
-    )
+def surface(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
+    return mesh_of(trimesh.Trimesh(vertices, faces, process=False))
 
 
 def cloud_mesh(points: np.ndarray) -> Mesh:
     """Triangles between points in their order: a soup that is neither closed nor convex."""
     index = np.arange(len(points))
-    return mesh_of(points, np.stack([index, np.roll(index, -1), np.roll(index, -2)], axis=-1))
+    return surface(points, np.stack([index, np.roll(index, -1), np.roll(index, -2)], axis=-1))
 
 
 def random_rotation(rng: np.random.Generator) -> np.ndarray:
@@ -56,8 +51,8 @@ def shapes(seed: int) -> list[Mesh]:
         cloud_mesh(rng.normal(size=(200, 3))),
         cloud_mesh(rng.uniform(-1, 1, (60, 3)) * [2, 1, 0.01] @ turn.T + [3, -2, 1]),
         cloud_mesh(rng.uniform(-1, 1, (40, 3)) * [1, 2e-3, 1e-3] @ turn.T + 5),
-        mesh_of(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ turn.T, np.array([[0, 1, 2], [0, 2, 3]])),
-        mesh_of(rng.normal(size=(3, 3)), np.array([[0, 1, 2]])),
+        surface(np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) @ turn.T, np.array([[0, 1, 2], [0, 2, 3]])),
+        surface(rng.normal(size=(3, 3)), np.array([[0, 1, 2]])),
     ]
 
 
@@ -250,7 +245,7 @@ def cup() -> Mesh:
     """An open glass: closed, hollow, its wall a tenth as thick as it is wide."""
     profile = np.array([[0, 0], [1, 0], [1, 2], [0.8, 2], [0.8, 0.2], [0, 0.2]])
     turned = trimesh.creation.revolve(profile, sections=24)
-    return mesh_of(turned.vertices, turned.faces)
+    return surface(turned.vertices, turned.faces)
 
 
 @functools.cache

@@ -11,10 +11,12 @@ from PIL import Image
 from support.commands import call
 from support.gltf import BOX, GltfBuilder, clear, glass
 
-from datagen.data.meshes import Mesh
+from datagen.data.meshes import Mesh, signed_volume
 from datagen.scene.description import Scene, SceneObject
 from datagen.scene.folder import load_scene
 from datagen.scene.modelling import sheet
+from hyaline_import.foreign import ForeignObject
+from hyaline_import.surfaces import mesh_of
 
 _SQUARE = sheet((0, 0, 0), (0.2, 0, 0), (0, 0.2, 0), cells=(2, 2))
 CARD = dataclasses.replace(_SQUARE, uv=(_SQUARE.vertices[:, :2] / 0.2).astype(np.float32))
@@ -92,3 +94,7 @@ def xml_of(folder: Path, body: str) -> Path:
     """A scene of Mitsuba 3."""
     (folder / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
     return folder / "a.xml"
+
+
+def volume(item: ForeignObject) -> float:
+    return signed_volume(mesh_of(item.positions, item.faces, item.normals, None, where="x"))

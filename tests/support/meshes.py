@@ -1,10 +1,12 @@
 """Meshes that tests are made of."""
 
+import dataclasses
+
 import numpy as np
 import trimesh
 from jaxtyping import Int32
 
-from datagen.data.meshes import Mesh, vertex_normals
+from datagen.data.meshes import Mesh, face_corners, vertex_normals
 from datagen.scene.atlas import _rasterise
 
 
@@ -34,6 +36,18 @@ def random_meshes(rng: np.random.Generator, count: int) -> tuple[Mesh, ...]:
         shape.apply_translation(rng.uniform(-0.8, 0.8, 3))
         meshes.append(mesh_of(shape, seed=index))
     return tuple(meshes)
+
+
+def inside_out(mesh: Mesh) -> Mesh:
+    return dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]), normals=-mesh.normals)
+
+
+def corner_cosines(mesh: Mesh) -> np.ndarray:
+    """Cosine between each face's normal and the shading normal at each of its corners (face, 3)."""
+    a, b, c = np.moveaxis(face_corners(mesh).astype(np.float64), 1, 0)
+    flat = np.cross(b - a, c - a)
+    flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
+    return np.einsum("fi,fki->fk", flat, mesh.normals[mesh.faces])
 
 
 def polygon_ply(corners: int, order: str, extra: bool) -> bytes:

@@ -22,7 +22,7 @@ from support.export_readers import (
 )
 from support.traced_dataset import BALL, write_traced_dataset
 
-from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.dataset import Dataset, View
 from datagen.disk.errors import HyalineError
 from datagen.quantities import quantities, surfaces_of
 from datagen.scene.modelling import lathe
@@ -37,9 +37,7 @@ POINTS = 600
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    root = tmp_path_factory.mktemp("source") / "glasses"
-    write_traced_dataset(root)
-    return open_dataset(root)
+    return write_traced_dataset(tmp_path_factory.mktemp("source") / "glasses")
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support.traced_dataset import write_traced_dataset
 
-from datagen.data.dataset import Dataset, open_dataset
+from datagen.data.dataset import Dataset
 from hyaline_export.formats import export_dataset
 from hyaline_export.source import Source
 
@@ -34,9 +34,7 @@ NUM_POINTS, NUM_PLACES, NOT_INSTALLED = 200, 32, 3
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    root = tmp_path_factory.mktemp("source") / "glasses"
-    write_traced_dataset(root)
-    return open_dataset(root)
+    return write_traced_dataset(tmp_path_factory.mktemp("source") / "glasses")
 
 
 @pytest.mark.skipif("HYALINE_PEERS" not in os.environ, reason="HYALINE_PEERS names no interpreter that has other tools")

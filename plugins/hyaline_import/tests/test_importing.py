@@ -12,6 +12,7 @@ from PIL import Image
 from support.commands import call
 from support.foreign import CARD, add, glass_entry, refused, taken, use_of
 from support.gltf import BOX, GltfBuilder, clear, glass_of
+from support.meshes import corner_cosines, inside_out
 from support.rigs import config
 
 from datagen.data.dataset import open_dataset
@@ -119,10 +120,6 @@ def test_glass_that_is_inside_out_in_the_file_is_turned(tmp_path: Path) -> None:
     done = import_scene(glass_of(inside_out(BOX), name="bowl").written(tmp_path), ImportChoices())
     assert signed_volume(done.scene.objects[0].mesh) == pytest.approx(signed_volume(BOX), rel=1e-4)
     assert "bowl: was inside out; its faces were turned round" in done.record["notes"]
-
-
-def inside_out(mesh: Mesh) -> Mesh:
-    return dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]), normals=-mesh.normals)
 
 
 def mesh_of_box() -> Mesh:
@@ -349,11 +346,7 @@ def test_crease_shades_smooth_normals_over_edges_as_edges(tmp_path: Path) -> Non
     smooth = lathe([(0, 0), (0.04, 0), (0.04, 0.09), (0, 0.09)], segments=48, crease_deg=180)
     path = glass_of(smooth, name="tumbler").written(tmp_path)
     tumbler = taken(path, "--crease 30")["tumbler"].mesh
-    corners = face_corners(tumbler).astype(np.float64)
-    flat = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
-    cosine = np.einsum("fc,fkc->fk", flat, tumbler.normals[tumbler.faces])
-    assert np.degrees(np.arccos(cosine.min())) < 5
+    assert np.degrees(np.arccos(corner_cosines(tumbler).min())) < 5
     assert refused(path, "--crease 181").startswith("error: --crease: is 181; expected")
 
 

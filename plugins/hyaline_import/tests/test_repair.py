@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from support.foreign import add, glass_entry, taken
 from support.gltf import BOX, glass_of
+from support.meshes import inside_out
 
 from datagen.data.meshes import MIN_AREA, Mesh, face_areas, open_edges, signed_volume, vertex_normals, welded
 from datagen.data.queries import check_closed
@@ -118,7 +119,7 @@ def test_repair_leaves_out_the_object_that_cannot_be_closed(tmp_path: Path) -> N
 @pytest.mark.parametrize("repair", ["", "--repair"])
 def test_overlapping_parts_become_objects_and_keep_their_cavities(repair: str, tmp_path: Path) -> None:
     outer, inner = ball(0.1, subdivisions=3), ball(0.05, subdivisions=3)
-    cavity = dataclasses.replace(inner, faces=np.ascontiguousarray(inner.faces[:, ::-1]), normals=-inner.normals)
+    cavity = inside_out(inner)
     path = glass_of(merged([outer, cavity, moved(outer, (0.17, 0.0, 0.0))]), name="pair").written(tmp_path)
     done = taken(path, f"--scale 1 {repair}")
     hollow = signed_volume(outer) - signed_volume(inner)

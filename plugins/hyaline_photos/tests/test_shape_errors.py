@@ -9,19 +9,10 @@ from support.meshes import box, mesh_of
 
 from datagen.data.meshes import Mesh
 from datagen.data.queries import nearest_points
+from datagen.scene.modelling import ball, moved
 from hyaline_photos.report import measure_walls, shape_errors
 
-
-def ball(radius: float = 1.0, shift: tuple[float, float, float] = (0, 0, 0)) -> Mesh:
-    shape = trimesh.creation.icosphere(4, radius)
-    shape.apply_translation(shift)
-    return smooth(mesh_of(shape), shift)
-
-
-def smooth(mesh: Mesh, centre: tuple[float, float, float]) -> Mesh:
-    """With the normals of the ball that it stands for."""
-    normals = mesh.vertices - np.float32(centre)
-    return dataclasses.replace(mesh, normals=normals / np.linalg.norm(normals, axis=-1, keepdims=True))
+BALL = ball(1.0, subdivisions=4)
 
 
 def shell(inner: float) -> Mesh:
@@ -57,7 +48,7 @@ def test_a_shifted_ball_has_the_mean_distance_and_the_median_angle_of_the_formul
     shift = 0.1
     cosine = np.linspace(-1, 1, 100_001)  # On a ball, heights are evenly spread.
     away = np.sqrt(1 + shift**2 + 2 * shift * cosine)
-    found = shape_errors(ball(shift=(0, 0, shift)), ball())
+    found = shape_errors(moved(BALL, (0, 0, shift)), BALL)
     assert found.chamfer == pytest.approx(np.abs(away - 1).mean(), rel=0.02)
     angles = np.degrees(np.arccos((1 + shift * cosine) / away))
     assert found.normal_deg == pytest.approx(np.median(angles), rel=0.02)
@@ -79,7 +70,7 @@ def test_the_wall_of_a_hollow_ball_is_the_difference_of_its_radii() -> None:
     assert found.thickness == pytest.approx(0.1, rel=0.02)
     assert found.true_thickness == pytest.approx(0.15, rel=0.02)
     assert measure_walls(shell(0.9)).max() < 0.11  # From the outside alone: the cavity is 1.8 wide.
-    assert np.median(measure_walls(ball())) == pytest.approx(2, rel=2e-3)
+    assert np.median(measure_walls(BALL)) == pytest.approx(2, rel=2e-3)
 
 
 def test_the_wall_and_the_floor_of_a_cup_are_told_apart() -> None:

@@ -10,28 +10,13 @@ from pathlib import Path
 import pytest
 from support.builds import build, command, tree
 from support.commands import call, run
-from support.synthetic import synthetic_scene, write_synthetic_dataset
+from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.build import peel_dataset, summary
 from datagen.builder.verify import verify_dataset
 from datagen.data.dataset import open_dataset
 from datagen.data.paths import TRUTH
 from datagen.disk.errors import HyalineError
-from datagen.scene.folder import save_scene
-
-
-@pytest.fixture(scope="module")
-def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scene") / "mine"
-    save_scene(synthetic_scene(), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("data") / "built"
-    subprocess.run(command(build(scene_folder, out)), check=True, capture_output=True)
-    return out
 
 
 @pytest.mark.promise("R8")

@@ -15,22 +15,7 @@ from datagen.data.config import DatasetConfig, square
 from datagen.data.geometries import geometry_hash
 from datagen.data.layers import start_layers
 from datagen.data.paths import TRUTH, layers_root
-from datagen.scene.folder import save_scene
 from datagen.scene.rig import make_cameras
-
-
-@pytest.fixture(scope="module")
-def scene_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("scene") / "mine"
-    save_scene(synthetic_scene(), folder)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def built(scene_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    out = tmp_path_factory.mktemp("data") / "built"
-    run(build(scene_folder, out))
-    return out
 
 
 def test_a_killed_part_and_a_build_without_parts_end_in_the_same_bytes(

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from support.builds import tree
 from support.synthetic import write_synthetic_dataset
 
 from datagen.data.writing import clear_dataset
@@ -14,10 +15,6 @@ from datagen.disk.storage import sha256
 
 KIND = FolderKind(what="thing", head="thing.json", folders=("parts",))
 HEAD: dict[str, Json] = {"version": 1}
-
-
-def tree(root: Path) -> dict[str, bytes]:
-    return {path.relative_to(root).as_posix(): path.read_bytes() for path in root.rglob("*") if path.is_file()}
 
 
 def put(root: Path, *files: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from support.traced_dataset import BALL, SLAB, glass_scene, write_traced_dataset
 
 from datagen.builder.variants import plan_stereo
-from datagen.data.dataset import Dataset, View, open_dataset
+from datagen.data.dataset import Dataset, View
 from datagen.disk.errors import HyalineError
 from datagen.quantities import ViewQuantities, quantities
 from datagen.scene.materials import SolidTexture
@@ -16,9 +16,7 @@ from datagen.scene.textures import evaluate_texture
 
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    root = tmp_path_factory.mktemp("quantities") / "glasses"
-    write_traced_dataset(root)
-    return open_dataset(root)
+    return write_traced_dataset(tmp_path_factory.mktemp("quantities") / "glasses")
 
 
 @pytest.fixture(params=range(3))

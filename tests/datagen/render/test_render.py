@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import trimesh
-from support.meshes import box, mesh_of
+from support.meshes import box, inside_out, mesh_of
 from support.reference import fresnel_reflectance
 from support.scenes import DUSK, camera_at, rendered, scene_of
 from support.synthetic import look_at, quad
@@ -180,7 +180,7 @@ def test_water_in_a_glass_shell_is_mitsubas_own_picture_of_its_two_interfaces(mo
     from datagen.render import mitsuba_scene
 
     outer, inner, larger = ball(0.5), ball(0.4), ball(0.43)
-    cavity = dataclasses.replace(inner, faces=np.ascontiguousarray(inner.faces[:, ::-1]), normals=-inner.normals)
+    cavity = inside_out(inner)
     opaque = (
         SceneObject(name="floor", mesh=quad(-0.6), material=Diffuse(color=(0.7, 0.3, 0.2))),
         SceneObject(name="pearl", mesh=moved(ball(0.12), (0, 0.1, 0)), material=Diffuse(color=(0.8, 0.8, 0.7))),

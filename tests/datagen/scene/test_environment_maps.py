@@ -65,13 +65,14 @@ def spotted(row: int, column: int) -> np.ndarray:
 
 
 def scene_under(folder: Path, radiance: np.ndarray, **settings: float) -> Scene:
-    """A glass ball under a map."""
+    """Two glass balls under a map."""
     folder.mkdir(exist_ok=True)
     (folder / "sky.exr").write_bytes(exr_bytes(radiance))
-    ball = mesh_of(trimesh.creation.icosphere(3, 0.2))
+    places = ((0, 0, 0), (-0.5, 0.1, 0))
+    balls = [mesh_of(trimesh.creation.icosphere(3, 0.2).apply_translation(place)) for place in places]
     return dataclasses.replace(
         synthetic_scene(),
-        objects=(SceneObject(name="ball", mesh=ball, material=Dielectric()),),
+        objects=tuple(SceneObject(name=f"ball{i}", mesh=ball, material=Dielectric()) for i, ball in enumerate(balls)),
         environment=EnvironmentMap(path="sky.exr", **settings),
         folder=folder,
     )

@@ -12,7 +12,7 @@ import pytest
 from support.synthetic import synthetic_scene, write_synthetic_dataset
 
 from datagen.data.cameras import Lens, look_at
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import DatasetConfig, square
 from datagen.data.dataset import Dataset
 from datagen.data.transforms import TRANSFORMS_FILES
 from datagen.disk.errors import HyalineError
@@ -64,10 +64,7 @@ def test_cameras_that_are_listed_are_read_as_they_stand(tmp_path: Path) -> None:
         (tmp_path / TRANSFORMS_FILES[split]).write_text(json.dumps({"camera_angle_x": 0.6, "frames": frames}))
     scene = load_scene(tmp_path)
     assert scene.cameras.target == pytest.approx(target, abs=1e-5)
-    split = SplitConfig(views=8, spp=16)
-    config = DatasetConfig(
-        scene="synthetic", preset="tiny", resolution=square(16), train=split, interpolating=split, extrapolating=split
-    )
+    config = DatasetConfig.even("synthetic", square(16), 8)
     with pytest.raises(HyalineError, match=r"train: 8 views are asked for, and the scene lists 5 cameras"):
         make_cameras(scene.cameras, config)
     made = make_cameras(scene.cameras, with_listed_views(config, scene.cameras))

@@ -3,9 +3,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.meshes import gutter_violations
+from support.meshes import corner_cosines, gutter_violations
 
-from datagen.data.meshes import Mesh, face_corners
+from datagen.data.meshes import Mesh
 from datagen.data.paths import BUILT_IN_SCENES
 from datagen.scene.atlas import coverage
 from datagen.scene.builtin import make_scene
@@ -44,10 +44,7 @@ def test_scene_is_valid_and_within_its_budget(scene: Scene) -> None:
 
 def test_shading_normals_stand_on_the_side_that_faces_show(scene: Scene) -> None:
     for item in scene.objects:
-        a, b, c = np.moveaxis(face_corners(item.mesh).astype(np.float64), 1, 0)
-        flat = np.cross(b - a, c - a)
-        flat /= np.linalg.norm(flat, axis=-1, keepdims=True)
-        cosines = np.einsum("fi,fki->fk", flat, item.mesh.normals[item.mesh.faces])
+        cosines = corner_cosines(item.mesh)
         assert cosines.min() > 0.3, (item.name, cosines.min())
         if item.material.is_glass:
             assert cosines.min() > 0.7, (item.name, cosines.min())

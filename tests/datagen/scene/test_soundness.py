@@ -4,10 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from support.meshes import inside_out
 from support.reference import winding_numbers
 from support.synthetic import synthetic_scene
 
-from datagen.data.config import DatasetConfig, SplitConfig, square
+from datagen.data.config import DatasetConfig, square
 from datagen.data.meshes import Mesh
 from datagen.data.queries import windings
 from datagen.disk.errors import HyalineError
@@ -32,10 +33,6 @@ def scene_of(mesh: Mesh, material: Material = GLASS, **others: tuple[Mesh, Mater
     objects = [SceneObject(name="thing", mesh=mesh, material=material)]
     objects += [SceneObject(name=name, mesh=other, material=kind) for name, (other, kind) in others.items()]
     return dataclasses.replace(synthetic_scene(), name="room", objects=tuple(objects), cameras=RIG)
-
-
-def inward(mesh: Mesh) -> Mesh:
-    return dataclasses.replace(mesh, faces=np.ascontiguousarray(mesh.faces[:, ::-1]), normals=-mesh.normals)
 
 
 def with_normals(mesh: Mesh, factor: float, share: float = 1.0) -> Mesh:
@@ -72,7 +69,7 @@ ON_FLOOR = moved(CUBE, (0, 0, 0.15))
 BALLS = [moved(ball(0.1, subdivisions=1), (i / 4, 0, 3)) for i in range(33)]
 DROPS = [(moved(ball(0.02, subdivisions=1), (i / 20 - 0.8, 0, 0)), Dielectric(ior=1.33)) for i in range(32)]
 BUBBLE = ball(0.2, subdivisions=2)
-SHELL = merged([ball(0.3, subdivisions=2), inward(BUBBLE)])
+SHELL = merged([ball(0.3, subdivisions=2), inside_out(BUBBLE)])
 
 WRONG: dict[str, tuple[Scene, str]] = {
     "glass with flipped normals": (
@@ -143,7 +140,7 @@ TUMBLER = lathe(walled([(0, 0), (0.03, 0), (0.035, 0.1)], wall=0.0002, floor=0.0
 
 GOOD: dict[str, Scene] = {
     "a ball": scene_of(BALL),
-    "a bubble in a ball": scene_of(merged([BALL, inward(moved(ball(0.05, subdivisions=2), (0.1, 0, 0)))])),
+    "a bubble in a ball": scene_of(merged([BALL, inside_out(moved(ball(0.05, subdivisions=2), (0.1, 0, 0)))])),
     "a wall of a fifth of a millimetre": scene_of(TUMBLER),
     "a few flipped normals": scene_of(with_normals(BALL, -1, 0.004)),
     "opaque parts that overlap": scene_of(merged([BALL, moved(BALL, (0.1, 0, 0))]), GREY),
@@ -167,11 +164,7 @@ def test_what_renders_right_is_not_refused(case: str) -> None:
 
 
 def test_real_cameras_in_glass_are_refused_that_a_sample_of_the_rig_misses() -> None:
-    few = SplitConfig(views=8, spp=4)
-    config = DatasetConfig(
-        scene="room", preset="tiny", resolution=square(16), train=few, interpolating=few, extrapolating=few
-    )
-    cameras = make_cameras(RIG, config)
+    cameras = make_cameras(RIG, DatasetConfig.even("room", square(16), 8))
     cameras_within(scene_of(BALL), cameras)
     place = cameras["train"].world_from_camera[3, :3, 3]
     scene = scene_of(moved(ball(0.03, subdivisions=2), place.tolist()))
@@ -181,7 +174,7 @@ def test_real_cameras_in_glass_are_refused_that_a_sample_of_the_rig_misses() -> 
 
 
 def test_windings_are_those_of_the_solid_angle() -> None:
-    mesh = merged([BALL, moved(BALL, (0.13, 0.02, 0.01)), inward(moved(BALL, (-0.2, 0, 0.1))), CUBE])
+    mesh = merged([BALL, moved(BALL, (0.13, 0.02, 0.01)), inside_out(moved(BALL, (-0.2, 0, 0.1))), CUBE])
     points = np.random.default_rng(5).uniform(-0.4, 0.4, size=(400, 3))
     expected = winding_numbers(mesh, points)
     found = windings(mesh.vertices[mesh.faces], points)

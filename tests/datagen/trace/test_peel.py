@@ -147,17 +147,6 @@ def test_no_rays_have_no_hits() -> None:
     assert hits.has_more.shape == (0,)
 
 
-def test_permuted_objects_permute_ids_and_nothing_else() -> None:
-    cameras = make_cameras(RIG, config(views=3))["train"]
-    meshes = random_meshes(np.random.default_rng(4), 6)
-    order = [3, 0, 5, 1, 4, 2]
-    one, _ = Peeler(meshes).peel(cameras, 0, 8)
-    other, _ = Peeler(tuple(meshes[index] for index in order)).peel(cameras, 0, 8)
-    renamed = np.array([0, *(index + 1 for index in order)])[other.object_id]
-    assert np.array_equal(renamed, one.object_id)
-    assert np.array_equal(other.uv, one.uv)
-
-
 @pytest.mark.promise("R9")
 def test_pane_and_floor_peel_like_the_closed_formula() -> None:
     from support.synthetic import synthetic_scene

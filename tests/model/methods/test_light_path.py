@@ -184,36 +184,6 @@ def test_texels_shine_alike_in_all_directions_unless_the_decoder_sees_them(
         assert torch.equal(renderer(paths), renderer(turned)) != sees_directions
 
 
-def test_a_removed_object_leaves_no_trace(dataset: Dataset) -> None:
-    """Drawn without the pane, the picture depends on the pane's texels no more."""
-    pixels = pixels_of(dataset, render_samples=1)
-    renderer = LightPathRenderer(NET)
-    index = torch.arange(1024)
-    paths = pixels.take(index, None)
-    assert (paths.stack.surface == 1).any()
-    renderer(paths).sum().backward()
-    table = renderer.textures[0].table.grad
-    assert table is not None
-    half = len(table) // 2
-    assert table[:half].abs().sum() > 0  # With the pane its texels matter, through the residual.
-    from datagen.scene.folder import load_scene
-    from datagen.trace.light_path import LightPathTracer
-
-    scene = load_scene(dataset.root / "scene")
-    floor = scene.objects[1]
-    # The floor keeps its id: an object that is gone leaves a mesh that no ray meets.
-    away = scene.objects[0].mesh
-    away = type(away)(vertices=away.vertices + 1000, faces=away.faces, normals=away.normals, uv=away.uv)
-    tracer = LightPathTracer((away, floor.mesh), (scene.objects[0].material, floor.material))
-    edited = LightPathPixels(**{**vars(pixels), "tracer": tracer}).take(index, None)
-    renderer.zero_grad()
-    renderer(edited).sum().backward()
-    table = renderer.textures[0].table.grad
-    assert table is not None
-    assert table[:half].abs().sum() == 0
-    assert table[half:].abs().sum() > 0
-
-
 def test_the_learned_sky_is_continuous_all_around() -> None:
     renderer = LightPathRenderer(LightPathConfig(texture_sizes=(8,), sky_lobes=0))
     height = renderer.environment.maps[0].shape[1]

@@ -52,23 +52,6 @@ def test_the_network_has_the_derived_number_of_parameters(
         assert width_for_34k(inputs) == width
 
 
-def test_the_network_equals_its_formula_written_out() -> None:
-    torch.manual_seed(0)
-    net = PixelMlp(10, width=8, blocks=1, norm="none")
-    x = torch.randn(5, 10)
-    layers = [module for module in net.modules() if isinstance(module, torch.nn.Linear)]
-    first, inner, outer, halve, last = ((item.weight.detach().numpy(), item.bias.detach().numpy()) for item in layers)
-
-    def unit(values: np.ndarray, parameters: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        linear = values @ parameters[0].T + parameters[1]
-        return np.where(linear > 0, linear, 0.2 * linear)
-
-    hidden = unit(x.numpy(), first)
-    hidden = hidden + unit(unit(hidden, inner), outer)
-    expected = unit(hidden, halve) @ last[0].T + last[1]
-    np.testing.assert_allclose(net(x).detach().numpy(), expected, atol=1e-6)
-
-
 def test_spherical_harmonics_equal_scipy() -> None:
     direction = np.random.default_rng(0).normal(size=(50, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)

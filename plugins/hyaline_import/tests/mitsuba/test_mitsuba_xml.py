@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
-from support.foreign import xml_of
+from support.foreign import volume, xml_of
 from support.gltf import BOX
 
 from benchmarks.sky import radiance_of_map
@@ -21,11 +21,10 @@ from datagen.scene.description import EnvironmentMap, SoftEnvironment
 from datagen.scene.finding import ImportChoices
 from datagen.scene.images import linear_pixels, look_up, read_map
 from datagen.scene.materials import Color, Conductor, Dielectric, Plastic, RoughDielectric
-from hyaline_import.foreign import ForeignMaterial, ForeignObject, ForeignScene
+from hyaline_import.foreign import ForeignMaterial, ForeignScene
 from hyaline_import.importing import import_scene
 from hyaline_import.mitsuba.scene import read_mitsuba
 from hyaline_import.remarks import Remarks
-from hyaline_import.surfaces import mesh_of
 
 use_mitsuba()
 import mitsuba as mi  # noqa: E402
@@ -39,10 +38,6 @@ CUBE = '<shape type="cube" id="cube"/>'
 
 def read(folder: Path, body: str, remarks: Remarks | None = None) -> ForeignScene:
     return read_mitsuba(xml_of(folder, body), remarks or Remarks())
-
-
-def volume(item: ForeignObject) -> float:
-    return signed_volume(mesh_of(item.positions, item.faces, item.normals, None, where="x"))
 
 
 def material_of(folder: Path, bsdf: str, remarks: Remarks | None = None) -> ForeignMaterial:
