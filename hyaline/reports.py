@@ -122,7 +122,6 @@ def report(
     Raises:
         HyalineError: no run, one without pictures or dataset, none that can be scored, or something else in `out`.
     """
-
     from datagen.disk.ownership import refuse_others
     from eval.page.report import REPORT, score_runs, write_page
     from eval.score.runs import has_predictions, list_run_folders, open_run

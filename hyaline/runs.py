@@ -129,9 +129,6 @@ class Run:
         return self.config.net.load_cameras(self.inputs, camera.alone).to(choose_device(self.device))
 
 
-Setting = int | float | str | bool | None
-
-
 @checked
 @naming_parts("model")
 def train(
@@ -144,7 +141,7 @@ def train(
     seed: int = 0,
     device: Device = "auto",
     overwrite: bool = False,
-    **settings: Setting,
+    **settings: int | float | str | bool | None,
 ) -> Run:
     """Trains a method on a dataset and renders its test splits. If interrupted, the same call resumes.
 

@@ -74,13 +74,11 @@ def with_settings(record: RecordT, settings: Mapping[str, object]) -> RecordT:
         value = getattr(record, item.name)
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             changed[item.name] = with_settings(value, settings)
-        elif not item.metadata.get("is_hidden") and (name := _python_name(item)) in settings:
+            continue
+        name = item.metadata.get("flag", "").replace("-", "_") or item.name
+        if name in settings and not item.metadata.get("is_hidden"):
             changed[item.name] = from_json(kinds[item.name], typing.cast(Json, settings[name]), where=name)
     return dataclasses.replace(record, **changed)
-
-
-def _python_name(item: dataclasses.Field[Any]) -> str:
-    return item.metadata.get("flag", "").replace("-", "_") or item.name
 
 
 def suffixes(record: object, usual: object) -> list[str]:

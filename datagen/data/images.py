@@ -37,12 +37,8 @@ MAX_PNG_BYTES = 1 << 30
 
 def read_png(path: Path) -> UInt8[np.ndarray, "h w 3"]:
     """An 8-bit RGB picture from any PNG."""
-    return np.asarray(open_png(path).convert("RGB"))
-
-
-def open_png(path: Path, *, size: Resolution | None = None) -> Image.Image:
-    """The decoded picture in a PNG file, in the file's own mode; see `decode_png`."""
-    return decode_png(read_regular(path, at_most=MAX_PNG_BYTES), where=str(path), size=size)
+    picture = decode_png(read_regular(path, at_most=MAX_PNG_BYTES), where=str(path))
+    return np.asarray(picture.convert("RGB"))
 
 
 def decode_png(data: bytes, *, where: str, size: Resolution | None = None) -> Image.Image:

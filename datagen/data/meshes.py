@@ -182,6 +182,8 @@ def unfolded(
         faces: the polygons as fans around their first corners, one after the other.
         fans: the number of triangles of each polygon.
     """
+    import manifold3d
+
     fans = fans[fans > 0]
     if fans.max(initial=0) < 2:
         return faces
@@ -197,17 +199,11 @@ def unfolded(
         loop = np.array([*faces[part][0, :2], *faces[part][:, 2]])
         axis = int(np.abs(normal[polygon]).argmax())
         flat = np.roll(positions[loop].astype(np.float64) - positions[loop[0]], -1 - axis, axis=1)[:, :2]
-        triangles = _triangulated(flat if normal[polygon, axis] > 0 else flat[:, ::-1])
+        counter_clockwise = flat if normal[polygon, axis] > 0 else flat[:, ::-1]
+        triangles = np.asarray(manifold3d.triangulate([counter_clockwise]), np.int64).reshape(-1, 3)
         if len(triangles) == fans[polygon]:
             faces[part] = loop[triangles]
     return faces
-
-
-def _triangulated(loop: Float[np.ndarray, "point 2"]) -> Int[np.ndarray, "face 3"]:
-    """The triangles of a polygon that runs counter-clockwise."""
-    import manifold3d
-
-    return np.asarray(manifold3d.triangulate([loop]), np.int64).reshape(-1, 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

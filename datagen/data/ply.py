@@ -78,7 +78,9 @@ def decode_ply(data: bytes, *, where: str) -> tuple[Mesh, bool]:
             raise HyalineError(
                 f"{where}: holds {shown(', '.join(elements))}, but no faces; expected a mesh of polygons"
             )
-        positions = _positions(vertex, where)
+        positions = _stacked(vertex, "xyz")
+        if not np.isfinite(positions).all():
+            raise HyalineError(f"{where}: has positions that are not three finite numbers; export it again")
         faces = _triangles(face["vertex_indices" if "vertex_indices" in face else "vertex_index"], positions, where)
         has_normals = {"nx", "ny", "nz"} <= vertex.keys()
         normals = _stacked(vertex, ("nx", "ny", "nz")) if has_normals else vertex_normals(positions, faces)
@@ -95,13 +97,6 @@ def decode_ply(data: bytes, *, where: str) -> tuple[Mesh, bool]:
 
 def _stacked(columns: Columns, names: Iterable[str]) -> np.ndarray:
     return np.stack([columns[name] for name in names], axis=-1)
-
-
-def _positions(vertex: Columns, where: str) -> np.ndarray:
-    positions = _stacked(vertex, "xyz")
-    if not np.isfinite(positions).all():
-        raise HyalineError(f"{where}: has positions that are not three finite numbers; export it again")
-    return positions
 
 
 @contextmanager

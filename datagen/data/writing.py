@@ -150,13 +150,8 @@ def clear_dataset(root: Path) -> None:
                     listed = {LAYERS: layers_files, PROXIES: proxy_files, EDIT_MASKS: edit_mask_files}[kind]
                     remove_files(folder, listed(folder))
                 remove_files(folder, [kind.head])
-            _prune(root, folder)
+            with contextlib.suppress(OSError):  # Its parents go, too, while they are empty.
+                while folder != root:
+                    folder.rmdir()
+                    folder = folder.parent
     remove_files(root, dataset_files(root))
-
-
-def _prune(root: Path, folder: Path) -> None:
-    """Removes a folder and its parents up to `root` while they are empty."""
-    with contextlib.suppress(OSError):
-        while folder != root:
-            folder.rmdir()
-            folder = folder.parent

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from jaxtyping import Float32, Float64, Shaped, UInt64
+from jaxtyping import Float32, Shaped, UInt64
 
 Lanes = Any
 
@@ -58,7 +58,8 @@ class CausticMap:
         self._num_bins = 2 * self._side**2
         copies = [self._places(p, d, sampler) for _ in range(COPIES)]
         # Cells in ascending order, the bins of each in ascending order, each entry with the power of its photons.
-        found, powers = _sum_by_entry(np.concatenate(copies), np.tile(np.array(power), COPIES))
+        found, index = np.unique(np.concatenate(copies), return_inverse=True)
+        powers = np.bincount(index, np.tile(np.array(power), COPIES))  # Added in the order of the photons.
         cell, key = found // self._num_bins, found % self._num_bins
         first = np.searchsorted(cell, np.arange(CELLS + 1))
         below = np.concatenate([[0.0], np.cumsum(powers)])
@@ -75,10 +76,14 @@ class CausticMap:
         return Spot(*(dr.gather(mi.UInt32, self._first, cell + step, active) for step in range(2)))
 
     def sample(self, spot: Spot, sample1: "mi.Float", sample2: "mi.Point2f", active: "mi.Bool") -> "mi.Vector3f":
-        """A unit direction from a spot that has entries."""
+        """A unit direction from a spot that has entries; all in a bin are equally likely."""
         place = self._search(spot, self._share_up_to, lambda share: share <= sample1, active)
         key = dr.gather(mi.UInt32, self._bin, dr.minimum(place, spot.end - 1), active)
-        return _direction(key, sample2, self._side)
+        x, y = key & (self._side - 1), (key // self._side) & (self._side - 1)
+        disk = mi.warp.square_to_uniform_disk_concentric((mi.Point2f(x, y) + sample2) / self._side)
+        r2 = dr.squared_norm(disk)
+        xy = disk * dr.safe_sqrt(2 - r2)
+        return mi.Vector3f(xy.x, xy.y, dr.select(key < self._side**2, 1 - r2, r2 - 1))
 
     def pdf(self, spot: Spot, d: "mi.Vector3f", active: "mi.Bool") -> "mi.Float":
         """The density, over solid angle, with which `sample` gives a direction."""
@@ -122,14 +127,6 @@ def _count_distinct(values: Shaped[np.ndarray, " photon"]) -> int:
     return 1 + int(np.count_nonzero(ordered[1:] != ordered[:-1]))
 
 
-def _sum_by_entry(
-    entries: UInt64[np.ndarray, " photon"], power: Float32[np.ndarray, " photon"]
-) -> tuple[UInt64[np.ndarray, " entry"], Float64[np.ndarray, " entry"]]:
-    """The entries that occur, in ascending order, and the power of each, added in the order of the photons."""
-    found, index = np.unique(entries, return_inverse=True)
-    return found, np.bincount(index, power)
-
-
 def _cube_size(p: Float32[np.ndarray, "photon 3"]) -> float:
     """The edge of the cubes that hold few photons each."""
     extent = max(float(np.ptp(p, axis=0).max()), 1e-6)
@@ -158,12 +155,3 @@ def _bin_of(d: Lanes, side: int) -> Lanes:
         for axis in mi.warp.uniform_disk_to_square_concentric(disk)
     )
     return dr.select(d.z < 0, side * side, 0) + y * side + x
-
-
-def _direction(key: Lanes, sample: Lanes, side: int) -> Lanes:
-    """A unit direction in a bin; all are equally likely."""
-    x, y = key & (side - 1), (key // side) & (side - 1)
-    disk = mi.warp.square_to_uniform_disk_concentric((mi.Point2f(x, y) + sample) / side)
-    r2 = dr.squared_norm(disk)
-    xy = disk * dr.safe_sqrt(2 - r2)
-    return mi.Vector3f(xy.x, xy.y, dr.select(key < side * side, 1 - r2, r2 - 1))

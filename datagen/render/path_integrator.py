@@ -345,16 +345,11 @@ def meet_glass(tables, si, eta, surface, vanishes, samples) -> tuple[Lanes, Lane
         is_reflected, wo, share = bounce_off_facet(si.wi, eta, surface.alpha, *samples, vanishes)
         share /= surface.albedo
     else:
-        is_reflected, wo, share = _reflect_or_refract(si.wi, eta, samples[0], vanishes)
+        reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(si.wi), eta)
+        is_reflected = (samples[0] <= reflectance) & ~vanishes
+        wo = dr.select(is_reflected, mi.reflect(si.wi), mi.refract(si.wi, cos_t, eta_ti))
+        share = dr.select(is_reflected, 1, dr.square(eta_ti))
     return is_reflected, wo, dr.select(is_reflected, 1, surface.tint) * share if tables.has_tint else share
-
-
-def _reflect_or_refract(wi, eta, sample, vanishes) -> tuple[Lanes, Lanes, Lanes]:
-    """`meet_glass` for smooth glass."""
-    reflectance, cos_t, _, eta_ti = mi.fresnel(mi.Frame3f.cos_theta(wi), eta)
-    is_reflected = (sample <= reflectance) & ~vanishes
-    wo = dr.select(is_reflected, mi.reflect(wi), mi.refract(wi, cos_t, eta_ti))
-    return is_reflected, wo, dr.select(is_reflected, 1, dr.square(eta_ti))
 
 
 def _balance(pdf, other) -> Lanes:

@@ -56,7 +56,10 @@ def follow_branches(scene, tables, media, o, d, rows, shift, count, limits: Limi
 
     last = dr.while_loop(tuple(_first_state(kernel, o, d, count)), is_tracing, advance, label="light_path")
     if limits.makes_up and kept is not None:
-        outputs.arrays["throughput"] *= dr.tile(_gain(State(*last)), limits.max_branches)
+        # Factors that make up for missing branches: flat, the colour channels of each ray together.
+        end = State(*last)
+        gain = dr.clip(dr.select(end.ended > 0, 1 + end.waiting / end.ended, 1), 1, MOST_GAIN)
+        outputs.arrays["throughput"] *= dr.tile(dr.ravel(gain), limits.max_branches)
     return outputs.arrays
 
 
@@ -213,11 +216,3 @@ def _turn(kernel: Kernel, state: State, is_over) -> State:
         branch=dr.select(turns, state.branch + 1, state.branch),
         active=state.active & (~is_over | turns) & (state.step < max_steps),
     )
-
-
-def _gain(last: State):
-    """Factors that make up for missing branches: flat, the colour channels of each ray together."""
-    import drjit as dr
-
-    gain = dr.select(last.ended > 0, 1 + last.waiting / last.ended, 1)
-    return dr.ravel(dr.clip(gain, 1, MOST_GAIN))

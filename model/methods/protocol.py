@@ -213,15 +213,10 @@ def open_inputs(config: MethodConfig, dataset: "Dataset", geometry: str) -> Inpu
         return Inputs(dataset=dataset, geometry=geometry, num_layers=0, layers_seal=seal)
     store = dataset.layer_store(geometry)
     stored = min(store.head.num_layers, config.max_layers or store.head.num_layers)
-    num_layers = _choose_layers(config.asked_layers, stored, dataset, geometry)
-    return Inputs(dataset=dataset, geometry=geometry, num_layers=num_layers, layers_seal=store.seal)
-
-
-def _choose_layers(asked: int | None, stored: int, dataset: "Dataset", geometry: str) -> int:
-    """How many layers a renderer looks up: all stored ones, or the nearest ones."""
-    if asked is None or 1 <= asked <= stored:
-        return asked or stored
-    words = ["datagen", "peel", str(dataset.root), "--geometry", geometry]
-    peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
-    more = f" (`{peel}` stores more)" if asked > 0 else ""
-    raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
+    asked = config.asked_layers
+    if asked is not None and not 1 <= asked <= stored:
+        words = ["datagen", "peel", str(dataset.root), "--geometry", geometry]
+        peel = shlex.join([*words, "--num-layers", str(asked), "--overwrite"])
+        more = f" (`{peel}` stores more)" if asked > 0 else ""
+        raise HyalineError(f"layers: is {asked}; expected 1 to {stored}, the number of stored layers{more}")
+    return Inputs(dataset=dataset, geometry=geometry, num_layers=asked or stored, layers_seal=store.seal)

@@ -86,7 +86,7 @@ class Renderer(nn.Module, Generic[SourceT]):
 
     def groups(self, optimisation: Optimisation) -> list[ParameterGroup]:
         """All parameters, grouped by learning rate."""
-        textures = self.parameters_of(NeuralTextures)
+        textures = [value for part in self.modules() if isinstance(part, NeuralTextures) for value in part.parameters()]
         return [
             ParameterGroup(
                 parameters=self.all_but(textures), lr=optimisation.lr, weight_decay=optimisation.weight_decay
@@ -97,10 +97,6 @@ class Renderer(nn.Module, Generic[SourceT]):
                 counts_as="textures",
             ),
         ]
-
-    def parameters_of(self, kind: type[nn.Module]) -> list[nn.Parameter]:
-        """The parameters of all submodules of a kind, in the renderer's order."""
-        return [value for part in self.modules() if isinstance(part, kind) for value in part.parameters()]
 
     def all_but(self, others: list[nn.Parameter]) -> list[nn.Parameter]:
         """All parameters except these."""

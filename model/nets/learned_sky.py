@@ -99,7 +99,13 @@ class SkyLobes(nn.Module):
 
     def __init__(self, count: int) -> None:
         super().__init__()
-        self.axis = nn.Parameter(spread_directions(count) / LOBE_RATE)
+        # Spread evenly over the sphere, on a Fibonacci spiral.
+        place = torch.arange(count) + 0.5
+        z = 1 - 2 * place / count
+        azimuth = math.pi * (1 + math.sqrt(5)) * place
+        radius = torch.sqrt(1 - z * z)
+        axis = torch.stack([radius * torch.cos(azimuth), radius * torch.sin(azimuth), z], dim=1)
+        self.axis = nn.Parameter(axis / LOBE_RATE)
         self.sharpness = nn.Parameter(torch.zeros(count))
         self.brightness = nn.Parameter(torch.full((count, 3), -1 / LOBE_RATE))
 
@@ -109,15 +115,6 @@ class SkyLobes(nn.Module):
         sharpness = LOBE_SHARPNESS * torch.exp(LOBE_RATE * self.sharpness)
         falloff = torch.exp(sharpness * (direction @ axis.T - 1))
         return falloff @ functional.softplus(3 * LOBE_RATE * self.brightness)
-
-
-def spread_directions(count: int) -> Float32[Tensor, "direction 3"]:
-    """Unit directions spread evenly over the sphere, on a Fibonacci spiral."""
-    place = torch.arange(count) + 0.5
-    z = 1 - 2 * place / count
-    azimuth = math.pi * (1 + math.sqrt(5)) * place
-    radius = torch.sqrt(1 - z * z)
-    return torch.stack([radius * torch.cos(azimuth), radius * torch.sin(azimuth), z], dim=1)
 
 
 def _map_sizes(height: int) -> list[tuple[int, int]]:

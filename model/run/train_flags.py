@@ -43,7 +43,12 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
     Raises:
         HyalineError: no such method.
     """
-    usual = METHODS.find(method)().usual(_geometry_in(words))
+    geometry = TRUTH  # Some methods have other defaults on proxies.
+    for place, word in enumerate(words, start=1):
+        flag, equals, value = word.partition("=")
+        if flag == "--geometry":
+            geometry = value if equals else "".join(words[place : place + 1])
+    usual = METHODS.find(method)().usual(geometry)
     optimised = usual.optimisation()
 
     def train(
@@ -60,16 +65,6 @@ def make_command(method: str, words: Sequence[str], then: Callable[[str, Asked],
     dataset = "A dataset's folder, or its name under data/. Default: the only one there."
     train.__doc__ = f"{about(method)}\n\nArgs:\n    dataset: {dataset}"
     return train
-
-
-def _geometry_in(words: Sequence[str]) -> str:
-    """The value of `--geometry`; some methods have other defaults on proxies."""
-    given = TRUTH
-    for place, word in enumerate(words, start=1):
-        flag, equals, value = word.partition("=")
-        if flag == "--geometry":
-            given = value if equals else "".join(words[place : place + 1])
-    return given
 
 
 def parse_train(method: str, words: tuple[str, ...]) -> Asked:

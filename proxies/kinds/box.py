@@ -74,7 +74,9 @@ def smallest_box(solid: Solid) -> Box:
 def box_mesh(box: Box) -> Mesh:
     """The box as a closed mesh: a grid on each of the six sides, each side a chart of its own, flat normals."""
     counts = np.clip(np.ceil(CELLS * box.half / box.half.max()), 1, CELLS).astype(int)
-    heights = _row_heights(box.half)
+    # Heights of the three rows of charts, relative to the atlas, by their vertical sides.
+    heights = np.maximum(box.half[[1, 2, 2]] / box.half[[1, 2, 2]].sum(), MIN_ROW)
+    heights = heights / heights.sum()
     vertices, faces, normals, uv = [], [], [], []
     total = 0
     # Each row of the atlas holds the two sides across one axis: (u axis, v axis, normal axis), widest row first.
@@ -159,12 +161,6 @@ def _box_of_frame(frame: np.ndarray, points: np.ndarray) -> Box:
     local = points @ axes.T
     low, high = local.min(axis=0), local.max(axis=0)
     return Box(center=0.5 * (low + high) @ axes, axes=axes, half=0.5 * (high - low))
-
-
-def _row_heights(half: np.ndarray) -> np.ndarray:
-    """Heights of the three rows of charts, relative to the atlas, by their vertical sides."""
-    heights = half[[1, 2, 2]] / half[[1, 2, 2]].sum()
-    return np.maximum(heights, MIN_ROW) / np.maximum(heights, MIN_ROW).sum()
 
 
 def _to_world(box: Box, local: np.ndarray) -> np.ndarray:

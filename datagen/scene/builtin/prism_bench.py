@@ -93,12 +93,15 @@ def _glass() -> list[SceneObject]:
     goblet_side = filleted([(0, 0, 0), (0.034, 0, 0.002), (0.040, 0.016, 0.004), (0.047, 0.105, 0)], segments=2)
     tumbler = lathe(walled(goblet_side, wall=0.005, floor=0.022), segments=14, crease_deg=8)
     frosted = cylinder(0.030, 0.115, bevel=0.004, segments=72)
+    lying = turned(moved(prism(0.062, 0.15), (0, 0, -0.075)), (1, 0, 0), 90)
+    round_ball = ball(0.058, subdivisions=2)
+    crystal_ball = shaded(round_ball.vertices.astype(np.float64), round_ball.faces, crease_deg=3)  # Of flat facets.
     return [
         _on_bench("prism", turned(prism(0.085, 0.16), (0, 0, 1), 53), FANCY, -0.13, 0.12),
-        _on_bench("prism_lying", turned(_lying(0.062, 0.15), (0, 0, 1), -30), FLINT, 0.00, -0.24),
+        _on_bench("prism_lying", turned(lying, (0, 0, 1), -30), FLINT, 0.00, -0.24),
         _on_bench("lens", turned(_lens(0.062, 0.075), (0, 0, 1), -48), Dielectric(ior="bk7"), 0.01, 0.20),
         _on_bench("brilliant", transformed(brilliant(), 0.052 * np.eye(3), (0, 0, 0)), DIAMOND, 0.13, -0.11),
-        _on_bench("crystal_ball", _cut_ball(0.058), CRYSTAL, 0.13, 0.04),
+        _on_bench("crystal_ball", crystal_ball, CRYSTAL, 0.13, 0.04),
         _on_bench("tumbler", tumbler, CRYSTAL, 0.29, 0.04),
         _on_bench("frosted", frosted, RoughDielectric(ior=1.5, roughness=0.12, absorption=(9.0, 2.0, 3.5)), 0.17, 0.20),
     ]
@@ -137,11 +140,6 @@ def prism(side: float, height: float) -> Mesh:
     return convex_hull(np.array([(x, y, z) for x, y in corners for z in (0.0, height)]), crease_deg=2)
 
 
-def _lying(side: float, length: float) -> Mesh:
-    """A prism lying on one of its sides."""
-    return turned(moved(prism(side, length), (0, 0, -length / 2)), (1, 0, 0), 90)
-
-
 def _lens(radius: float, curvature: float) -> Mesh:
     """A biconvex lens upright on its rim, its axis along y."""
     angle = np.linspace(0, np.arcsin(radius / curvature), 32)
@@ -150,12 +148,6 @@ def _lens(radius: float, curvature: float) -> Mesh:
     below = [(r, -z) for r, z in outline]
     profile = [(float(r), float(z)) for r, z in [*below, *outline[::-1]]]
     return turned(lathe(profile, segments=128), (1, 0, 0), 90)
-
-
-def _cut_ball(radius: float) -> Mesh:
-    """A ball of flat facets."""
-    shape = ball(radius, subdivisions=2)
-    return shaded(shape.vertices.astype(np.float64), shape.faces, crease_deg=3)
 
 
 def brilliant() -> Mesh:

@@ -1,21 +1,14 @@
 // What shines at the end of a light path: a surface, or the sky. Source: model/methods/light_path/net.py.
 
-const int INPUTS = 4 * FEATURE_TEXELS + 1 + 9 * SEES_DIRECTIONS;
 const int SLOT = 4 * FEATURE_TEXELS + 2, PATH_SLOTS = STACKED_FIRST + STACKED_SECOND, SLOTS = PATH_SLOTS + STRAIGHT;
 const int STACK_INPUTS = SLOTS * SLOT + (STRAIGHT > 0 ? 4 : 0), STACK_OUTPUTS = 1 + (STRAIGHT > 0 ? (STRAIGHT + 3) / 4 : 0);
 const int GROUPS = HIDDEN / 4, STACK_GROUPS = STACK_HIDDEN / 4;
 // Where the layers begin among the weights; each has four outputs beside each other for every input, then its biases.
-const int FIRST = 0, FIRST_BIAS = FIRST + GROUPS * INPUTS;
-const int SECOND = FIRST_BIAS + GROUPS, SECOND_BIAS = SECOND + GROUPS * HIDDEN;
-const int THIRD = SECOND_BIAS + GROUPS, THIRD_BIAS = THIRD + HIDDEN;
-const int S_FIRST = THIRD_BIAS + 1, S_FIRST_BIAS = S_FIRST + STACK_GROUPS * STACK_INPUTS;
+const int OTHERS = 1 + 9 * SEES_DIRECTIONS, WITHOUT_OTHERS = GROUPS * (4 * FEATURE_TEXELS + HIDDEN + 2) + HIDDEN + 1;
+const int COLORS = 0, S_FIRST = WITHOUT_OTHERS + GROUPS * OTHERS, S_FIRST_BIAS = S_FIRST + STACK_GROUPS * STACK_INPUTS;
 const int S_SECOND = S_FIRST_BIAS + STACK_GROUPS, S_SECOND_BIAS = S_SECOND + STACK_GROUPS * STACK_HIDDEN;
 const int S_THIRD = S_SECOND_BIAS + STACK_GROUPS, S_THIRD_BIAS = S_THIRD + STACK_OUTPUTS * STACK_HIDDEN;
-const int COVER_INPUTS = 4 * FEATURE_TEXELS + 10;
-const int C_FIRST = S_THIRD_BIAS + STACK_OUTPUTS, C_FIRST_BIAS = C_FIRST + GROUPS * COVER_INPUTS;
-const int C_SECOND = C_FIRST_BIAS + GROUPS, C_SECOND_BIAS = C_SECOND + GROUPS * HIDDEN;
-const int C_THIRD = C_SECOND_BIAS + GROUPS, C_THIRD_BIAS = C_THIRD + HIDDEN;
-const int SKY = STRAIGHT > 0 ? C_THIRD_BIAS + 1 : C_FIRST;
+const int COVER = S_THIRD_BIAS + STACK_OUTPUTS, SKY = COVER + (STRAIGHT > 0 ? WITHOUT_OTHERS + GROUPS * 10 : 0);
 
 // Where a ray meets the learned relief below, or above, a surface.
 vec2 relieved(int object, Place place) {
@@ -35,30 +28,35 @@ vec2 relieved(int object, Place place) {
 #endif
 }
 
-// Linear radiance that leaves the end of a branch. Inputs after the features: cosine, harmonics.
-vec3 decode(Features features, float cosine, vec3 reflected) {
-    float others[INPUTS - 4 * FEATURE_TEXELS];
-    others[0] = cosine;
-#if SEES_DIRECTIONS == 1
-    float bands[9] = harmonics(reflected);
-    for (int k = 0; k < 9; k++) others[1 + k] = bands[k];
-#endif
-    vec4 hidden[GROUPS];
+// What a network of two hidden layers makes of features, cosine and, with ten `others`, harmonics.
+vec4 network(int first, int others, Features features, float cosine, float bands[9]) {
+    int inputs = 4 * FEATURE_TEXELS + others, first_bias = first + GROUPS * inputs;
+    int second = first_bias + GROUPS, second_bias = second + GROUPS * HIDDEN, third = second_bias + GROUPS;
+    vec4 hidden[GROUPS], result = fetch(weights, third + HIDDEN);
     for (int g = 0; g < GROUPS; g++) {
-        vec4 sum = fetch(weights, FIRST_BIAS + g);
-        int at = FIRST + g * INPUTS;
+        vec4 sum = fetch(weights, first_bias + g);
+        int at = first + g * inputs;
         for (int k = 0; k < FEATURE_TEXELS; k++) sum += four(at + 4 * k, features.values[k]);
         at += 4 * FEATURE_TEXELS;
-        for (int k = 0; k < INPUTS - 4 * FEATURE_TEXELS; k++) sum += fetch(weights, at + k) * others[k];
+        sum += fetch(weights, at) * cosine;
+        for (int k = 0; k < others - 1; k++) sum += fetch(weights, at + 1 + k) * bands[k];
         hidden[g] = leaky(sum);
     }
-    vec4 color = fetch(weights, THIRD_BIAS);
     for (int g = 0; g < GROUPS; g++) {
-        vec4 sum = fetch(weights, SECOND_BIAS + g);
-        for (int k = 0; k < GROUPS; k++) sum += four(SECOND + g * HIDDEN + 4 * k, hidden[k]);
-        color += four(THIRD + 4 * g, leaky(sum));
+        vec4 sum = fetch(weights, second_bias + g);
+        for (int k = 0; k < GROUPS; k++) sum += four(second + g * HIDDEN + 4 * k, hidden[k]);
+        result += four(third + 4 * g, leaky(sum));
     }
-    return softplus(color.rgb + features.values[0].rgb);
+    return result;
+}
+
+// Linear radiance that leaves the end of a branch.
+vec3 decode(Features features, float cosine, vec3 reflected) {
+    float bands[9];
+#if SEES_DIRECTIONS == 1
+    bands = harmonics(reflected);
+#endif
+    return softplus(network(COLORS, OTHERS, features, cosine, bands).rgb + features.values[0].rgb);
 }
 
 // Radiance from outside of the scene.

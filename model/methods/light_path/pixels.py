@@ -239,12 +239,13 @@ class LightPathPixels(TracedPixels[LightPathBatch]):
             "cosine": paths.stack.cosine,
         }
         if straight is not None:
-            cosine, reflected = _mirrored(straight.direction[0], straight.normal[0])
+            cosine = -np.einsum("...c,...c", straight.direction[0], straight.normal[0])
+            reflected = straight.direction[0] + 2 * cosine[..., None] * straight.normal[0]  # Mirrored.
             further = {
                 "surface": straight.object_id[0],
                 "uv": straight.uv[0],
                 "throughput": straight.throughput[0].mean(axis=-1),
-                "cosine": cosine,
+                "cosine": np.clip(cosine, 0, 1),
             }
             for name, values in further.items():
                 columns[name] = np.concatenate([columns[name], np.moveaxis(values, 0, 1)], axis=1)
@@ -303,14 +304,6 @@ def _surface_of(object_id: UInt8[np.ndarray, "*vertex"], shells: int) -> UInt8[n
     if shells == 1:
         return object_id
     return np.where(object_id > 0, (object_id.astype(np.int64) - 1) * shells + 1, 0).astype(np.uint8)
-
-
-def _mirrored(
-    direction: Float32[np.ndarray, "*vertex 3"], normal: Float32[np.ndarray, "*vertex 3"]
-) -> tuple[Float32[np.ndarray, "*vertex"], Float32[np.ndarray, "*vertex 3"]]:
-    """The cosine, in [0, 1], at which rays arrive at surfaces, and their directions mirrored there."""
-    cosine = -np.einsum("...c,...c", direction, normal)
-    return np.clip(cosine, 0, 1), direction + 2 * cosine[..., None] * normal
 
 
 # Training, scoring and prediction use the same surfaces: they are loaded once, and their kernels are recorded once.

@@ -28,34 +28,15 @@ void stack_straight(vec3 o, vec3 d) {
     }
 }
 
-// What a layer itself says of its opacity.
-float cover(Layer layer, float bands[9]) {
-    vec4 hidden[GROUPS];
-    for (int g = 0; g < GROUPS; g++) {
-        vec4 sum = fetch(weights, C_FIRST_BIAS + g);
-        int at = C_FIRST + g * COVER_INPUTS;
-        for (int k = 0; k < FEATURE_TEXELS; k++) sum += four(at + 4 * k, layer.features.values[k]);
-        at += 4 * FEATURE_TEXELS;
-        sum += fetch(weights, at) * layer.cosine;
-        for (int k = 0; k < 9; k++) sum += fetch(weights, at + 1 + k) * bands[k];
-        hidden[g] = leaky(sum);
-    }
-    float logit = fetch(weights, C_THIRD_BIAS).x;
-    for (int g = 0; g < GROUPS; g++) {
-        vec4 sum = fetch(weights, C_SECOND_BIAS + g);
-        for (int k = 0; k < GROUPS; k++) sum += four(C_SECOND + g * HIDDEN + 4 * k, hidden[k]);
-        logit += four(C_THIRD + 4 * g, leaky(sum)).x;
-    }
-    return logit;
-}
-
 // The layers, each laid over those behind it, and the sky behind all; what the stack says of their opacity comes in
 // fours.
 vec3 lay_over(vec3 d, vec4 logits[STACK_OUTPUTS]) {
     vec3 sum = vec3(0.0);
     float passed = 1.0, bands[9] = harmonics(d);
     for (int k = 0; k < num_layers; k++) {
-        float opacity = sigmoid(logits[1 + k / 4][k % 4] + cover(layers[k], bands));
+        // A layer's own features have their say in its opacity, too.
+        float own = network(COVER, 10, layers[k].features, layers[k].cosine, bands).x;
+        float opacity = sigmoid(logits[1 + k / 4][k % 4] + own);
         sum += passed * opacity * decode(layers[k].features, layers[k].cosine, layers[k].reflected);
         passed *= 1.0 - opacity;
     }
