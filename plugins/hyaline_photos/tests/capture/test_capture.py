@@ -202,9 +202,11 @@ def test_a_stand_in_is_where_the_masks_of_an_object_meet(captured: Dataset) -> N
 def test_a_fit_replaces_its_own_drink_but_no_other_glass(captured: Dataset, tmp_path: Path) -> None:
     copy = open_dataset(Path(shutil.copytree(captured.root, tmp_path / "copy")))
     ball, drink = copy.object_id("ball"), copy.object_id("ball_drink")
-    side = evenly(np.array([(0, 0), (0.1, 0), (0.1, 0.2)]), OUTSIDE)
-    axis = Axis(point=np.zeros(3), direction=np.array([0.0, 0.0, 1.0]))
-    full = Revolution(axis=axis, outside=side).hollowed(0.1, 0.1, 0.3).having(level=0.1)
+    corners = np.array([(0, 0), (0.1, 0), (0.1, 0.2)])
+    up = np.array([0.0, 0.0, 1.0])
+    solid = Revolution(axis=Axis(point=np.zeros(3), direction=up), outside=evenly(corners, OUTSIDE))
+    full = solid.hollowed(0.1, 0.1, 0.3)
+    full = full.having(level=0.1)
     found = {ball: FoundGlass(glass=full, unexplained=0.0, drink_id=drink)}
     write_geometry(copy, "fitted", read_meshes(copy, TRUTH), {}, found)
     refuse_losing(copy, "fitted", (ball,))
