@@ -67,7 +67,9 @@ def test_tables_sort_by_mouse_and_keyboard_and_say_so(shown: Watched) -> None:
 def test_one_part_is_shown_at_a_time_and_the_slider_parts_truth_and_prediction(shown: Watched) -> None:
     page = shown.page
     page.locator("nav").get_by_text("very dark").click()
-    page.get_by_text("(worst)").first.wait_for()  # The browser tells the page of its new part when it has time.
+    page.locator(
+        ".view:visible", has_text="(worst)"
+    ).first.wait_for()  # The browser tells the page of its new part when it has time.
     assert page.locator("main > .page:visible").count() == 1
     view = page.locator(".view:visible").first
     slider, pictures = view.locator("input[type=range]"), view.locator(".row")
