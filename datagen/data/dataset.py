@@ -70,7 +70,8 @@ def read_head(root: Path) -> tuple[Head, str]:
     path = root / "dataset.json"
     content = load_sealed(path)
     if (version := content.get("version")) != DATASET_VERSION:
-        again = "build or import the dataset again in another folder" if version in (1, 2, 3) else "update hyaline"
+        is_older = version in range(1, DATASET_VERSION)
+        again = "build or import the dataset again in another folder" if is_older else "update hyaline"
         raise HyalineError(f"{path}: format version {shown(version)}; this program reads {DATASET_VERSION}, {again}")
     return from_json(Head, content, where=str(path)), seal_of(content)
 

@@ -10,7 +10,7 @@ from datagen.disk.errors import printable
 from datagen.pages.html import Markup, tag
 
 COLORS = ("#1b6ca8", "#c7611a", "#2a8f4d", "#b23a48", "#7a5195", "#7f6a55", "#c2569b", "#5c6f7b")
-"""Lines and dots take these colors in turn."""
+"""Colours of lines and dots, in turn."""
 SOFT, GRID = "#5a646e", "#d5dbe1"
 
 STYLE: dict[Any, Any] = {

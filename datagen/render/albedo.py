@@ -1,4 +1,4 @@
-"""The light that rough surfaces keep. A path ends where one facet throws it onto another, so light would be lost.
+"""The light that rough surfaces keep. Paths do not follow light from one facet to another, which would be lost.
 
 Single scattering keeps a share of the light that falls on GGX facets from one direction: their albedo E. The truth and
 light paths divide by it, so that white surfaces keep all light; the lobes keep their shapes. Light that leaves metal of

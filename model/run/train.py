@@ -130,7 +130,7 @@ class ScoredViews:
 
     pixels: PixelSource
     places: Sequence[int]
-    """Of these views among those of the pixels."""
+    """Which views of `pixels` they are."""
 
     @property
     def whole(self) -> Int[np.ndarray, "view h w"]:

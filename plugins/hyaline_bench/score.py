@@ -329,7 +329,7 @@ def _result(run: Run, split: Split, truth: Truth, scores: SplitScores, masks: Da
 
 
 def _ceiling_db(view: View, inside: Bool[np.ndarray, "h w"]) -> float:
-    """What `ViewRecord.ceiling_db` is of all pixels, of some."""
+    """`ViewRecord.ceiling_db`, of some of the pixels."""
     radiance, noise = view.radiance_and_noise()
     difference = srgb_from_linear(radiance + noise) - srgb_from_linear(radiance - noise)
     return -10 * math.log10(float(np.mean(difference[inside] ** 2)) / 4 + ROUNDING_MSE)

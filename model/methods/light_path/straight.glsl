@@ -34,7 +34,7 @@ vec3 lay_over(vec3 d, vec4 logits[STACK_OUTPUTS]) {
     vec3 sum = vec3(0.0);
     float passed = 1.0, bands[9] = harmonics(d);
     for (int k = 0; k < num_layers; k++) {
-        // A layer's own features have their say in its opacity, too.
+        // A layer's opacity also depends on its own features.
         float own = network(COVER, 10, layers[k].features, layers[k].cosine, bands).x;
         float opacity = sigmoid(logits[1 + k / 4][k % 4] + own);
         sum += passed * opacity * decode(layers[k].features, layers[k].cosine, layers[k].reflected);

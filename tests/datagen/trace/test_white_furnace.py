@@ -61,7 +61,7 @@ def test_white_light_stays_white_in_truth_and_in_light_paths(name: str) -> None:
 @pytest.mark.parametrize("roughness", [0.1, 0.3, 0.8])
 @pytest.mark.parametrize("ior", [1.33, 1.5, 2.4])
 def test_rough_glass_keeps_all_light(ior: float, roughness: float) -> None:
-    """Facets of heavy glass throw the light around inside; what is left after so many of them is noise."""
+    """At a high index, light meets many facets before it leaves, so the estimate is noisy."""
     truth, paths = kept_by(RoughDielectric(ior=ior, roughness=roughness))
     off = 0.01 if ior * roughness < 1.5 else 0.06
     assert truth == pytest.approx(1, abs=off) and paths == pytest.approx(1, abs=off)

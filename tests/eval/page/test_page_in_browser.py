@@ -67,11 +67,9 @@ def test_tables_sort_by_mouse_and_keyboard_and_say_so(shown: Watched) -> None:
 def test_one_part_is_shown_at_a_time_and_the_slider_parts_truth_and_prediction(shown: Watched) -> None:
     page = shown.page
     page.locator("nav").get_by_text("very dark").click()
-    page.locator(
-        ".view:visible", has_text="(worst)"
-    ).first.wait_for()  # The browser tells the page of its new part when it has time.
+    view = page.locator(".view:visible", has_text="(worst)").first
+    view.wait_for()  # The page changes a moment after the click.
     assert page.locator("main > .page:visible").count() == 1
-    view = page.locator(".view:visible").first
     slider, pictures = view.locator("input[type=range]"), view.locator(".row")
     boxes = [picture.bounding_box() for picture in view.locator(".picture:visible").all()]
     assert [box is not None and box["width"] >= 256 for box in boxes] == [True] * 3  # Truth, prediction and error.
