@@ -60,14 +60,14 @@ class CausticMap:
         # Cells in ascending order, the bins of each in ascending order, each entry with the power of its photons.
         found, index = np.unique(np.concatenate(copies), return_inverse=True)
         powers = np.bincount(index, np.tile(np.array(power), COPIES))  # Added in the order of the photons.
-        cell, key = found // self._num_bins, found % self._num_bins
+        cell, key = (found // self._num_bins).astype(np.int64), found % self._num_bins
         first = np.searchsorted(cell, np.arange(CELLS + 1))
-        below = np.concatenate([[0.0], np.cumsum(powers)])
-        start, total = below[first[cell]], (below[first[1:]] - below[first[:-1]])[cell]
+        share = powers / np.bincount(cell, powers)[cell]
+        below = np.concatenate([[0.0], np.cumsum(share)])  # Sums of powers would lose dim cells.
         self._first = mi.UInt32(first.astype(np.uint32))
         self._bin = mi.UInt32(key.astype(np.uint32))
-        self._share = mi.Float((powers / total).astype(np.float32))
-        self._share_up_to = mi.Float(((below[1:] - start) / total).astype(np.float32))
+        self._share = mi.Float(share.astype(np.float32))
+        self._share_up_to = mi.Float((below[1:] - below[first[cell]]).astype(np.float32))
         self._num_steps = int(np.diff(first).max()).bit_length()
 
     def find(self, p: "mi.Point3f", active: "mi.Bool") -> Spot:

@@ -76,13 +76,14 @@ def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_stat
 
     from datagen.render.caustics import CausticMap
 
-    # All photons arrive at one place: most from above, a quarter of the power from the side.
+    # Photons arrive at one place, most from above, a quarter of the power from the side; and at a far brighter one.
     sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(1, 1000)
-    from_side = dr.arange(mi.UInt32, 1000) < 500
+    sampler.seed(1, 1010)
+    is_far = dr.arange(mi.UInt32, 1010) >= 1000
+    from_side = dr.arange(mi.UInt32, 1010) < 500
     d = mi.Vector3f(dr.select(from_side, 1, 0), 0, dr.select(from_side, 0, 1))
-    p = mi.Point3f(0.5, 0.5, 0.5) + 1e-3 * mi.Vector3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
-    caustics = CausticMap(p, d, mi.Float(dr.select(from_side, 1, 3)), sampler)
+    p = mi.Point3f(dr.select(is_far, 5, 0.5)) + 1e-3 * mi.Vector3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
+    caustics = CausticMap(p, d, dr.select(is_far, mi.Float(1e25), dr.select(from_side, 1, 3)), sampler)
     count = 1 << 20
     sampler.seed(2, count)
     spot = caustics.find(mi.Point3f(np.array(p)[:, np.arange(count) % 1000]), mi.Bool(True))
