@@ -82,14 +82,14 @@ def test_a_map_draws_the_directions_of_its_photons_with_the_density_that_it_stat
     is_far = dr.arange(mi.UInt32, 1010) >= 1000
     from_side = dr.arange(mi.UInt32, 1010) < 500
     d = mi.Vector3f(dr.select(from_side, 1, 0), 0, dr.select(from_side, 0, 1))
-    p = mi.Point3f(dr.select(is_far, 5, 0.5)) + 1e-3 * mi.Vector3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
+    moves = mi.Vector3f(sampler.next_1d(), sampler.next_1d(), sampler.next_1d())
+    p = mi.Point3f(dr.select(is_far, 5, 0.5)) + 1e-3 * moves
     caustics = CausticMap(p, d, dr.select(is_far, mi.Float(1e25), dr.select(from_side, 1, 3)), sampler)
     count = 1 << 20
     sampler.seed(2, count)
     spot = caustics.find(mi.Point3f(np.array(p)[:, np.arange(count) % 1000]), mi.Bool(True))
     drawn = caustics.sample(spot, sampler.next_1d(), sampler.next_2d(), mi.Bool(True))
-    pdf = np.array(caustics.pdf(spot, drawn, mi.Bool(True)))
-    found = np.array(drawn).T
+    pdf, found = np.array(caustics.pdf(spot, drawn, mi.Bool(True))), np.array(drawn).T
     np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1, atol=1e-5)
     assert (pdf > 0).mean() > 0.9999, "but for directions rounded across the edge of a bin"
     assert (found[:, 0] > 0.9).mean() == pytest.approx(0.25, abs=0.05)
