@@ -3,6 +3,7 @@
 import shlex
 import sys
 from pathlib import Path
+from typing import Annotated
 
 from datagen.builder.choices import AddChoices, BuildChoices, FilmChoices, ShardChoices, SizeChoices
 from datagen.data.paths import BUILD, BUILT_IN_SCENES, TRUTH, find_dataset, train_command
@@ -38,7 +39,7 @@ def commands() -> CommandGroup:
 
 
 def build(
-    scene: str = "glass_table",
+    scene: Annotated[str, BUILT_IN_SCENES.keys] = "glass_table",
     /,
     *,
     choices: BuildChoices = BuildChoices(),  # noqa: B008
@@ -49,8 +50,8 @@ def build(
     """Render a scene and peel its layers; if interrupted, the same command resumes.
 
     Args:
-        scene: A name that `datagen scenes` lists, a folder with a scene.json, a file that `datagen import` reads, or
-            random: glassware generated from --seed. random-0007 is the random scene of seed 7.
+        scene: A name, a folder with a scene.json, a file that `datagen import` reads, or random: glassware generated
+            from --seed. random-0007 is the random scene of seed 7.
     """
     from datagen.builder.build_command import build_scenes
 

@@ -62,6 +62,35 @@ def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
 
 
 @pytest.mark.parametrize(
+    ("line", "choices"),
+    [
+        ("datagen b", ["build"]),
+        ("datagen build p", ["plant_shelf", "prism_bench", "pool"]),
+        ("datagen build --preset s", ["small", "standard"]),
+        ("datagen build --family n", ["nested"]),
+        ("datagen build --out ", []),  # A file.
+        ("datagen export --format bop", ["bop", "bop-sensor"]),
+        ("datagen look o", ["one"]),
+        ("model train paper --twice ", ["one"]),
+        ("model view ", ["one", "one/mine"]),
+        ("model predict --over", ["--overwrite"]),
+    ],
+)
+def test_a_shell_completes_commands_flags_choices_datasets_and_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, line: str, choices: list[str]
+) -> None:
+    for file in ("data/one/dataset.json", "data/other", "runs/one/mine/run.json"):
+        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / file).touch()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COMP_LINE", f"{line} and more")
+    monkeypatch.setenv("COMP_POINT", str(len(line)))
+    program, begun = line.split(" ")[0], line.split(" ")[-1]
+    found = call(f"{program} --complete {program} '{begun}' before").out.split()
+    assert [word for word in found if begun or not word.startswith("--")] == choices
+
+
+@pytest.mark.parametrize(
     "record",
     [
         BuildChoices(preset="tiny", out=Path("a b"), overwrite=True, count=3, family="table", seed=-1),
