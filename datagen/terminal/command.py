@@ -20,7 +20,6 @@ from types import FrameType
 from typing import NoReturn, TypeVar
 
 from datagen.disk.errors import HyalineError, as_hyaline_error, naming, printable
-from datagen.terminal.parsing import MAX_SUGGESTED as MAX_SUGGESTED
 from datagen.terminal.parsing import QUIET, Command, CommandGroup, complete, parse
 from datagen.terminal.parsing import choose as choose
 from datagen.terminal.plugins import VERSION, naming_parts

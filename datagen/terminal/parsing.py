@@ -18,7 +18,7 @@ import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin, get_type_hints
 
 from datagen.disk.errors import HyalineError, UsageError, shown
 
@@ -81,7 +81,7 @@ def choose(what: str, value: str, choices: Collection[str]) -> str:
     raise kind_of_error(f"{where}{colon}no {kind} {shown(value)}; {hint} from {', '.join(sorted(choices))}")
 
 
-def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> Callable[[], None]:
+def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -> functools.partial[None]:
     """The call that words ask for.
 
     Raises:
@@ -99,32 +99,23 @@ def parse(program: str, command: Command | CommandGroup, words: Sequence[str]) -
         commands = command.commands()
         found = commands[choose(f"{program} {command.word}", name, commands)]
         program, command = f"{program} {name}", found.load(words) if isinstance(found, Later) else found
-    given = collect(program, command, words)
-    return functools.partial(command, *given.args, **given.kwargs)
+    return _parse(program, command, words)
 
 
-class Given(NamedTuple):
-    """The arguments for a command's function."""
-
-    args: tuple[Any, ...]
-    kwargs: dict[str, Any]
-
-
-def collect(program: str, command: Command, words: Sequence[str]) -> Given:
-    """The arguments that words give to a command's function; raises what `parse` does."""
+def _parse(program: str, command: Command, words: Sequence[str]) -> functools.partial[None]:
     import tyro
 
     describe(command)
 
     @functools.wraps(command)
-    def given(*args: Any, **kwargs: Any) -> Given:
-        return Given(args, kwargs)
+    def asked(*args: Any, **kwargs: Any) -> functools.partial[None]:
+        return functools.partial(command, *args, **kwargs)
 
     shown, refused = io.StringIO(), io.StringIO()
     try:
         with contextlib.redirect_stdout(shown), contextlib.redirect_stderr(refused):
             return tyro.cli(
-                given,
+                asked,
                 prog=program,
                 description=(inspect.getdoc(command) or "").partition("\n\nArgs:")[0] + "\n\n" + QUIET_HELP,
                 args=_words_first(command, words),
@@ -183,6 +174,12 @@ def _typed(documented: type | Command) -> Iterator[tuple[str, str, Any, Mapping[
             yield "" if about.get("is_positional") else flag, name, kind, about
 
 
+ABOUT: dict[str, str | None] = {
+    "dataset": "A dataset's folder, or its name under data/. Default: the only one there.",
+    "run": "A trained run: its folder, or its name under runs/ (SCENE/NAME).",
+    "device": "Where to compute; auto uses a GPU if there is one.",
+}
+"""Describes parameters of these names whose docstrings do not."""
 PLACES = {"dataset": ["data/*/dataset.json"], "run": ["runs/*/*/run.json"]}
 PLACES["what"] = PLACES["dataset"] + PLACES["run"]
 """Files that mark the folders which parameters of these names mean."""
@@ -246,10 +243,9 @@ def describe(documented: type | Command) -> None:
     import docstring_parser
     import tyro
 
-    parts = _bases(documented) if isinstance(documented, type) else [documented]
-    texts = {
-        item.arg_name: item.description for part in parts for item in docstring_parser.parse_from_object(part).params
-    }
+    parts = reversed(documented.__mro__) if isinstance(documented, type) else [documented]
+    found = [docstring_parser.parse_from_object(part).params for part in parts if part is not object]
+    texts = ABOUT | {item.arg_name: item.description for params in found for item in params}
     annotated = {}
     for name, kind, about in list(_items(documented)):
         if dataclasses.is_dataclass(kind):
@@ -274,28 +270,17 @@ def describe(documented: type | Command) -> None:
 
 def _items(documented: type | Command) -> Iterator[tuple[str, Any, Mapping[str, Any]]]:
     """The name, kind and metadata of each field or parameter."""
+    kinds = get_type_hints(documented, include_extras=True)
+    plain = get_type_hints(documented)
     if isinstance(documented, type):
-        kinds = {
-            name: kind for base in _bases(documented) for name, kind in base.__dict__.get("__annotations__", {}).items()
-        }
         for item in dataclasses.fields(documented):
-            kind = kinds[item.name]
-            yield item.name, _plain(kind), {**item.metadata, "choices": _choices(kind)}
-    else:
-        for name, parameter in inspect.signature(documented).parameters.items():
-            kind = documented.__annotations__[name]
-            word = name.upper() if parameter.default is parameter.empty else f"[{name.upper()}]"
-            is_positional = parameter.kind is parameter.POSITIONAL_ONLY
-            metavar = word if is_positional else None
-            yield name, _plain(kind), {"is_positional": is_positional, "metavar": metavar, "choices": _choices(kind)}
-
-
-def _bases(record: type) -> list[type]:
-    return [base for base in reversed(record.__mro__) if dataclasses.is_dataclass(base)]
-
-
-def _plain(kind: Any) -> Any:
-    return get_args(kind)[0] if get_origin(kind) is Annotated else kind
+            yield item.name, plain[item.name], {**item.metadata, "choices": _choices(kinds[item.name])}
+        return
+    for name, parameter in inspect.signature(documented).parameters.items():
+        word = name.upper() if parameter.default is parameter.empty else f"[{name.upper()}]"
+        is_positional = parameter.kind is parameter.POSITIONAL_ONLY
+        metavar, choices = word if is_positional else None, _choices(kinds[name])
+        yield name, plain[name], {"is_positional": is_positional, "metavar": metavar, "choices": choices}
 
 
 def _choices(kind: Any) -> Callable[[], Iterable[str]] | None:

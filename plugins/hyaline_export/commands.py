@@ -39,7 +39,6 @@ def export(
     """Export a dataset in another tool's format, into a new folder.
 
     Args:
-        dataset: A dataset's folder, or its name under data/. Default: the only one there.
         format: The tool whose loader reads it.
         out: Folder to write, new or empty. Default: exports/NAME-FORMAT.
         points: Number of points, for formats with a point cloud: on the true surfaces, coloured from training images.

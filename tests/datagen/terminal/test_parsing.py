@@ -11,7 +11,7 @@ from support.synthetic import write_synthetic_dataset
 
 from datagen.builder.choices import AddChoices, BuildChoices, ShardChoices, SizeChoices
 from datagen.disk.errors import UsageError
-from datagen.terminal.parsing import CommandGroup, Later, changed_flags, collect, flag_words, group, parse
+from datagen.terminal.parsing import CommandGroup, Later, changed_flags, flag_words, group, parse
 
 PROGRAMS = ("datagen", "proxies", "model")
 
@@ -52,6 +52,11 @@ def test_help_and_the_list_of_scenes_load_no_library_that_computes() -> None:
 def test_a_bare_command_prints_its_help(line: str) -> None:
     bare = call(line)
     assert (bare.status, bare.out, bare.err) == (2, call(f"{line} --help").out, "")
+
+
+def test_the_page_of_commands_has_each() -> None:
+    page = (Path(__file__).parents[3] / "docs" / "commands.md").read_text()
+    assert [line for line in COMMANDS if line not in page and not line.startswith("model train ")] == []
 
 
 def test_lists_are_flags_that_repeat_and_switches_have_two_forms() -> None:
@@ -103,7 +108,8 @@ def test_the_words_of_a_record_ask_for_it(record: object) -> None:
     def command(*, choices: object = type(record)()) -> None: ...
 
     command.__annotations__["choices"] = type(record)
-    assert collect("program", command, flag_words(changed_flags(record, type(record)()))).kwargs == {"choices": record}
+    asked = parse("program", command, flag_words(changed_flags(record, type(record)())))
+    assert asked.keywords == {"choices": record}
 
 
 def test_scripts_get_one_object_and_no_progress(tmp_path: Path) -> None:
